@@ -1,0 +1,40 @@
+# `make demo` and `make test` are all a newcomer needs; each sets up what it needs in .venv.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test lint bench clean
+
+demo: .venv/.demo  ## the main job, end to end, with a picture
+	@$(BIN)/faultline demo
+
+test: lint  ## everything that CI checks
+	@$(BIN)/python -m pytest
+
+lint: .venv/.test
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check --quiet
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-cache
+
+bench: .venv/.test  ## cost of a tick, paired with what it is compared to
+	@$(BIN)/python -m tests.bench
+
+clean:
+	rm -rf .venv out build faultline.egg-info
+
+.venv/bin/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "faultline needs Python 3.11 or newer; name one: make PYTHON=python3.12 ..."; exit 1; }
+	@$(PYTHON) -m venv .venv \
+		|| { rm -rf .venv; echo "faultline needs venv and pip: apt-get install python3-venv python3-pip"; exit 1; }
+
+# One stamp for what the demo needs, one for what the tests need besides.
+.venv/.demo: .venv/bin/pip pyproject.toml constraints.txt
+	@echo "setting up .venv (vehicle and design libraries, a minute)"
+	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design]'
+	@touch $@
+
+.venv/.test: .venv/bin/pip pyproject.toml constraints.txt
+	@echo "setting up .venv (design libraries and test tools, a minute)"
+	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,dev]'
+	@touch .venv/.demo $@

@@ -1,0 +1,1 @@
+"""What an engineer runs offline: from a model and recordings to the bundle that the vehicle runs."""

@@ -1,0 +1,1 @@
+"""Fits the parameters of a model to a fault-free recording."""

@@ -1,0 +1,57 @@
+"""Fit a model's parameters to a fault-free recording."""
+
+import argparse
+import hashlib
+from pathlib import Path
+
+import msgspec
+
+from analysis.calibration.fit import Fit, fit
+from analysis.graph.bank import build_bank
+from analysis.model import Model, dump_model, load_model
+from analysis.progress import Progress
+from analysis.recordings.observe import observe
+from service.core.decode import compile_dbc
+from service.logs import open_log
+
+EXAMPLE = """example:
+  faultline calibrate uds4 out/logs/bench-training-s1 --out out/calibrated.toml
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline calibrate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", help="a model file, or the name of a shipped model")
+    parser.add_argument("recording", type=Path, help="an instrumented, fault-free recording")
+    parser.add_argument("--out", type=Path, required=True, help="where to write the calibrated model file")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    options = parser.parse_args(argv)
+    model = load_model(options.model)
+    log = open_log(options.recording)
+    bank = build_bank(model)
+    with Progress(f"calibrating {model.name} on {log.id}") as progress:
+        table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, str(options.recording))
+        result = fit(bank, observe(bank, table, log.relative()), str(options.recording), progress.say)
+    entry = {"command": "calibrate", "recordings": [log.sha256], "blocks": result.blocks}
+    text = dump_model(model.with_parameters(result.values, entry))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(text)
+    print(msgspec.json.encode(result).decode() if options.json else _table(model, result, options.out, text))
+    return 0
+
+
+def _table(model: Model, result: Fit, out: Path, text: str) -> str:
+    lines = [f"{'parameter':<10}{'datasheet':>14}{'calibrated':>14}{'spread':>9}  unit"]
+    for name, value in result.values.items():
+        parameter = model.parameters[name]
+        lines.append(f"{name:<10}{parameter.value:>14.4g}{value:>14.4g}{result.spread[name]:>8.1%}  {parameter.unit}")
+    lines.append(
+        "residual (RMS of 5 s means): " + ", ".join(f"{t} {v / 100:.1f}" for t, v in result.rms.items()) + " mbar"
+    )
+    lines.append(
+        f"wrote {out} (sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]}), from {result.blocks} steady blocks"
+    )
+    return "\n".join(lines)

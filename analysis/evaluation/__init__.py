@@ -1,0 +1,1 @@
+"""Compares diagnoses with the truth, and draws the story of a recording."""

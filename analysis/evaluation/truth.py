@@ -1,0 +1,47 @@
+"""What really was in a recording: `truth.toml`, opened by evaluation and tests alone."""
+
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from service.core.errors import InputError
+
+
+class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A fault that was there: size (fraction of area or flow lost, or Pa), onset [s] after the log's first frame."""
+
+    name: str
+    size: float
+    onset_s: float
+    profile: str
+
+
+class Truth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The faults, and the hidden effects with their sizes, in one recording."""
+
+    schema: int
+    recording: str
+    fault: list[TrueFault] = []
+    effects: dict[str, float] = {}
+
+
+def load_truth(path: Path, recording: str) -> Truth:
+    """The truth about `recording`.
+
+    Raises:
+        InputError: the file is absent, malformed, of another version or about another recording.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: not found; the rig writes the truth with --truth")
+    try:
+        truth = msgspec.convert(tomllib.loads(path.read_text()), Truth)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a truth file: {error}") from error
+    if truth.schema != 1:
+        raise InputError(f"{path}: schema: this is {truth.schema}, wanted is 1; record again with a matching rig")
+    if truth.recording != recording:
+        raise InputError(
+            f"{path}: is about {truth.recording!r}, not about {recording!r}; give the truth of that recording"
+        )
+    return truth

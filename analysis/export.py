@@ -1,0 +1,109 @@
+"""Write the bundle: graph, manifest, DBC and golden vectors of a calibrated, tuned model."""
+
+import argparse
+import hashlib
+import shutil
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from analysis.graph.bank import PERIOD_S, Bank, build_bank
+from analysis.model import dump_model, load_model
+from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
+from service.bundle import MANIFEST, Golden, decode_manifest, load_bundle, verify_golden
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.core.generators import GeneratorBank
+from service.core.manifest import SCHEMA, Fault, File, Manifest, Origin
+
+DBC, GRAPH, GOLDEN = "uds.dbc", "ode.onnx", "golden.json"
+
+EXAMPLE = """example:
+  faultline export out/calibrated.toml --tuning out/tuning.json --dbc out/logs/bench-training-s1/uds.dbc --out
+  out/bundle
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline export", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", help="the calibrated model file")
+    parser.add_argument("--tuning", type=Path, required=True, help="the tuning file")
+    parser.add_argument("--dbc", type=Path, required=True, help="the vehicle's DBC")
+    parser.add_argument("--out", type=Path, required=True, help="the bundle folder to write")
+    parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
+    options = parser.parse_args(argv)
+    tuning = load_tuning(options.tuning)
+    bank = build_bank(load_model(options.model))
+    if tuning.model_sha256 != model_digest(dump_model(bank.model)):
+        raise InputError(
+            f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
+        )
+    if not options.dbc.is_file():
+        raise InputError(f"{options.dbc}: not found; give the DBC that the recordings were made with")
+    _make_room(options.out, options.force)
+    write_bundle(bank, tuning, options.dbc.read_bytes(), options.out)
+    bundle = load_bundle(options.out)
+    verify_golden(bundle)
+    size = sum(file.size for file in bundle.manifest.files.values())
+    print(f"wrote {options.out}: {len(bank.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
+    return 0
+
+
+def write_bundle(bank: Bank, tuning: Tuning, dbc: bytes, out: Path) -> None:
+    """Writes the folder. The same model, tuning and DBC give the same bytes."""
+    compile_dbc(dbc.decode(), {channel.signal: channel.unit for channel in bank.inputs}, "the DBC")
+    graph = bank.graph()
+    files = {DBC: dbc, GRAPH: graph, GOLDEN: _golden(bank, graph, tuning)}
+    manifest = Manifest(
+        schema=SCHEMA,
+        name=bank.model.name,
+        sensor_set="instrumented",
+        period_s=PERIOD_S,
+        start_within_s=tuning.start_within_s,
+        dbc=DBC,
+        graph=GRAPH,
+        golden=GOLDEN,
+        files={name: File(sha256=hashlib.sha256(raw).hexdigest(), size=len(raw)) for name, raw in files.items()},
+        origin=Origin(
+            model=bank.model.name,
+            model_sha256=tuning.model_sha256,
+            calibrate=recordings_of(bank.model),
+            tune=tuning.recordings,
+        ),
+        inputs=list(bank.inputs),
+        generators=list(bank.generators),
+        modes=tuning.modes,
+        detectors=tuning.detectors,
+        faults=[
+            Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
+        ],
+        evidence=tuning.evidence,
+    )
+    raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
+    decode_manifest(raw, str(out / MANIFEST))
+    out.mkdir(parents=True)
+    for name, content in files.items():
+        (out / name).write_bytes(content)
+    (out / MANIFEST).write_bytes(raw)
+
+
+def _golden(bank: Bank, graph: bytes, tuning: Tuning) -> bytes:
+    generators = GeneratorBank(graph, bank.generators, bank.inputs)
+    usable = np.ones(len(bank.inputs), dtype=np.bool_)
+    r = [generators.step(np.array(z), usable).r.tolist() for z in tuning.golden_z]
+    return msgspec.json.encode(Golden(z=tuning.golden_z, r=r))
+
+
+def _make_room(out: Path, force: bool) -> None:
+    """An existing bundle is replaced when asked for; any other folder is left alone."""
+    if not out.exists():
+        return
+    if not (out / MANIFEST).is_file():
+        raise InputError(f"{out}: exists and is no bundle; give another folder")
+    if not force:
+        raise InputError(f"{out}: exists already; give another folder or --force")
+    shutil.rmtree(out)

@@ -1,0 +1,132 @@
+"""The bank: all residual generators of a model as one graph, with what the manifest says of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import sympy as sp
+
+from analysis.graph.network import Evaluator, Network, flow_network
+from analysis.graph.step import STACKED, Region, Stacked, stack, step_graph
+from analysis.model import Model
+from analysis.structure import Test, integral_tests
+from service.core.errors import InputError
+from service.core.generators import Graph
+from service.core.manifest import Generator, Input, State
+
+PERIOD_S = 0.2
+MAXIMUM_AGE_S = 1.0  # five periods of the controller's values: a frame or two may be lost, a sensor may not
+WARM_UP_S = 20.0  # the slowest pressure forgets its start with some 3.5 s
+
+Array = npt.NDArray[np.float64]
+Trial = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Bank:
+    """The generators of a model; `sigma` (T,) is the spread [unit of y] the sensors alone give each residual."""
+
+    model: Model
+    tests: tuple[Test, ...]
+    inputs: tuple[Input, ...]
+    generators: tuple[Generator, ...]
+    networks: tuple[Network, ...]
+    sigma: Array
+
+    @cached_property
+    def evaluator(self) -> Evaluator:
+        """The networks' matrices as functions of parameters and faults."""
+        return Evaluator(self.networks, self.model)
+
+    def only(self, rows: Sequence[int]) -> "Bank":
+        """The bank of these tests alone."""
+        generators, networks = tuple(self.generators[k] for k in rows), tuple(self.networks[k] for k in rows)
+        tests = tuple(self.tests[k] for k in rows)
+        return Bank(self.model, tests, self.inputs, generators, networks, self.sigma[list(rows)])
+
+    def stacked(self, trials: Sequence[Trial]) -> Stacked:
+        """The matrices for each trial, a mapping of parameters and faults that differ from the model's values."""
+        return stack(self.evaluator(trials))
+
+    def graph(self) -> bytes:
+        """The ONNX graph of the model's own parameters, faults at zero."""
+        return self._graph(parametric=False)
+
+    def _graph(self, parametric: bool) -> bytes:
+        names = [channel.signal for channel in self.inputs]
+        uses = np.array([[float(name in g.inputs) for g in self.generators] for name in names])
+        measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
+        bounds = (np.array([getattr(channel, side) for channel in self.inputs]) for side in ("lower", "upper"))
+        region = Region(*bounds, uses)
+        return step_graph(self.stacked([{}]), measured, PERIOD_S, self.sigma, region, parametric=parametric)
+
+    def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
+        """Residuals (K, B, T) of the samples `z` (K, nz) from the states `x0` (nx,), for B trials side by side.
+
+        It runs the very graph of the vehicle, with the matrices as inputs.
+        """
+        graph = Graph(self._graph(parametric=True))
+        stacked = self.stacked(trials)
+        matrices = {name: getattr(stacked, name) for name in STACKED}
+        x = np.tile(x0, (len(trials), 1))
+        r = np.empty((len(z), len(trials), len(self.tests)))
+        for k, sample in enumerate(z):
+            r[k], _, _, _, x = graph(z=np.tile(sample, (len(trials), 1)), x=x, **matrices)
+        return r
+
+    def start(self, z: Array) -> Array:
+        """The states (nx,) that the samples `z` (nz,) of a tick give."""
+        value = dict(zip((channel.signal for channel in self.inputs), z, strict=True))
+        states = [state for generator in self.generators for state in generator.states]
+        return np.array([s.offset + sum(gain * value[name] for name, gain in s.gain.items()) for s in states])
+
+
+def build_bank(model: Model) -> Bank:
+    """The bank of every test of the model that has integral causality.
+
+    Raises:
+        InputError: the model has no such test, or one that the implicit step cannot solve.
+    """
+    tests = integral_tests(model)
+    if not tests:
+        raise InputError(
+            f"{model.name}: no test has integral causality; add a sensor (`faultline structure` shows the tests)"
+        )
+    names = list(model.known)
+    inputs = tuple(
+        Input(signal=name, unit=k.unit, maximum_age_s=MAXIMUM_AGE_S, lower=k.min, upper=k.max)
+        for name, k in model.known.items()
+    )
+    networks = tuple(flow_network(model, test, names) for test in tests)
+    sigma = np.array([model.known[test.predicts].noise for test in tests])
+    generators = tuple(_generator(model, test) for test in tests)
+    return Bank(model, tests, inputs, generators, networks, sigma)
+
+
+def _generator(model: Model, test: Test) -> Generator:
+    return Generator(
+        name=f"{test.name}.ode",
+        test=test.name,
+        predicts=test.predicts,
+        inputs=list(test.known),
+        states=[_state(model, test, name) for name in test.states],
+        faults=list(test.faults),
+        warm_up_ticks=round(WARM_UP_S / PERIOD_S),
+    )
+
+
+def _state(model: Model, test: Test, name: str) -> State:
+    """The first of the state's initial expressions that needs no signal from outside the test."""
+    numbers = {sp.Symbol(n): p.value for n, p in model.parameters.items()}
+    for expression in model.unknown[name].initial:
+        signals = [symbol for symbol in expression.free_symbols if symbol.name in model.known]
+        if all(symbol.name in test.known for symbol in signals):
+            value = expression.subs(numbers)
+            gain = {symbol.name: float(value.coeff(symbol)) for symbol in sorted(signals, key=str)}
+            return State(name=name, offset=float(value.subs(dict.fromkeys(signals, 0))), gain=gain)
+    raise InputError(
+        f"{model.name}: unknown.{name}.initial: no expression uses only {', '.join(test.known)} ({test.name}); "
+        "add one, a parameter alone will do"
+    )

@@ -1,0 +1,187 @@
+"""The implicit step of all tests as one ONNX graph (see `network` for the form of a test).
+
+Backward Euler over h = Ts with every orifice as a chord conductance, m s = m g d, g = s/d, is linear in the new state:
+
+    M x+ = x + h (B u + C m g beta u),      M = I - h (A + C diag(m g) alpha)
+
+The chord itself is found by solving each orifice exactly against the rest of the linearised network (its Thevenin
+equivalent: open-circuit argument d0 and impedance Z, from M^-1), in the flow domain and closed form:
+
+    s^2 sign(s) = d0 - Z s   =>   |s| = 2 |d0| / (Z + sqrt(Z^2 + 4 |d0|)),   g = 1 / max(|s|, S_MIN)
+
+This is repeated `sweeps` times, then x+ is solved for. It has no cycle at zero flow and no error from a rippled
+neighbour, because no slope of the root is ever used away from the solution. The choice against a plain chord at the
+last state, a Rosenbrock step and forward Euler is docs/decisions/001-implicit-step.md.
+
+All tests are stacked: T tests of at most N states in M (B, T, N, N), all S orifices in one vector. A node costs the
+same for one test and for ten.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.graph.network import Values
+from analysis.graph.writer import Writer
+
+SWEEPS = 1
+S_MIN = 1e-3
+"""Velocity below which an orifice is laminar [m/s], 5e-4 Pa for water: it bounds the conductance, nothing else."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """The matrices of all tests side by side, each (B, rows, columns); states padded to N a test.
+
+    With L = T N padded states and u = [1; z]: `into` spreads x over L, `beta`, `mu` (1 + nz, S), `alpha` (L, S), `C`
+    (S, L), `A` (1, L N) and `K` (S, L N) give M, `Z` (L N, S) the impedances, `B` (1 + nz, L), `H` (L, T), `E` (1 +
+    nz, T).
+    """
+
+    into: Array
+    alpha: Array
+    beta: Array
+    mu: Array
+    C: Array
+    A: Array
+    K: Array
+    Z: Array
+    B: Array
+    H: Array
+    E: Array
+
+
+STACKED = ("alpha", "beta", "mu", "C", "A", "K", "Z", "B", "H", "E")
+"""The fields of `Stacked` that depend on parameters."""
+
+
+def stack(tests: Sequence[Values]) -> Stacked:
+    """Stacks the tests' values; the padding of a test's states is the identity, which keeps it at zero."""
+    batch = len(tests[0].A)
+    N = max(len(test.states) for test in tests)
+    S = sum(test.alpha.shape[1] for test in tests)
+    T, L, U = len(tests), len(tests) * N, tests[0].beta.shape[2]
+    shapes = {"alpha": (L, S), "beta": (U, S), "mu": (U, S), "C": (S, L), "A": (1, L * N), "K": (S, L * N)}
+    shapes |= {"Z": (L * N, S), "B": (U, L), "H": (L, T), "E": (U, T)}
+    out = {name: np.zeros((batch, *shape)) for name, shape in shapes.items()}
+    into = np.zeros((sum(len(test.states) for test in tests), L))
+    first = column = 0
+    for t, test in enumerate(tests):
+        n, s = len(test.states), test.alpha.shape[1]
+        rows, flows = slice(t * N, t * N + n), slice(first, first + s)
+        into[np.arange(column, column + n), np.arange(t * N, t * N + n)] = 1.0
+        out["alpha"][:, rows, flows] = np.swapaxes(test.alpha, 1, 2)
+        out["beta"][:, :, flows] = np.swapaxes(test.beta, 1, 2)
+        out["mu"][:, :, flows] = np.swapaxes(test.mu, 1, 2)
+        out["C"][:, flows, rows] = np.swapaxes(test.C, 1, 2)
+        out["B"][:, :, rows] = np.swapaxes(test.B, 1, 2)
+        out["H"][:, rows, t] = test.H[:, 0]
+        out["E"][:, :, t] = test.E[:, 0]
+        for i in range(n):
+            for k in range(n):
+                entry = (t * N + i) * N + k
+                out["A"][:, 0, entry] = test.A[:, i, k]
+                out["K"][:, flows, entry] = test.C[:, i, :] * test.alpha[:, :, k]
+                out["Z"][:, entry, flows] = test.alpha[:, :, i] * test.C[:, k, :]
+        first, column = first + s, column + n
+    return Stacked(into=into, **out)
+
+
+def step_graph(
+    stacked: Stacked,
+    measured: Array,
+    period: float,
+    sigma: Array,
+    region: "Region",
+    *,
+    sweeps: int = SWEEPS,
+    parametric: bool = False,
+) -> bytes:
+    """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx).
+
+    `measured` (nz, T) picks the signal that each test predicts. With `parametric` the matrices are inputs named as in
+    `STACKED`, one set per row of the batch; without it the first set is built in.
+    """
+    w = Writer()
+    z, x = w.input("z", ["B", measured.shape[0]]), w.input("x", ["B", stacked.into.shape[0]])
+    nz, nx = measured.shape[0], stacked.into.shape[0]
+    matrix = {name: _matrix(w, name, getattr(stacked, name), parametric) for name in STACKED}
+    L, T = stacked.alpha.shape[1], measured.shape[1]
+    N = L // T
+    h = w.constant(period)
+    z3 = w.reshape(z, [-1, 1, nz])
+    u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
+    old = w("MatMul", w.reshape(x, [-1, 1, nx]), w.constant(stacked.into))
+    beta = w("MatMul", u, matrix["beta"])
+    opening = w("MatMul", u, matrix["mu"])
+    driven = w("Add", old, w("Mul", h, w("MatMul", u, matrix["B"])))
+    new, inverse, g = old, "", ""
+    for _ in range(sweeps + 1):
+        d = w("Add", w("MatMul", new, matrix["alpha"]), beta)
+        velocity = _thevenin(w, inverse, d, g, opening, matrix["Z"], h, L * N) if inverse else w("Sqrt", w("Abs", d))
+        g = w("Reciprocal", w("Max", velocity, w.constant(S_MIN)))
+        q = w("Mul", w("Mul", opening, g), h)
+        M = w("Sub", w.constant(np.tile(np.eye(N), (T, 1)).reshape(1, 1, L * N)), w("MatMul", q, matrix["K"]))
+        M = w("Sub", M, w("Mul", h, matrix["A"]))
+        inverse = _inverse(w, w.reshape(M, [-1, T, N, N]), N)
+        rhs = w("Add", driven, w("MatMul", w("Mul", q, beta), matrix["C"]))
+        new = w.reshape(w("MatMul", inverse, w.reshape(rhs, [-1, T, N, 1])), [-1, 1, L])
+    y_hat = w("Add", w("MatMul", new, matrix["H"]), w("MatMul", u, matrix["E"]))
+    y_hat = w.reshape(y_hat, [-1, T])
+    w.output("r", w("Sub", w("MatMul", z, w.constant(measured)), y_hat), ["B", T])
+    w.output("y_hat", y_hat, ["B", T])
+    w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", y_hat)), ["B", T])
+    w.output("novelty", _novelty(w, z, region), ["B", T])
+    w.output("x_next", w.reshape(w("MatMul", new, w.constant(stacked.into.T)), [-1, nx]), ["B", nx])
+    return w.model("faultline-ode")
+
+
+@dataclass(frozen=True)
+class Region:
+    """The operating region: bounds of every signal (nz,), and which test uses which (nz, T)."""
+
+    lower: Array
+    upper: Array
+    uses: Array
+
+
+def _matrix(w: Writer, name: str, values: Array, parametric: bool) -> str:
+    return w.input(name, ["B", *values.shape[1:]]) if parametric else w.constant(values[0])
+
+
+def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, h: str, entries: int) -> str:
+    """|s| of every orifice against its own Thevenin equivalent, from the linearised network's inverse."""
+    seen = w("MatMul", w.reshape(inverse, [-1, 1, entries]), Z)
+    impedance = w("Mul", w("Mul", seen, opening), w("Sub", w.constant(0.0), h))
+    share = w("Max", w("Sub", w.constant(1.0), w("Mul", g, impedance)), w.constant(1e-12))
+    Z0 = w("Div", impedance, share)
+    size = w("Abs", w("Div", d, share))
+    root = w("Sqrt", w("Add", w("Mul", Z0, Z0), w("Mul", w.constant(4.0), size)))
+    return w("Div", w("Mul", w.constant(2.0), size), w("Max", w("Add", Z0, root), w.constant(1e-12)))
+
+
+def _inverse(w: Writer, M: str, N: int) -> str:
+    """M^-1 (B, T, N, N) in place: Gauss-Jordan without pivoting, because the pivots of an M-matrix are positive.
+
+    Pivot k of W is W - (column_k - e_k) (row_k + e_k) / W_kk; after N pivots W is the inverse.
+    """
+    work = M
+    for k in range(N):
+        row, column = w.slice(work, 2, k, k + 1), w.slice(work, 3, k, k + 1)
+        pivot = w.slice(row, 3, k, k + 1)
+        unit = np.eye(N)[k]
+        left = w("Sub", column, w.constant(unit.reshape(1, 1, N, 1)))
+        right = w("Div", w("Add", row, w.constant(unit.reshape(1, 1, 1, N))), pivot)
+        work = w("Sub", work, w("Mul", left, right))
+    return work
+
+
+def _novelty(w: Writer, z: str, region: Region) -> str:
+    """How far the inputs of each test lie outside the region, in parts of its width, summed: (B, T)."""
+    outside = w("Max", w("Sub", w.constant(region.lower), z), w("Sub", z, w.constant(region.upper)))
+    parts = w("Div", w("Relu", outside), w.constant(region.upper - region.lower))
+    return w("MatMul", parts, w.constant(region.uses))

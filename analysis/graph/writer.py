@@ -1,0 +1,85 @@
+"""Writes ONNX graphs: a node a call, operators from an allow-list, a trial session at the end.
+
+The allow-list is what the vehicle accepts: no Loop, Scan, If, functions, external data or custom operators.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from service.core.generators import Graph
+
+OPSET = 21
+IR_VERSION = 10
+ALLOWED = frozenset(
+    {"Abs", "Add", "Concat", "Div", "Expand", "Identity", "MatMul", "Max", "Mul", "Reciprocal", "Relu", "Reshape"}
+    | {"Shape", "Slice", "Sqrt", "Sub"}
+)
+
+Array = npt.NDArray[np.float64]
+
+
+class Writer:
+    """A graph under construction. A value is the name of a tensor; every method returns the name of its result."""
+
+    def __init__(self) -> None:
+        self._nodes: list[onnx.NodeProto] = []
+        self._constants: dict[tuple[bytes, tuple[int, ...], str], str] = {}
+        self._initializers: list[onnx.TensorProto] = []
+        self._inputs: list[onnx.ValueInfoProto] = []
+        self._outputs: list[onnx.ValueInfoProto] = []
+
+    def input(self, name: str, shape: Sequence[str | int]) -> str:
+        """A float64 input of the graph."""
+        self._inputs.append(helper.make_tensor_value_info(name, TensorProto.DOUBLE, list(shape)))
+        return name
+
+    def output(self, name: str, value: str, shape: Sequence[str | int]) -> None:
+        """Gives a value out under a name of its own."""
+        self._nodes.append(helper.make_node("Identity", [value], [name]))
+        self._outputs.append(helper.make_tensor_value_info(name, TensorProto.DOUBLE, list(shape)))
+
+    def constant(self, value: npt.ArrayLike, dtype: type[np.generic] = np.float64) -> str:
+        """A constant; the same one is stored once."""
+        array = np.ascontiguousarray(value, dtype=dtype)
+        key = (array.tobytes(), array.shape, array.dtype.str)
+        if key not in self._constants:
+            name = f"c{len(self._constants)}"
+            self._constants[key] = name
+            self._initializers.append(numpy_helper.from_array(array, name))
+        return self._constants[key]
+
+    def __call__(self, operator: str, *values: str) -> str:
+        """A node."""
+        assert operator in ALLOWED, operator
+        name = f"v{len(self._nodes)}"
+        self._nodes.append(helper.make_node(operator, list(values), [name]))
+        return name
+
+    def slice(self, value: str, axis: int, start: int, stop: int) -> str:
+        """value[..., start:stop, ...] along an axis."""
+        bounds = (self.constant([number], np.int64) for number in (start, stop, axis))
+        return self("Slice", value, *bounds)
+
+    def reshape(self, value: str, shape: Sequence[int]) -> str:
+        """Another shape for the same numbers; -1 is the batch."""
+        return self("Reshape", value, self.constant(shape, np.int64))
+
+    def concat(self, values: Sequence[str], axis: int) -> str:
+        """Tensors joined along an axis."""
+        name = f"v{len(self._nodes)}"
+        self._nodes.append(helper.make_node("Concat", list(values), [name], axis=axis))
+        return name
+
+    def model(self, name: str) -> bytes:
+        """The finished model's bytes, checked by onnx and opened by onnxruntime; the same graph, the same bytes."""
+        graph = helper.make_graph(self._nodes, name, self._inputs, self._outputs, self._initializers)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="faultline")
+        model.ir_version = IR_VERSION
+        onnx.checker.check_model(model, full_check=True)
+        raw: bytes = model.SerializeToString(deterministic=True)
+        Graph(raw)
+        return raw

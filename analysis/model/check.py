@@ -1,0 +1,115 @@
+"""What must hold between the parts of a model: names, differential constraints, initial values, faults."""
+
+import keyword
+import re
+from collections.abc import Sequence
+
+import sympy as sp
+
+from analysis.model.errors import ModelError
+from analysis.model.expression import FUNCTIONS
+from analysis.model.model import Model
+from analysis.model.tables import first_repeated
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def check_names(known: Sequence[str], unknown: Sequence[str], parameters: Sequence[str], where: str) -> list[str]:
+    """All names of variables and parameters.
+
+    Raises:
+        ModelError: one is declared twice or cannot be written in a formula.
+    """
+    names = [*known, *unknown, *parameters]
+    for name in names:
+        check_name(name, f"{where}: {name!r}")
+    twice = first_repeated(names)
+    if twice is not None:
+        raise ModelError(f"{where}: {twice} is declared twice among known, unknown and parameter; rename one")
+    return names
+
+
+def check_name(name: str, place: str) -> None:
+    """Raises ModelError unless the name can stand in a formula and in generated code."""
+    if not _NAME.fullmatch(name) or keyword.iskeyword(name) or name in FUNCTIONS:
+        raise ModelError(f"{place}: is no name; use letters, digits and _ as in p_tp, no keyword, not sgsqrt or abs")
+
+
+def check_model(model: Model, equation_names: Sequence[str], where: str) -> None:
+    """Checks a whole model; `equation_names` are the equations' names as written, repeated ones included.
+
+    Raises:
+        ModelError: the first thing that does not hold.
+    """
+    if not model.equations:
+        raise ModelError(f"{where}: equation: there is none; a model needs at least one")
+    rows = [*equation_names, *(d.name for d in model.differentials)]
+    twice = first_repeated(rows)
+    if twice is not None:
+        raise ModelError(f"{where}: two equations or differentials are named {twice}; rename one")
+    _check_faults(model, where)
+    _check_differentials(model, where)
+    _check_states(model, where)
+    _check_used(model, where)
+
+
+def _check_faults(model: Model, where: str) -> None:
+    faults = [(k, e.fault) for k, e in enumerate(model.equations.values()) if e.fault is not None]
+    for k, fault in faults:
+        if fault.relative_to is not None and fault.relative_to not in model.parameters:
+            raise ModelError(
+                f"{where}: equation[{k}].fault.relative_to: {fault.relative_to} is no parameter; "
+                "leave it away for sizes in SI units"
+            )
+    twice = first_repeated([fault.name for _, fault in faults])
+    if twice is not None:
+        raise ModelError(
+            f"{where}: fault {twice} is in two equations; let it define an unknown of its own and use that in both"
+        )
+
+
+def _check_differentials(model: Model, where: str) -> None:
+    for k, d in enumerate(model.differentials):
+        for role, name in (("state", d.state), ("derivative", d.derivative)):
+            if name not in model.unknown:
+                raise ModelError(f"{where}: differential[{k}].{role}: {name} is no unknown; declare [unknown.{name}]")
+    joined = [name for d in model.differentials for name in (d.state, d.derivative)]
+    twice = first_repeated(joined)
+    if twice is not None:
+        raise ModelError(f"{where}: {twice} is in two differentials; a variable is one state or one derivative")
+    for name in model.unknown:
+        if name.startswith("d") and name[1:] in model.unknown and name not in joined:
+            raise ModelError(
+                f"{where}: unknown.{name}: no [[differential]] makes it the derivative of {name[1:]}; "
+                "add one, or give it a name that does not read like a derivative"
+            )
+
+
+def _check_states(model: Model, where: str) -> None:
+    states = {d.state for d in model.differentials}
+    signals = [sp.Symbol(name) for name in model.known]
+    for name, unknown in model.unknown.items():
+        if name in states and not unknown.initial:
+            raise ModelError(
+                f"{where}: unknown.{name}.initial: is missing; a state needs one, a parameter alone will do"
+            )
+        if name not in states and unknown.initial:
+            raise ModelError(f"{where}: unknown.{name}.initial: only a state starts somewhere; {name} is none")
+        for k, expression in enumerate(unknown.initial):
+            slopes = [sp.diff(expression, signal) for signal in signals]
+            if any(slope.free_symbols & set(signals) for slope in slopes) or _bent(expression, signals):
+                raise ModelError(
+                    f"{where}: unknown.{name}.initial[{k}]: `{unknown.initial_text[k]}` is not affine in known signals"
+                )
+
+
+def _bent(expression: sp.Expr, signals: Sequence[sp.Symbol]) -> bool:
+    """Whether a signal is inside a function, where a derivative may look constant (the sign in that of abs)."""
+    return any(call.free_symbols & set(signals) for call in expression.atoms(sp.Function))
+
+
+def _check_used(model: Model, where: str) -> None:
+    used = {symbol.name for e in model.equations.values() for symbol in e.expression.free_symbols}
+    for name in model.unknown:
+        if name not in used:
+            raise ModelError(f"{where}: unknown.{name}: is in no equation; use it or remove it")

@@ -1,0 +1,151 @@
+"""Formulas of a model file: text to sympy through a whitelist of syntax; nothing of the text is ever evaluated.
+
+Allowed are numbers, declared names, + - * / **, unary minus and plus, parentheses, and the calls `sgsqrt(d)` and
+`abs(x)`. An exponent is a constant whole or rational number of at most 16 in numerator and denominator.
+"""
+
+import ast
+import re
+import warnings
+from collections.abc import Collection
+
+import sympy as sp
+
+from analysis.model.errors import ModelError
+
+MAXIMUM_LENGTH = 1000
+MAXIMUM_DEPTH = 60
+MAXIMUM_EXPONENT = 16
+MAXIMUM_NUMBER = 1e100
+
+_CHARACTERS = re.compile(r"[A-Za-z0-9_+\-*/()., \t\r\n]*")
+
+
+class sgsqrt(sp.Function):  # type: ignore[misc]  # noqa: N801  (sympy is untyped; this is its name in formulas)
+    """sgsqrt(d) = sign(d) sqrt(|d|): the orifice equation (4.2) for both directions of flow.
+
+    It is opaque to sympy, whose own rules turn sign(d)*sqrt(Abs(d)) into piecewise forms that lose a direction.
+    """
+
+    nargs = 1
+
+    @classmethod
+    def eval(cls, d: sp.Expr) -> sp.Expr | None:
+        """A number has its value; None leaves everything else as it is."""
+        return sp.sign(d) * sp.sqrt(abs(d)) if d.is_number else None
+
+
+_CALLS = {"sgsqrt": sgsqrt, "abs": sp.Abs}
+
+FUNCTIONS = frozenset(_CALLS)
+"""Names that no variable may have."""
+
+
+def parse_expression(text: str, names: Collection[str], place: str) -> sp.Expr:
+    """The formula in `text` over the declared `names`, as plain sympy symbols.
+
+    Raises:
+        ModelError: anything outside the whitelist above; the message begins with `place`.
+    """
+    if len(text) > MAXIMUM_LENGTH:
+        raise ModelError(f"{place}: {len(text)} characters; split formulas longer than {MAXIMUM_LENGTH}")
+    good = _CHARACTERS.match(text)
+    if good and good.end() < len(text):
+        raise ModelError(f"{place}: character {text[good.end()]!r} has no place in a formula: {_short(text)}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about literals like `1or`, which are refused below
+            tree = ast.parse(" ".join(text.split()), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ModelError(f"{place}: not a formula: {_short(text)}; write it like `a*(b - c)/d**2`") from error
+    return _Reader(names, place).read(tree, 0)
+
+
+class _Reader:
+    """Walks a syntax tree, building the sympy expression from the allowed kinds of node."""
+
+    def __init__(self, names: Collection[str], place: str) -> None:
+        self._names = names
+        self._place = place
+
+    def read(self, node: ast.expr, depth: int) -> sp.Expr:
+        """The expression of a node `depth` levels below the top."""
+        if depth > MAXIMUM_DEPTH:
+            raise ModelError(f"{self._place}: nested deeper than {MAXIMUM_DEPTH} levels; give parts names of their own")
+        if isinstance(node, ast.BinOp):
+            value = self._operation(node, depth)
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+            operand = self.read(node.operand, depth + 1)
+            value = -operand if isinstance(node.op, ast.USub) else operand
+        elif isinstance(node, ast.Call):
+            value = self._call(node, depth)
+        elif isinstance(node, ast.Name):
+            value = self._name(node.id)
+        else:
+            value = self._number(node)
+        if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
+            raise ModelError(f"{self._place}: {_short(ast.unparse(node))} divides by zero or is no real number")
+        if value.is_number and not abs(value) < MAXIMUM_NUMBER:
+            raise ModelError(f"{self._place}: the number {_short(ast.unparse(node))} is too large")
+        return value
+
+    def _operation(self, node: ast.BinOp, depth: int) -> sp.Expr:
+        left = self.read(node.left, depth + 1)
+        if isinstance(node.op, ast.Pow):
+            return self._power(left, node, depth)
+        right = self.read(node.right, depth + 1)
+        match node.op:
+            case ast.Add():
+                return left + right
+            case ast.Sub():
+                return left - right
+            case ast.Mult():
+                return left * right
+            case ast.Div():
+                return left / right
+        raise ModelError(f"{self._place}: operator in {_short(ast.unparse(node))} is not one of + - * / **")
+
+    def _power(self, base: sp.Expr, node: ast.BinOp, depth: int) -> sp.Expr:
+        value = self.read(node.right, depth + 1)
+        exponent = sp.nsimplify(value, rational=True) if value.is_number else value
+        power = base**exponent if exponent.is_Rational and _small(exponent) else sp.nan
+        if power is sp.nan or not all(_small(p.exp) for p in power.atoms(sp.Pow)):
+            raise ModelError(
+                f"{self._place}: {_short(ast.unparse(node))}: an exponent must be a constant fraction of whole numbers "
+                f"up to {MAXIMUM_EXPONENT}"
+            )
+        return power
+
+    def _call(self, node: ast.Call, depth: int) -> sp.Expr:
+        name = node.func.id if isinstance(node.func, ast.Name) else None
+        if name not in _CALLS or len(node.args) != 1 or node.keywords:
+            raise ModelError(
+                f"{self._place}: {_short(ast.unparse(node))} is no call of sgsqrt(d) or abs(x), the only functions"
+            )
+        return _CALLS[name](self.read(node.args[0], depth + 1))
+
+    def _name(self, name: str) -> sp.Expr:
+        if name not in self._names:
+            raise ModelError(f"{self._place}: unknown name {name!r}; known names are {', '.join(self._names)}")
+        return sp.Symbol(name)
+
+    def _number(self, node: ast.expr) -> sp.Expr:
+        value = node.value if isinstance(node, ast.Constant) else None
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise ModelError(
+                f"{self._place}: {_short(ast.unparse(node))} is not allowed; a formula has numbers, names, "
+                "+ - * / **, sgsqrt(d) and abs(x)"
+            )
+        if not abs(value) < MAXIMUM_NUMBER:
+            raise ModelError(f"{self._place}: the number {_short(ast.unparse(node))} is too large")
+        return sp.Integer(value) if isinstance(value, int) else sp.Float(value)
+
+
+def _small(exponent: sp.Rational) -> bool:
+    return bool(max(abs(exponent.p), exponent.q) <= MAXIMUM_EXPONENT)
+
+
+def _short(text: str) -> str:
+    """Enough of `text` to find it by, on one line."""
+    line = " ".join(text.split())
+    return f"`{line}`" if len(line) <= 60 else f"`{line[:57]}...`"

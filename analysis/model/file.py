@@ -1,0 +1,181 @@
+"""The model file: TOML to `Model`.
+
+    schema = 1
+    name = "uds4"
+    [known.y_p_tp]           unit, description, min, max, noise
+    [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
+    [parameter.A_t]          unit, description, value, min, max, prior, source  (min, max and prior may be absent)
+    [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
+      fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
+    [[differential]]         name, state, derivative
+    [[provenance]]           any keys: what calibration did
+
+Strict: an unknown key, an undeclared name or a wrong type is an error that names its place.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import sympy as sp
+
+from analysis.model.check import check_model, check_name, check_names
+from analysis.model.errors import ModelError
+from analysis.model.expression import parse_expression
+from analysis.model.model import Differential, Equation, Fault, Known, Model, Parameter, Unknown, check_bounds
+from analysis.model.tables import Table
+
+SCHEMA = 1
+
+
+def load_model(path: str | Path) -> Model:
+    """The model in a file, or the shipped one of that name.
+
+    Raises:
+        ModelError: there is no such file, or it is no valid model.
+    """
+    shipped = shipped_models()
+    file = Path(path) if Path(path).is_file() else shipped.get(str(path), Path(path))
+    try:
+        text = file.read_bytes().decode()
+    except OSError as error:
+        names = ", ".join(shipped)
+        raise ModelError(f"{path}: cannot be read; give a model file, or a shipped model: {names}") from error
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
+    return parse_model(text, str(path))
+
+
+def shipped_models() -> Mapping[str, Path]:
+    """The models that come with the program, by name."""
+    return {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
+
+
+def parse_model(text: str, where: str) -> Model:
+    """The model in TOML text; messages begin with `where`.
+
+    Raises:
+        ModelError: the text is no valid model.
+    """
+    try:
+        top = Table(tomllib.loads(text), where, top=True)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ModelError(f"{where}: not TOML: {error}") from error
+    schema = top.number("schema")
+    if schema != SCHEMA:
+        raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that wrote the file")
+    known = {name: _known(table) for name, table in top.named_tables("known").items()}
+    unknown = top.named_tables("unknown")
+    parameters = {name: _parameter(table) for name, table in top.named_tables("parameter").items()}
+    equations = top.tables("equation")
+    names = check_names([*known], [*unknown], [*parameters], where)
+    read = [_equation(table, names) for table in equations]
+    model = Model(
+        name=top.text("name"),
+        description=top.text("description", ""),
+        source=top.text("source", ""),
+        known=known,
+        unknown={name: _unknown(table, [*known, *parameters]) for name, table in unknown.items()},
+        parameters=parameters,
+        equations={equation.name: equation for equation in read},
+        differentials=tuple(_differential(table) for table in top.tables("differential")),
+        provenance=tuple(table.rest() for table in top.tables("provenance")),
+    )
+    top.done()
+    check_model(model, [equation.name for equation in read], where)
+    return model
+
+
+def _known(table: Table) -> Known:
+    known = Known(
+        unit=table.text("unit"),
+        description=table.text("description", ""),
+        min=table.number("min"),
+        max=table.number("max"),
+        noise=table.number("noise"),
+    )
+    table.done()
+    if known.min >= known.max:
+        raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
+    if known.noise <= 0:
+        raise table.fail("noise", "must be positive: it is the scale of the sensor's residuals")
+    return known
+
+
+def _unknown(table: Table, names: Sequence[str]) -> Unknown:
+    texts = table.texts("initial")
+    unknown = Unknown(
+        unit=table.text("unit"),
+        description=table.text("description", ""),
+        initial=tuple(parse_expression(t, names, table.at(f"initial[{k}]")) for k, t in enumerate(texts)),
+        initial_text=texts,
+    )
+    table.done()
+    return unknown
+
+
+def _parameter(table: Table) -> Parameter:
+    parameter = Parameter(
+        unit=table.text("unit"),
+        description=table.text("description", ""),
+        value=table.number("value"),
+        min=table.optional_number("min"),
+        max=table.optional_number("max"),
+        prior=table.optional_number("prior"),
+        source=table.text("source", ""),
+    )
+    table.done()
+    check_bounds(parameter, table.place)
+    return parameter
+
+
+def _equation(table: Table, names: Sequence[str]) -> Equation:
+    text = table.text("expr")
+    fault = table.table("fault")
+    equation = Equation(
+        name=table.text("name"),
+        description=table.text("description", ""),
+        text=text,
+        expression=parse_expression(text, names, table.at("expr")),
+        fault=None if fault is None else _fault(fault, names),
+    )
+    table.done()
+    if equation.fault is not None and sp.Symbol(equation.fault.enters) not in equation.expression.free_symbols:
+        raise table.fail(
+            "fault.enters", f"{equation.fault.enters} is not in `{text}`; a fault must change its equation"
+        )
+    return equation
+
+
+def _fault(table: Table, names: Sequence[str]) -> Fault:
+    name, text = table.text("name"), table.text("enters")
+    check_name(name, f"{table.at('name')}: {name!r}")
+    if name in names:
+        raise table.fail("name", f"{name} is declared already; give the fault variable a name of its own")
+    enters, arrow, replacement = (part.strip() for part in text.partition("->"))
+    if not arrow or enters not in names:
+        raise table.fail("enters", f"`{text}` must be like `A -> A + {name}`, with a declared name on the left")
+    fault = Fault(
+        name=name,
+        component=table.text("component"),
+        description=table.text("description", ""),
+        enters=enters,
+        replacement=parse_expression(replacement, [*names, name], table.at("enters")),
+        enters_text=text,
+        sizes=table.numbers("sizes"),
+        relative_to=table.optional_text("relative_to"),
+    )
+    table.done()
+    if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:
+        raise table.fail("enters", f"`{text}` must leave {enters} as it is where {name} = 0")
+    if sp.Symbol(name) not in fault.replacement.free_symbols:
+        raise table.fail("enters", f"{name} is not on the right of `{text}`")
+    if not fault.sizes or 0.0 in fault.sizes:
+        raise table.fail("sizes", "give at least one size, none of them zero")
+    return fault
+
+
+def _differential(table: Table) -> Differential:
+    differential = Differential(name=table.text("name"), state=table.text("state"), derivative=table.text("derivative"))
+    table.done()
+    return differential

@@ -1,0 +1,149 @@
+"""The model: one frozen object for structure, simulation, calibration and generators.
+
+An equation is an expression that equals zero. A differential constraint says that one unknown is the time derivative
+of another, the state (Frisk et al. 2012); so every equation is algebraic. A fault enters one equation by replacing one
+name: `A_t -> A_t + fA_t` (thesis 4.7).
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import sympy as sp
+
+from analysis.model.errors import ModelError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """A measured or commanded signal: operating range [min, max] and standard deviation `noise`, in `unit`."""
+
+    unit: str
+    description: str
+    min: float
+    max: float
+    noise: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """A variable that nothing measures.
+
+    Only a state has `initial` values: expressions affine in known signals, of which the first whose signals are all at
+    hand is used. `initial_text` is how the file writes them.
+    """
+
+    unit: str
+    description: str
+    initial: tuple[sp.Expr, ...]
+    initial_text: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A constant; `prior` is the standard deviation of its logarithm, None for one that is not calibrated."""
+
+    unit: str
+    description: str
+    value: float
+    min: float | None
+    max: float | None
+    prior: float | None
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A fault variable, zero when there is no fault.
+
+    It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
+    are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None.
+    """
+
+    name: str
+    component: str
+    description: str
+    enters: str
+    replacement: sp.Expr
+    enters_text: str
+    sizes: tuple[float, ...]
+    relative_to: str | None
+
+    def absolute(self, size: float, model: "Model") -> float:
+        """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""
+        return size if self.relative_to is None else size * model.parameters[self.relative_to].value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equation:
+    """`expression` = 0, without fault; `text` is how the file writes it."""
+
+    name: str
+    description: str
+    text: str
+    expression: sp.Expr
+    fault: Fault | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Differential:
+    """d/dt `state` = `derivative`, both unknowns."""
+
+    name: str
+    state: str
+    derivative: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A system. The mappings go from names and keep the file's order; symbols are `sympy.Symbol(name)`, no assumptions.
+
+    `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making.
+    """
+
+    name: str
+    description: str
+    source: str
+    known: Mapping[str, Known]
+    unknown: Mapping[str, Unknown]
+    parameters: Mapping[str, Parameter]
+    equations: Mapping[str, Equation]
+    differentials: tuple[Differential, ...]
+    provenance: tuple[Mapping[str, object], ...]
+
+    @property
+    def faults(self) -> dict[str, Fault]:
+        """The faults by name, in the order of their equations."""
+        return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None}
+
+    def expression(self, equation: str, *, with_fault: bool) -> sp.Expr:
+        """The expression of the named equation that equals zero, with its fault variable or without."""
+        found = self.equations[equation]
+        if found.fault is None or not with_fault:
+            return found.expression
+        return found.expression.xreplace({sp.Symbol(found.fault.enters): found.fault.replacement})
+
+    def with_parameters(self, values: Mapping[str, float], provenance: Mapping[str, object]) -> "Model":
+        """The same model with other parameter values, and with `provenance` added at the end.
+
+        Raises:
+            ModelError: a name is not a parameter, or a value is not finite or outside the parameter's bounds.
+        """
+        parameters = dict(self.parameters)
+        for name, value in values.items():
+            if name not in parameters:
+                raise ModelError(f"{self.name}: {name} is no parameter; those are {', '.join(parameters)}")
+            parameters[name] = dataclasses.replace(parameters[name], value=float(value))
+            check_bounds(parameters[name], f"{self.name}: parameter.{name}")
+        return dataclasses.replace(self, parameters=parameters, provenance=(*self.provenance, dict(provenance)))
+
+
+def check_bounds(parameter: Parameter, place: str) -> None:
+    """Raises ModelError for a value that is not finite, outside its bounds, or not positive although it has a prior."""
+    lower = -math.inf if parameter.min is None else parameter.min
+    upper = math.inf if parameter.max is None else parameter.max
+    if not math.isfinite(parameter.value) or not lower <= parameter.value <= upper:
+        raise ModelError(f"{place}: value {parameter.value:g} is outside [{lower:g}, {upper:g}] {parameter.unit}")
+    if parameter.prior is not None and not (parameter.prior > 0 and parameter.value > 0):
+        raise ModelError(f"{place}: a prior is the spread of a logarithm; it and the value must be positive")

@@ -1,0 +1,79 @@
+"""A model as TOML text. The same model gives the same bytes, and the text parses back to an equal model."""
+
+import datetime
+import json
+import re
+from collections.abc import Mapping, Sequence
+
+from analysis.model.errors import ModelError
+from analysis.model.file import SCHEMA
+from analysis.model.model import Equation, Model
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def dump_model(model: Model) -> str:
+    """The model file's text; formulas are written as the file had them.
+
+    Raises:
+        ModelError: the provenance holds something that TOML cannot.
+    """
+    head: dict[str, object] = {"schema": SCHEMA, "name": model.name}
+    head |= {"description": model.description, "source": model.source}
+    blocks = [_pairs(head)]
+    for name, k in model.known.items():
+        fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
+        blocks.append(f"[known.{name}]\n" + _pairs(fields))
+    for name, u in model.unknown.items():
+        fields = {"unit": u.unit, "description": u.description}
+        blocks.append(f"[unknown.{name}]\n" + _pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
+    for name, p in model.parameters.items():
+        fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
+        blocks.append(f"[parameter.{name}]\n" + _pairs({**fields, "prior": p.prior, "source": p.source}))
+    blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
+    blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
+    blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
+    return "\n".join(blocks)
+
+
+def _equation(equation: Equation) -> dict[str, object]:
+    table: dict[str, object] = {"name": equation.name, "description": equation.description, "expr": equation.text}
+    if equation.fault is not None:
+        f = equation.fault
+        table["fault"] = {
+            "name": f.name,
+            "component": f.component,
+            "description": f.description,
+            "enters": f.enters_text,
+            "sizes": f.sizes,
+            **({} if f.relative_to is None else {"relative_to": f.relative_to}),
+        }
+    return table
+
+
+def _pairs(table: Mapping[str, object]) -> str:
+    """Lines `key = value`, without those of value None."""
+    return "".join(f"{_key(key)} = {_value(value)}\n" for key, value in table.items() if value is not None)
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _value(key)
+
+
+def _value(value: object) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case int():
+            return repr(int(value))
+        case float():
+            return repr(float(value))  # numpy's floats are floats that write themselves otherwise
+        case str():  # JSON's escapes are TOML's, but JSON leaves DEL bare
+            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        case datetime.datetime() | datetime.date() | datetime.time():
+            return value.isoformat()
+        case Mapping():
+            return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items()) + "}"
+        case Sequence():
+            return "[" + ", ".join(_value(v) for v in value) + "]"
+    raise ModelError(f"provenance: {value!r} cannot be written to TOML; use strings, numbers, lists and tables")

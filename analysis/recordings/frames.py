@@ -1,0 +1,71 @@
+"""Puts the added sensors on the CAN log, as the frames that an instrumented vehicle would have sent."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal
+
+from service.core.errors import InputError
+from service.core.signals import Vector
+from service.logs import Frame
+
+MESSAGE = "UDS_SENSORS"
+PASCAL = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5}
+"""Pascal per unit of a DBC."""
+
+
+def sensor_message(database: Database, signals: Iterable[str], where: str) -> Message:
+    """The message that carries the added sensors.
+
+    Raises:
+        InputError: the DBC has no such message, or it lacks a signal or gives it in no unit of pressure.
+    """
+    message = next((message for message in database.messages if message.name == MESSAGE), None)
+    if message is None:
+        raise InputError(f"{where}: has no message {MESSAGE} for the added sensors; record with the project's DBC")
+    for name in signals:
+        signal = next((signal for signal in message.signals if signal.name == name), None)
+        if signal is None:
+            raise InputError(f"{where}: {MESSAGE} has no signal {name}, which external.tables names")
+        if signal.unit not in PASCAL:
+            raise InputError(f"{where}: {MESSAGE}.{name} is in {signal.unit!r}; give it in {', '.join(PASCAL)}")
+    return message
+
+
+def sensor_frames(message: Message, t: Vector, pressures: Mapping[str, Vector]) -> list[Frame]:
+    """One frame per sample: `t` (N,) [s], `pressures` (N,) [Pa] by signal, NaN and out of range as not available."""
+    columns = {
+        signal.name: _raw(signal, pressures[signal.name] if signal.name in pressures else np.full(len(t), np.nan))
+        for signal in message.signals
+    }
+    return [
+        Frame(
+            time,
+            message.frame_id,
+            message.is_extended_frame,
+            message.encode({name: raw[k] for name, raw in columns.items()}, scaling=False, padding=True, strict=False),
+        )
+        for k, time in enumerate(t.tolist())
+    ]
+
+
+def _raw(signal: Signal, pressure: Vector) -> list[int]:
+    """Raw values: rounded, all ones (not available, SAE J1939-71) where there is no value within the signal's range."""
+    value = pressure / PASCAL.get(signal.unit or "", 1.0)
+    top = float(signal.maximum if signal.maximum is not None else np.inf)
+    bottom = float(signal.minimum if signal.minimum is not None else -np.inf)
+    with np.errstate(invalid="ignore"):
+        known = (value >= bottom) & (value <= top)
+        raw = np.round((value - float(signal.offset)) / float(signal.scale))
+    return [int(number) if good else (1 << signal.length) - 1 for number, good in zip(raw, known, strict=True)]
+
+
+def candump(frames: Iterable[Frame]) -> str:
+    """The frames as candump's text log, to the microsecond."""
+    lines = []
+    for t, can_id, extended, data in frames:
+        name = f"{can_id:08X}" if extended else f"{can_id:03X}"
+        mark = "##0" if len(data) > 8 else "#"
+        lines.append(f"({t:.6f}) can0 {name}{mark}{data.hex().upper()}\n")
+    return "".join(lines)

@@ -1,0 +1,35 @@
+"""A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
+
+from collections.abc import Iterable
+
+from analysis.graph.bank import PERIOD_S, Bank
+from service.core.decode import DecodeTable
+from service.core.generators import GeneratorBank
+from service.core.manifest import Modes
+from service.core.modes import ModeTracker
+from service.core.observer import Observer, Tick
+from service.core.sampling import Sampler
+from service.logs import Frame
+
+START_WITHIN_S = 5.0
+
+MODES = Modes(
+    signal="dc_dose",
+    idle_below=0.02,
+    maximum_above=0.98,
+    edges={"dc_dose": 0.03, "n_p": 4.0},
+    settle_ticks=round(4.0 / PERIOD_S),
+)
+"""Some seconds after a dose step the hose has settled; pump steps of this size are the pressure ladder's."""
+
+
+def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:
+    """Every tick of a log, up to its last frame."""
+    generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
+    modes = ModeTracker(MODES, bank.inputs)
+    observer = Observer(table, Sampler(bank.inputs), modes, generators, PERIOD_S, START_WITHIN_S)
+    ticks: list[Tick] = []
+    t_s = None
+    for t_s, can_id, is_extended, data in frames:
+        ticks += observer.frame(t_s, can_id, is_extended, data)
+    return ticks if t_s is None else ticks + observer.advance(t_s)

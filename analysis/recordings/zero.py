@@ -1,0 +1,44 @@
+"""Calibrates the added sensors' zero where the pump stands still at the start: there every pressure is atmospheric.
+
+The error of an added sensor is mostly its zero (mounting, ageing); the slope is taken from the datasheet.
+"""
+
+import numpy as np
+
+from service.core.signals import Vector
+
+ATMOSPHERE = 101_325.0  # Pa, what the project's model takes for the tank too
+TURNING = 0.5  # rev/s, from which the pump runs
+LEAST_S = 5.0  # a shorter standstill is not averaged over
+MARGIN_S = 1.0  # before the pump starts; also covers the clocks' alignment
+PRESSURISED = 0.2e5  # Pa: y_p_du this far from atmospheric is a system that has not drained
+STEADY = 0.05e5  # Pa: a standing column is quieter
+PLAUSIBLE = 0.5e5  # Pa: a larger error is no zero error but a fault
+OUTLIER = 4.0  # standard deviations
+
+
+def standstill(t: Vector, n_p: Vector, y_p_du: Vector) -> float:
+    """Until when [s] the pump stands still in a drained system from the first sample on; 0 where it is too short.
+
+    `t`, `n_p` [rev/s] and `y_p_du` [Pa] are (N,) samples from the CAN log.
+    """
+    turning = np.flatnonzero(n_p > TURNING)
+    end = float(t[turning[0]] if len(turning) else t[-1]) - MARGIN_S
+    inside = t <= end
+    if end - t[0] < LEAST_S or abs(float(np.median(y_p_du[inside])) - ATMOSPHERE) > PRESSURISED:
+        return 0.0
+    return end
+
+
+def zero_error(pressure: Vector) -> float | None:
+    """Mean reading less atmospheric pressure [Pa], without outliers; None where it cannot be a zero error.
+
+    `pressure` (N,) [Pa] are the sensor's readings at standstill; NaN are left out.
+    """
+    known = pressure[np.isfinite(pressure)]
+    if len(known) < 10:
+        return None
+    middle = float(np.median(known))
+    spread = 1.4826 * float(np.median(np.abs(known - middle)))
+    error = float(known[np.abs(known - middle) <= OUTLIER * spread + 1e-9].mean()) - ATMOSPHERE
+    return None if spread > STEADY or abs(error) > PLAUSIBLE else error

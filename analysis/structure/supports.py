@@ -1,0 +1,134 @@
+"""The tests of a model: its minimal test equation supports (MTES), and those of them that can be run.
+
+The number of a test is that of the thesis, which numbers MTES ("MSO_2" there is t02 here).
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import sympy as sp
+
+from analysis.model import Model
+from analysis.structure.causality import integral_residuals, solving_order
+from analysis.structure.matching import mask_of
+from analysis.structure.minimal import minimal_sets
+from analysis.structure.structure import Structure, structure_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """A minimal test equation support: no test of fewer of its faults exists (Krysander, Aslund and Frisk 2010).
+
+    `number` counts from 1, `name` is like "t02". `known` are the signals a test of these equations needs, `states`
+    those whose differential constraints are among them. `obstacle` says why it is no `Test`; None for one that is.
+    """
+
+    number: int
+    name: str
+    equations: tuple[str, ...]
+    faults: tuple[str, ...]
+    known: tuple[str, ...]
+    states: tuple[str, ...]
+    obstacle: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Test(Support):
+    """A test that can be run forward in time: integrate the states, predict a sensor, compare.
+
+    `residual` is the sensor's equation and `predicts` its signal. `sequence` gives for every other algebraic equation
+    the variable to solve it for, in an order in which each uses only known signals, states and earlier variables.
+    """
+
+    __test__: ClassVar[bool] = False  # pytest must not take it for a test case
+
+    residual: str
+    predicts: str
+    sequence: tuple[tuple[str, str], ...]
+
+
+def mso_sets(structure: Structure) -> list[tuple[str, ...]]:
+    """All minimal structurally over-determined sets of equations (Krysander, Aslund and Nyberg 2008), in order."""
+    return [structure.names(rows) for rows in minimal_sets(structure.unknown_rows, (1 << len(structure.equations)) - 1)]
+
+
+def mtes_sets(structure: Structure) -> list[tuple[str, ...]]:
+    """All minimal test equation supports (Krysander, Aslund and Frisk 2010), in the thesis's order."""
+    faulty = mask_of(sorted(set(structure.fault_rows.values())))
+    return [structure.names(rows) for rows in minimal_sets(structure.unknown_rows, faulty)]
+
+
+def find_tests(model: Model) -> tuple[Support, ...]:
+    """All minimal test equation supports, numbered from 1; those that can be run are `Test` objects."""
+    structure = structure_of(model)
+    return tuple(
+        _support(model, structure, number, equations) for number, equations in enumerate(mtes_sets(structure), start=1)
+    )
+
+
+def integral_tests(model: Model) -> tuple[Test, ...]:
+    """The tests that need no differentiation and no algebraic loop, with the numbers that `find_tests` gives them."""
+    return tuple(test for test in find_tests(model) if isinstance(test, Test))
+
+
+def _support(model: Model, structure: Structure, number: int, equations: tuple[str, ...]) -> Support:
+    """A test if any minimal set within has one; with redundancy one there is only the support itself."""
+    obstacle = None
+    for chosen in _within(structure, equations):
+        found = _test(model, structure, number, chosen)
+        if isinstance(found, Test):
+            return found
+        obstacle = obstacle or found
+    return _describe(structure, number, equations, obstacle)
+
+
+def _within(structure: Structure, equations: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """The MSO sets with faults among the equations."""
+    rows = structure.rows(equations)
+    sets = minimal_sets([structure.unknown_rows[row] for row in rows], (1 << len(rows)) - 1)
+    names = [tuple(name for i, name in enumerate(equations) if chosen >> i & 1) for chosen in sets]
+    return [chosen for chosen in names if structure.faults_in(chosen)]
+
+
+def _describe(structure: Structure, number: int, equations: tuple[str, ...], obstacle: str | None) -> Support:
+    return Support(
+        number=number,
+        name=f"t{number:02d}",
+        equations=equations,
+        faults=structure.faults_in(equations),
+        known=structure.known_in(equations),
+        states=structure.states_in(equations),
+        obstacle=obstacle,
+    )
+
+
+def _test(model: Model, structure: Structure, number: int, equations: tuple[str, ...]) -> Test | str:
+    """The test of an MSO set with the first residual equation that permits one, or why there is none."""
+    forward = integral_residuals(structure, equations)
+    if not forward:
+        return "no residual equation has integral causality"
+    obstacle = f"no sensor is predicted by {', '.join(forward)}, which alone have integral causality"
+    for residual in forward:
+        signal = _predicted(model, structure, residual)
+        if signal is None:
+            continue
+        order = solving_order(structure, equations, residual)
+        loop = next((component for component in order if len(component) > 1), None)
+        if loop is None:
+            sequence = tuple(component[0] for component in order)
+            support = _describe(structure, number, equations, obstacle=None)
+            return Test(**vars(support), residual=residual, predicts=signal, sequence=sequence)
+        obstacle = (
+            f"with residual {residual}, {', '.join(e for e, _ in loop)} are an algebraic loop "
+            f"of {', '.join(v for _, v in loop)}"
+        )
+    return obstacle
+
+
+def _predicted(model: Model, structure: Structure, equation: str) -> str | None:
+    """The signal of a sensor equation: the only one in it, with a constant factor."""
+    signals = structure.known_in([equation])
+    if len(signals) != 1:
+        return None
+    slope = sp.diff(model.expression(equation, with_fault=False), sp.Symbol(signals[0]))
+    return signals[0] if slope.is_number and slope != 0 else None

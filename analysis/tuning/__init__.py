@@ -1,0 +1,1 @@
+"""Sets thresholds, and what ranks the faults, from fault-free recordings."""

@@ -1,0 +1,86 @@
+"""Set thresholds and ranking evidence from fault-free recordings."""
+
+import argparse
+from pathlib import Path
+
+import msgspec
+
+from analysis.graph.bank import Bank, build_bank
+from analysis.model import dump_model, load_model
+from analysis.progress import Progress
+from analysis.recordings.observe import MODES, START_WITHIN_S, observe
+from analysis.tuning.evidence import gather
+from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
+from analysis.tuning.thresholds import seen, tune_detectors
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.logs import open_log
+
+GOLDEN_TICKS = 150
+
+EXAMPLE = """example:
+  faultline tune out/calibrated.toml out/logs/bench-drive-s2 out/logs/bench-drive-s3 --out out/tuning.json
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline tune", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", help="the calibrated model file")
+    parser.add_argument("recording", type=Path, nargs="+", help="instrumented, fault-free, not used for calibration")
+    parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
+    parser.add_argument("--json", action="store_true", help="print the detectors as JSON")
+    options = parser.parse_args(argv)
+    bank = build_bank(load_model(options.model))
+    with Progress(f"tuning {bank.model.name}") as progress:
+        tuning = tune(bank, options.recording, progress)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_bytes(msgspec.json.encode(tuning))
+    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(tuning, options.out))
+    return 0
+
+
+def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
+    """The tuning of a bank from fault-free recordings.
+
+    Raises:
+        InputError: a recording was used for calibration or is named twice, or an operating mode is missing.
+    """
+    calibrated = recordings_of(bank.model)
+    units = {channel.signal: channel.unit for channel in bank.inputs}
+    watched, digests = [], []
+    for path in recordings:
+        log = open_log(path)
+        if log.sha256 in calibrated or log.sha256 in digests:
+            used = "for calibration" if log.sha256 in calibrated else "twice"
+            raise InputError(f"{path}: this recording is used {used}; tune on fault-free recordings of their own")
+        progress.say(log.id)
+        table = compile_dbc(log.dbc, units, str(path))
+        watched.append(seen(log.id, observe(bank, table, log.relative())))
+        digests.append(log.sha256)
+    detectors = tune_detectors([g.name for g in bank.generators], watched, bank.sigma)
+    progress.say("fault hypotheses")
+    return Tuning(
+        schema=SCHEMA,
+        model_sha256=model_digest(dump_model(bank.model)),
+        recordings=digests,
+        modes=MODES,
+        start_within_s=START_WITHIN_S,
+        sensor_set="instrumented",
+        detectors=detectors,
+        evidence=gather(bank, detectors, watched),
+        golden_z=watched[0].z[:GOLDEN_TICKS].tolist(),
+    )
+
+
+def _table(tuning: Tuning, out: Path) -> str:
+    lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge [mbar]"]
+    lines += [
+        f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s / 100:.1f}" for s in d.scale)
+        for d in tuning.detectors
+    ]
+    lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
+    lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")
+    return "\n".join(lines)

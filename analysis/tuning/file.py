@@ -1,0 +1,58 @@
+"""The tuning file: what `faultline tune` finds and `faultline export` builds in."""
+
+import hashlib
+from pathlib import Path
+
+import msgspec
+
+from analysis.model import Model
+from service.core.errors import InputError
+from service.core.manifest import Detector, Evidence, Modes
+
+SCHEMA = "faultline.tuning/1"
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Detectors and evidence of one calibrated model.
+
+    `model_sha256` is that of the model file, `recordings` those of the logs used, `golden_z` (K, nz) samples from the
+    beginning of the first of them.
+    """
+
+    schema: str
+    model_sha256: str
+    recordings: list[str]
+    modes: Modes
+    start_within_s: float
+    sensor_set: str
+    detectors: list[Detector]
+    evidence: Evidence
+    golden_z: list[list[float]]
+
+
+def model_digest(text: str) -> str:
+    """The SHA-256 by which tuning and bundle know the model file."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def recordings_of(model: Model) -> list[str]:
+    """The SHA-256 of the recordings that the model was calibrated on, from its provenance."""
+    entries = [entry.get("recordings", []) for entry in model.provenance if entry.get("command") == "calibrate"]
+    return [str(sha) for entry in entries if isinstance(entry, (list, tuple)) for sha in entry]
+
+
+def load_tuning(path: Path) -> Tuning:
+    """The tuning in a file.
+
+    Raises:
+        InputError: the file is absent, or not a tuning of this version.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: not found; `faultline tune` writes it")
+    try:
+        tuning = msgspec.json.decode(path.read_bytes(), type=Tuning)
+    except msgspec.DecodeError as error:
+        raise InputError(f"{path}: not a tuning file: {error}; run `faultline tune` again") from error
+    if tuning.schema != SCHEMA:
+        raise InputError(f"{path}: schema: this is {tuning.schema!r}, wanted is {SCHEMA!r}; run `faultline tune` again")
+    return tuning

@@ -1,0 +1,94 @@
+"""Detectors from fault-free recordings that calibration has not seen.
+
+A residual is standardised by the median and the spread of its mode. The drift nu of its CUSUM covers what lasts: the
+largest mean over 15 s that any recording shows, of either sign, plus an allowance, because a constant bias above nu
+crosses every threshold in the end. J is then a multiple of the largest sum reached, and never below `MINIMUM_J`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.core.cusum import Cusum
+from service.core.errors import InputError
+from service.core.manifest import MODES, Detector
+from service.core.observer import Tick
+
+Array = npt.NDArray[np.float64]
+
+MINIMUM_TICKS = 50  # of a mode, over all recordings
+LASTING_TICKS = 75  # 15 s
+ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
+MARGIN = 2.0  # J over the largest sum seen
+MINIMUM_J = 15.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,)."""
+
+    name: str
+    z: Array
+    r: Array
+    usable: npt.NDArray[np.bool_]
+    mode: npt.NDArray[np.int64]
+
+
+def seen(name: str, ticks: Sequence[Tick]) -> Seen:
+    """What tuning needs of a recording: the ticks with every input usable."""
+    ticks = [tick for tick in ticks if tick.usable.all()]
+    return Seen(
+        name=name,
+        z=np.array([tick.z for tick in ticks]),
+        r=np.array([tick.residuals.r for tick in ticks]),
+        usable=np.array([tick.residuals.usable for tick in ticks]),
+        mode=np.array([tick.mode for tick in ticks]),
+    )
+
+
+def tune_detectors(generators: Sequence[str], recordings: Sequence[Seen], floor: Array) -> list[Detector]:
+    """A detector for each generator; `floor` (T,) is the spread that the sensors alone give.
+
+    Raises:
+        InputError: an operating mode was hardly visited: its residuals are unknown, and unknown is not zero.
+    """
+    return [_detector(name, row, recordings, float(floor[row])) for row, name in enumerate(generators)]
+
+
+def _detector(name: str, row: int, recordings: Sequence[Seen], floor: float) -> Detector:
+    offset, scale = [], []
+    for mode, mode_name in enumerate(MODES):
+        r = np.concatenate([s.r[s.usable[:, row] & (s.mode == mode), row] for s in recordings])
+        if len(r) < MINIMUM_TICKS:
+            raise InputError(
+                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {mode_name!r} "
+                f"for {len(r)} ticks only; add a fault-free recording that stays in it"
+            )
+        centre = float(np.median(r))
+        offset.append(centre)
+        scale.append(max(float(1.4826 * np.median(np.abs(r - centre))), floor / 2))
+    centres, scales = np.array(offset), np.array(scale)
+    runs = []
+    for s in recordings:
+        use = s.usable[:, row]
+        runs.append((s.r[use, row] - centres[s.mode[use]]) / scales[s.mode[use]])
+    nu = ALLOWANCE + max(_largest_lasting(run) for run in runs)
+    J = max(MINIMUM_J, MARGIN * max(_largest_sum(run, nu) for run in runs))
+    return Detector(generator=name, offset=offset, scale=scale, nu=nu, J=J)
+
+
+def _largest_lasting(s: Array) -> float:
+    """The largest absolute mean over `LASTING_TICKS` in a row."""
+    sums = np.concatenate([[0.0], np.cumsum(s)])
+    return float(np.abs(sums[LASTING_TICKS:] - sums[:-LASTING_TICKS]).max() / LASTING_TICKS)
+
+
+def _largest_sum(s: Array, nu: float) -> float:
+    cusum = Cusum(nu, np.inf)
+    largest = 0.0
+    for tick, value in enumerate(s):
+        cusum.update(tick, float(value))
+        largest = max(largest, cusum.value)
+    return largest

@@ -1,0 +1,108 @@
+"""CAN buses: what the service listens to and replays onto, whichever kind it is.
+
+A frame's time is the monotonic time at which it reached the kernel. The kernel's own stamp follows the wall clock, so
+it only says how long a frame has waited, and is ignored where that cannot be true.
+"""
+
+import re
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from ipaddress import AddressValueError, IPv4Address
+from types import TracebackType
+
+from service.core.errors import InputError
+from service.logs import Frame
+
+BATCH = 512
+"""Frames taken in one call, so that a flood cannot hold up the loop."""
+
+QUEUE = 4 * 1024 * 1024
+"""Bytes of receive queue asked of the kernel, which grants at most net.core.rmem_max."""
+
+OLDEST_S = 5.0  # a longer wait than the queue can hold is a clock that was set
+
+
+class BusError(InputError):
+    """A bus that is not there, or that does not take frames."""
+
+
+class Bus(ABC):
+    """Receives without blocking, and sends. `skipped` counts what came but is no data frame."""
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self._last = 0.0  # time of the newest frame; frames never go back
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """Readable when frames wait."""
+
+    @property
+    @abstractmethod
+    def dropped(self) -> int:
+        """Frames that the kernel lost because nobody took them in time."""
+
+    @abstractmethod
+    def receive(self) -> list[Frame]:
+        """At most `BATCH` of the frames that wait, `t` in `time.monotonic()`; none if none waits."""
+
+    @abstractmethod
+    def send(self, frame: Frame) -> None:
+        """Sends now, whatever the frame's time; raises `BusError` if the bus does not take it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Releases the socket; further use is an error."""
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _arrival(self, stamp: float) -> float:
+        """Monotonic time [s] of a wall-clock stamp that is a moment old, never before the last frame's."""
+        now, waited = time.monotonic(), time.time() - stamp
+        self._last = max(self._last, now - waited if 0.0 <= waited < OLDEST_S else now)
+        return self._last
+
+
+def open_bus(spec: str, identifiers: Iterable[int] = ()) -> Bus:
+    """The bus that `spec` names: `socketcan:NAME` or `udp_multicast:GROUP:PORT`.
+
+    `identifiers` are those of `DecodeTable.identifiers`: 29-bit ones without priority, an 11-bit one n as -1 - n. If
+    there are any, SocketCAN takes no other frames from the kernel.
+
+    Raises:
+        BusError: the spec is neither, or the bus is not there.
+    """
+    kind, _, rest = spec.partition(":")
+    group, _, port = rest.partition(":")
+    if kind == "socketcan" and re.fullmatch(r"[^\s/:]{1,15}", rest):
+        from service.bus_socketcan import SocketCan, can_socket  # only the kind that is asked for is loaded
+
+        return SocketCan(can_socket(rest, identifiers), rest)
+    if kind == "udp_multicast" and _is_group(group) and port.isdecimal() and 0 < int(port) < 65_536:
+        from service.bus_udp import UdpMulticast
+
+        return UdpMulticast(group, int(port))
+    raise BusError(f"no bus {spec!r}; give socketcan:NAME (as socketcan:can0) or udp_multicast:239.74.163.2:43113")
+
+
+def socketcan_available(name: str) -> bool:
+    """Whether `socketcan:NAME` can be opened here and now."""
+    try:
+        open_bus(f"socketcan:{name}").close()
+    except BusError:
+        return False
+    return True
+
+
+def _is_group(address: str) -> bool:
+    try:
+        return IPv4Address(address).is_multicast
+    except AddressValueError:
+        return False

@@ -1,0 +1,1 @@
+"""The pure core: signals, samples, residuals, decisions, isolation. No file, socket, clock or log."""

@@ -1,0 +1,65 @@
+"""The event: the one thing a subscriber hears, in one schema, `faultline.event/1`.
+
+Source: the CloudEvents idea of (source, id) as identity; the transitions are named after the status life cycle of
+AUTOSAR diagnostic management.
+"""
+
+from typing import Literal
+
+import msgspec
+
+SCHEMA = "faultline.event/1"
+
+Transition = Literal["started", "occurred", "refined", "healed", "cannot_tell"]
+"""started: the first tick was evaluated. occurred: alarms need an explanation where none was needed before. refined:
+the explanations or their ranks changed. healed: no test alarms any more. cannot_tell: other tests than before cannot
+tell."""
+
+
+class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
+    """One explanation of the alarms: all of `faults` together.
+
+    `rank` starts at 1; explanations the data cannot separate share a rank. `p` is a probability with three digits, or
+    None as long as no calibration curve stands behind it.
+    """
+
+    faults: list[str]
+    rank: int
+    p: float | None
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """One transition of the diagnosis.
+
+    `tick` and `t_s` [s] say when it was decided, in log time since the first tick; `since_tick` when the evidence began
+    (the alarmed tests' CUSUM last left zero), None without alarm. `alarm` and `cannot_tell` name tests; a test in
+    neither is quiet. `wall` is the wall clock's time (RFC 3339) on a vehicle and None offline, so that offline events
+    compare byte by byte. `bundle` is the SHA-256 of the manifest.
+    """
+
+    schema: str
+    id: str
+    seq: int
+    tick: int
+    t_s: float
+    wall: str | None
+    transition: Transition
+    diagnoses: list[Diagnosis]
+    alarm: list[str]
+    cannot_tell: list[str]
+    since_tick: int | None
+    bundle: str
+
+
+_ENCODER = msgspec.json.Encoder()
+_DECODER = msgspec.json.Decoder(Event)
+
+
+def encode(event: Event) -> bytes:
+    """The event as one line of JSON, newline included."""
+    return _ENCODER.encode(event) + b"\n"
+
+
+def decode(line: bytes) -> Event:
+    """The event in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
+    return _DECODER.decode(line)

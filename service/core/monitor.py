@@ -1,0 +1,74 @@
+"""The pure core as one object: frames and the clock in, events out.
+
+Live, in replay and offline the same frames at the same times give the same events.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+
+from service.core.decision import Decision
+from service.core.decode import DecodeTable
+from service.core.events import Event
+from service.core.generators import GeneratorBank
+from service.core.manifest import Manifest
+from service.core.modes import ModeTracker
+from service.core.observer import Observer, Tick
+from service.core.sampling import Sampler
+from service.core.telling import Teller
+
+
+class Monitor:
+    """One vehicle's diagnosis. `source` names the recording or the vehicle, `bundle_id` is the manifest's SHA-256.
+
+    `watch`, where given, is called after each tick with what was seen and decided: for pictures, never for decisions.
+    """
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        bank: GeneratorBank,
+        table: DecodeTable,
+        source: str,
+        bundle_id: str,
+        watch: Callable[[Tick, Decision], None] | None = None,
+    ) -> None:
+        self._observer = Observer(
+            table,
+            Sampler(manifest.inputs),
+            ModeTracker(manifest.modes, manifest.inputs),
+            bank,
+            manifest.period_s,
+            manifest.start_within_s,
+        )
+        self._decision = Decision(manifest)
+        self._teller = Teller(source, bundle_id, manifest.period_s)
+        self._watch = watch
+
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Event]:
+        """Takes a frame received at log time `t_s` [s]; gives the events of the ticks that lie before it."""
+        return self._decide(self._observer.frame(t_s, can_id, is_extended, data))
+
+    def advance(self, t_s: float) -> list[Event]:
+        """The clock says `t_s` [s] of log time: gives the events of every tick up to and at it, frames or no frames."""
+        return self._decide(self._observer.advance(t_s))
+
+    def log(self, frames: Iterable[tuple[float, int, bool, bytes]]) -> Iterator[Event]:
+        """The events of a whole log of (log time [s], identifier, whether it has 29 bits, data), without waiting."""
+        t_s = None
+        for t_s, can_id, is_extended, data in frames:
+            yield from self.frame(t_s, can_id, is_extended, data)
+        if t_s is not None:
+            yield from self.advance(t_s)
+
+    @property
+    def next_tick_s(self) -> float | None:
+        """Log time of the next tick [s], None before the first frame."""
+        return self._observer.next_tick_s
+
+    def _decide(self, ticks: Iterable[Tick]) -> list[Event]:
+        events: list[Event] = []
+        for tick in ticks:
+            self._decision.update(tick.number, tick.mode, tick.residuals)
+            events += self._teller.update(tick.number, self._decision)
+            if self._watch is not None:
+                self._watch(tick, self._decision)
+        return events

@@ -1,0 +1,91 @@
+"""What is seen at every tick: samples, operating mode, residuals; the front half of the monitor.
+
+Tick k is at t_k = k Ts of log time after the first frame with which all signals are known, or after `start_within_s`
+where a signal never appears. Calibration and tuning look through this same object.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.decode import DecodeTable
+from service.core.generators import GeneratorBank, Residuals
+from service.core.modes import ModeTracker
+from service.core.sampling import Sampler
+from service.core.signals import Mask, Vector
+
+
+class Tick(NamedTuple):
+    """One tick: log time [s], samples (nz,), whether each is usable (nz,), mode (index in `MODES`), residuals."""
+
+    number: int
+    t_s: float
+    z: Vector
+    usable: Mask
+    mode: int
+    residuals: Residuals
+
+
+class Observer:
+    """Frames and the clock in, ticks out. The clock is an argument."""
+
+    def __init__(
+        self,
+        table: DecodeTable,
+        sampler: Sampler,
+        modes: ModeTracker,
+        bank: GeneratorBank,
+        period_s: float,
+        start_within_s: float,
+    ) -> None:
+        self._table = table
+        self._sampler = sampler
+        self._modes = modes
+        self._bank = bank
+        self._period = period_s
+        self._start_within = start_within_s
+        self._first: float | None = None  # log time of the first frame
+        self._origin: float | None = None  # log time of tick 0
+        self._now = -np.inf
+        self._number = 0
+
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Tick]:
+        """Takes a frame received at log time `t_s` [s]; gives the ticks that lie before it.
+
+        A time before an earlier one is taken as that earlier one.
+        """
+        t = max(t_s, self._now)
+        ticks = self._run(t, including=False)
+        self._now = t
+        if self._first is None:
+            self._first = t
+        for signal, value, quality in self._table.decode(can_id, is_extended, data):
+            self._sampler.receive(signal, t, value, quality)
+        if self._origin is None and self._sampler.complete:
+            self._origin = t
+        return ticks
+
+    def advance(self, t_s: float) -> list[Tick]:
+        """The clock says `t_s` [s]: gives every tick up to and at it, frames or no frames."""
+        self._now = max(self._now, t_s)
+        return self._run(self._now, including=True)
+
+    @property
+    def next_tick_s(self) -> float | None:
+        """Log time of the next tick [s], None before the first frame."""
+        if self._first is None:
+            return None
+        if self._origin is None:
+            return self._first + self._start_within
+        return self._origin + self._number * self._period
+
+    def _run(self, t: float, including: bool) -> list[Tick]:
+        ticks: list[Tick] = []
+        while (due := self.next_tick_s) is not None and (due < t or (including and due == t)):
+            if self._origin is None:
+                self._origin = due
+            z, usable = self._sampler.sample(due)
+            mode = self._modes.update(z, usable)
+            ticks.append(Tick(self._number, due, z, usable, mode, self._bank.step(z, usable)))
+            self._number += 1
+        return ticks

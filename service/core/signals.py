@@ -1,0 +1,46 @@
+"""What a received signal is worth: a value with its quality, never a number alone."""
+
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+Vector = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+class Quality(IntEnum):
+    """Why a value may or may not be used. Only `GOOD` is a number to compute with.
+
+    `NOT_AVAILABLE`, `ERROR` and `RESERVED` are the sender's own words (SAE J1939-71 value ranges); `MISSING` has never
+    been received; `STALE` is older than its input allows.
+    """
+
+    GOOD = 0
+    MISSING = 1
+    STALE = 2
+    NOT_AVAILABLE = 3
+    ERROR = 4
+    RESERVED = 5
+
+
+def j1939_quality(raw: int, length: int) -> Quality:
+    """The quality that a J1939 raw value of `length` bits states (SAE J1939-71, table of transmitted signal ranges).
+
+    From 8 bits on the most significant byte decides: FF not available, FE error, FB to FD reserved. Shorter fields use
+    all ones for not available and all ones less one for error; a single bit has room for neither.
+
+    >>> j1939_quality(0xFFFF, 16).name, j1939_quality(0xFE00, 16).name, j1939_quality(0xFAFF, 16).name
+    ('NOT_AVAILABLE', 'ERROR', 'GOOD')
+    >>> j1939_quality(3, 2).name, j1939_quality(1, 1).name
+    ('NOT_AVAILABLE', 'GOOD')
+    """
+    if length < 8:
+        top = (1 << length) - 1
+        if length > 1 and raw >= top - 1:
+            return Quality.NOT_AVAILABLE if raw == top else Quality.ERROR
+        return Quality.GOOD
+    byte = raw >> (length - 8)
+    if byte < 0xFB:
+        return Quality.GOOD
+    return {0xFF: Quality.NOT_AVAILABLE, 0xFE: Quality.ERROR}.get(byte, Quality.RESERVED)

@@ -1,0 +1,97 @@
+"""When to say what: the state of the decision becomes events."""
+
+from collections.abc import Sequence
+from typing import Generic, Protocol, TypeVar
+
+from service.core.events import SCHEMA, Diagnosis, Event, Transition
+
+SETTLE_TICKS = 10
+"""A change is told once it has lasted this long: tests that fire within it tell their news together."""
+
+State = TypeVar("State")
+
+
+class Decided(Protocol):
+    """What is told of a decision (`service.core.decision.Decision`)."""
+
+    @property
+    def diagnoses(self) -> list[Diagnosis]:
+        """What explains the alarms, best first."""
+
+    @property
+    def alarm(self) -> list[str]:
+        """Tests that alarm and can tell now."""
+
+    @property
+    def cannot_tell(self) -> list[str]:
+        """Tests that cannot tell now."""
+
+    @property
+    def since(self) -> int | None:
+        """The tick at which the evidence began."""
+
+
+class Settled(Generic[State]):
+    """A value that changes only when the new one has stayed the same for `SETTLE_TICKS` further ticks."""
+
+    def __init__(self, value: State) -> None:
+        self.value = value
+        self._seen = value
+        self._lasted = 0
+
+    def update(self, seen: State) -> bool:
+        """Takes what is seen at a tick; whether the value changed."""
+        self._lasted = self._lasted + 1 if seen == self._seen else 0
+        self._seen = seen
+        if self._lasted < SETTLE_TICKS or seen == self.value:
+            return False
+        self.value = seen
+        return True
+
+
+class Teller:
+    """Makes the events of one source, numbered from 1. State: what has been told and what is about to be."""
+
+    def __init__(self, source: str, bundle_id: str, period_s: float) -> None:
+        self._source = source
+        self._bundle = bundle_id
+        self._period = period_s
+        self._seq = 0
+        self._diagnoses: Settled[list[Diagnosis]] = Settled([])
+        self._blind: Settled[list[str]] | None = None
+
+    def update(self, tick: int, decision: Decided) -> list[Event]:
+        """The events of this tick, at most one for the diagnoses and one for the tests that cannot tell."""
+        if self._blind is None:
+            self._blind = Settled(decision.cannot_tell)
+            return [self._event(tick, "started", decision)]
+        events = []
+        before = self._diagnoses.value
+        if self._diagnoses.update(decision.diagnoses):
+            events.append(self._event(tick, _transition(before, self._diagnoses.value), decision))
+        if self._blind.update(decision.cannot_tell):
+            events.append(self._event(tick, "cannot_tell", decision))
+        return events
+
+    def _event(self, tick: int, transition: Transition, decision: Decided) -> Event:
+        self._seq += 1
+        return Event(
+            schema=SCHEMA,
+            id=f"{self._source}-{self._seq}",
+            seq=self._seq,
+            tick=tick,
+            t_s=round(tick * self._period, 3),
+            wall=None,
+            transition=transition,
+            diagnoses=self._diagnoses.value,
+            alarm=decision.alarm,
+            cannot_tell=decision.cannot_tell,
+            since_tick=decision.since,
+            bundle=self._bundle,
+        )
+
+
+def _transition(before: Sequence[Diagnosis], after: Sequence[Diagnosis]) -> Transition:
+    if not before:
+        return "occurred"
+    return "refined" if after else "healed"

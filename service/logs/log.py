@@ -1,0 +1,68 @@
+"""A log as commands take it: an instrumented recording, or a bare candump file."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.logs.candump import Frame, LogError, LogReport, parse_candump
+from service.logs.recording import load_recording
+
+
+@dataclass(frozen=True)
+class Log:
+    """Frames in time order under an id; `sha256` is the hash of the log's bytes, `dbc_sha256` None for a bare file."""
+
+    id: str
+    frames: list[Frame]
+    report: LogReport
+    sha256: str
+    dbc_sha256: str | None
+    dbc_path: Path | None
+
+    @property
+    def dbc(self) -> str:
+        """The text of the DBC that the recording was made with.
+
+        Raises:
+            LogError: a bare log file has none, or it cannot be read as text.
+        """
+        if self.dbc_path is None:
+            raise LogError(f"{self.id}: a bare log names no DBC; give its recording's folder")
+        try:
+            return self.dbc_path.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            raise LogError(f"{self.dbc_path}: cannot be read as text: {error}") from error
+
+    @property
+    def duration_s(self) -> float:
+        """From the first frame to the last [s]."""
+        return self.frames[-1].t - self.frames[0].t
+
+    def relative(self) -> Iterator[Frame]:
+        """The frames with times after the first one [s]."""
+        start = self.frames[0].t
+        return (Frame(t - start, can_id, extended, data) for t, can_id, extended, data in self.frames)
+
+
+def open_log(path: Path) -> Log:
+    """The log at `path`: the folder of an instrumented recording, or a candump file.
+
+    Raises:
+        LogError: it is neither, or a bench recording, which has first to be ingested.
+    """
+    if not path.is_dir():
+        return _open(path.stem, path, None, None)
+    recording = load_recording(path)
+    if recording.kind == "bench":
+        raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
+    return _open(recording.id, path / recording.can.file, recording.can.dbc_sha256, path / recording.can.dbc)
+
+
+def _open(name: str, path: Path, dbc_sha256: str | None, dbc_path: Path | None) -> Log:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    frames, report = parse_candump(content, str(path))
+    return Log(name, frames, report, hashlib.sha256(content).hexdigest(), dbc_sha256, dbc_path)

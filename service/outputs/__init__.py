@@ -1,0 +1,1 @@
+"""Where events go: views of the one stream of events."""

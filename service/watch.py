@@ -1,0 +1,139 @@
+"""Print the events of a running service as they come."""
+
+import argparse
+import socket
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import msgspec
+
+from service.core.errors import InputError
+from service.core.events import Diagnosis, Event, decode
+from service.core.manifest import Fault
+
+EXAMPLE = """example:
+  faultline watch --socket /run/faultline/events.sock --after 0
+"""
+
+RETRY_S = 0.05
+
+WORDS = {
+    "started": "started",
+    "occurred": "FAULT",
+    "refined": "FAULT, refined",
+    "healed": "healed",
+    "cannot_tell": "cannot tell",
+}
+"""How a transition reads."""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
+    parser = argparse.ArgumentParser(
+        "faultline watch", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--socket", type=Path, required=True, help="where `faultline run` serves its events")
+    parser.add_argument("--json", action="store_true", help="print the events as they are, one line of JSON each")
+    parser.add_argument("--after", type=int, metavar="SEQ", help="begin after this event (0: with the first there is)")
+    parser.add_argument(
+        "--wait", type=float, default=0.0, metavar="S", help="how long to wait for the socket to appear"
+    )
+    parser.add_argument("--once", action="store_true", help="end after one event")
+    parser.add_argument("--bundle", type=Path, help="the bundle folder, to print what the faults' names mean")
+    options = parser.parse_args(argv)
+    faults = _faults(options.bundle) if options.bundle else {}
+    for line in subscribe(options.socket, options.after, options.wait):
+        if options.json:
+            sys.stdout.buffer.write(line)
+        else:
+            print(describe(_event(line, options.socket), faults))
+        sys.stdout.flush()
+        if options.once:
+            return 0
+    return 1 if options.once else 0
+
+
+def subscribe(path: Path, after: int | None, wait_s: float) -> Iterator[bytes]:
+    """The lines that the service at `path` sends, until it ends.
+
+    Raises:
+        InputError: nobody serves there within `wait_s` [s].
+    """
+    with _connect(path, wait_s) as sock:
+        request = {} if after is None else {"after": after}
+        try:
+            sock.sendall(msgspec.json.encode(request) + b"\n")
+            with sock.makefile("rb") as lines:
+                yield from lines
+        except ConnectionError as error:
+            raise InputError(f"{path}: the service broke off: {error.strerror}") from error
+
+
+def _connect(path: Path, wait_s: float) -> socket.socket:
+    end = time.monotonic() + wait_s
+    while True:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            sock.connect(str(path))
+        except OSError as error:
+            sock.close()
+            absent = isinstance(error, FileNotFoundError | ConnectionRefusedError)
+            if not absent or time.monotonic() >= end:
+                raise InputError(
+                    f"{path}: {error.strerror or error}; is `faultline run --socket {path}` running?"
+                ) from error
+            time.sleep(RETRY_S)
+        else:
+            return sock
+
+
+def _event(line: bytes, path: Path) -> Event:
+    try:
+        return decode(line)
+    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        raise InputError(f"{path}: sent no event: {line[:80]!r} ({error})") from error
+
+
+def _faults(folder: Path) -> dict[str, Fault]:
+    from service.bundle import load_bundle  # brings in the inference library, which watching does without
+
+    return {fault.name: fault for fault in load_bundle(folder).manifest.faults}
+
+
+def describe(event: Event, faults: Mapping[str, Fault]) -> str:
+    """The event for a person; `faults` explains names, and may be empty."""
+    head = f"{event.t_s:9.1f} s  {WORDS[event.transition]}"
+    if event.since_tick is not None and event.tick:
+        since = event.since_tick * event.t_s / event.tick
+        head += f", evidence since {since:.1f} s"
+    lines = [head, *(_candidate(diagnosis, faults) for diagnosis in event.diagnoses)]
+    if not event.diagnoses:
+        lines.append(_nothing(event))
+    if event.alarm:
+        lines.append(f"fired: {' '.join(event.alarm)}")
+    if event.cannot_tell:
+        lines.append(f"cannot tell: {' '.join(event.cannot_tell)}")
+    return "\n             ".join(lines)
+
+
+def _nothing(event: Event) -> str:
+    """No candidate is not the same as no fault."""
+    if event.alarm:
+        return "no candidate yet for what has fired"
+    if event.cannot_tell:
+        return "no fault seen by the tests that can tell, the others may miss one"
+    return "no fault: every test is quiet"
+
+
+def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault]) -> str:
+    if not diagnosis.faults:
+        return f"{diagnosis.rank}. unknown: no fault of the model explains what has fired"
+    names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
+    likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
+    return f"{diagnosis.rank}. {names}{likelihood}"
+
+
+def _meaning(fault: Fault | None) -> str:
+    return f" ({fault.component}: {fault.description})" if fault else ""

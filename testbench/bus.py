@@ -1,0 +1,113 @@
+"""What the controllers put on the bus: each message's content, period and jitter, encoded from a DBC by cantools."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib import resources
+from math import sqrt
+from pathlib import Path
+from typing import NamedTuple
+
+import cantools.database
+from cantools.database.can import Database, Message
+from cantools.errors import Error as CantoolsError
+
+from testbench.errors import RigError
+from testbench.plant import ATMOSPHERE, ML, SYSTEM_PRESSURE
+
+RATED_DOSE = 1.2 * ML  # m^3/s with the valve held open at SYSTEM_PRESSURE, as the controller believes
+DENSITY = 1090e3  # g/m^3, ISO 22241-1 at 20 degC
+TANK = {"def_tank_volume": 75.2, "def_tank_temperature": 22.0}  # %, degC: a supply so large that dosing does not show
+
+
+class Knowledge(NamedTuple):
+    """What the controller knows at an instant: y_p_du [Pa], n_p [rev/s], dc_dose and the requested dose [0..1]."""
+
+    p_du: float
+    n_p: float
+    duty: float
+    request: float
+
+
+def _dosing(duty: float, p_du: float) -> float:
+    """The controller's idea of the dosed mass flow [g/h]."""
+    drive = max(p_du - ATMOSPHERE, 0.0) / (SYSTEM_PRESSURE - ATMOSPHERE)
+    return duty * RATED_DOSE * sqrt(drive) * DENSITY * 3600
+
+
+CONTENT: Mapping[str, Callable[[Knowledge], dict[str, float]]] = {
+    "UDS_ECU": lambda k: {"y_p_du": k.p_du / 1e3, "n_p": k.n_p, "dc_dose": 100 * k.duty},
+    "A1SCRDSI1": lambda k: {"def_actual_dosing": _dosing(k.duty, k.p_du), "def_doser_pressure": k.p_du / 1e3},
+    "A1SCRDSR1": lambda k: {"def_requested_dosing": _dosing(k.request, SYSTEM_PRESSURE)},
+    "A1SCRDSR3": lambda k: {"def_valve_command": 100 * k.duty},
+    "A1DEFSI": lambda k: {"def_pump_speed": 60 * k.n_p},
+    "AT1T1I1": lambda _: dict(TANK),
+}
+"""The signals of each message, in the DBC's units."""
+
+BROADCAST_JITTER = 0.001  # s, sd: sent from a timer
+DIAGNOSTIC_JITTER = {"UDS_ECU": 0.008}  # s, sd: sent from a background task
+
+
+@dataclass(frozen=True)
+class Sender:
+    """One periodic message: `period` and `jitter` (sd) [s]."""
+
+    message: Message
+    period: float
+    jitter: float
+
+    def encode(self, knowledge: Knowledge) -> bytes:
+        """The payload, each signal limited to its range in the DBC; bits without a signal are 1 (not available)."""
+        values = CONTENT[self.message.name](knowledge)
+        for signal in self.message.signals:
+            low, high = signal.minimum, signal.maximum
+            value = values[signal.name] if low is None else max(values[signal.name], float(low))
+            values[signal.name] = value if high is None else min(value, float(high))
+        return self.message.encode(values, padding=True)
+
+
+@dataclass(frozen=True)
+class Dbc:
+    """A DBC file: its bytes, which are copied into every recording, and the messages that the rig sends by it."""
+
+    content: bytes
+    senders: tuple[Sender, ...]
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the file."""
+        return sha256(self.content).hexdigest()
+
+
+def load_dbc(path: Path | None = None) -> Dbc:
+    """The DBC at `path`, or the one that comes with faultline.
+
+    Raises:
+        RigError: no such file, not a DBC, or without a message, signal or cycle time that the rig needs.
+    """
+    where = str(path) if path else "uds.dbc"
+    try:
+        content = path.read_bytes() if path else resources.files("dbc").joinpath("uds.dbc").read_bytes()
+        database = cantools.database.load_string(content.decode(), database_format="dbc")
+    except OSError as error:
+        raise RigError(f"{where}: {error.strerror}; give a DBC with --dbc") from error
+    except (UnicodeDecodeError, CantoolsError) as error:
+        raise RigError(f"{where} is not a DBC file: {' '.join(str(error).split())}") from error
+    if not isinstance(database, Database):
+        raise RigError(f"{where} is not a database of CAN messages")
+    by_name = {message.name: message for message in database.messages}
+    return Dbc(content, tuple(_sender(where, name, by_name.get(name)) for name in CONTENT))
+
+
+def _sender(where: str, name: str, message: Message | None) -> Sender:
+    if message is None:
+        raise RigError(f"{where} has no message {name}, which the rig sends")
+    ours, theirs = set(CONTENT[name](Knowledge(0.0, 0.0, 0.0, 0.0))), {signal.name for signal in message.signals}
+    if ours != theirs:
+        raise RigError(
+            f"{where}: {name} has the signals {', '.join(sorted(theirs))}; the rig sends {', '.join(sorted(ours))}"
+        )
+    if not message.cycle_time:
+        raise RigError(f"{where}: {name} has no cycle time (GenMsgCycleTime)")
+    return Sender(message, message.cycle_time / 1000, DIAGNOSTIC_JITTER.get(name, BROADCAST_JITTER))

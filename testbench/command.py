@@ -1,0 +1,140 @@
+"""The test rig: simulate a urea dosing system, with a fault if wanted, and write a bench recording of it."""
+
+import argparse
+import json
+import math
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from testbench.bus import load_dbc
+from testbench.cycles import CYCLES, cycle
+from testbench.errors import RigError
+from testbench.faults import FAULTS, Fault
+from testbench.recording import Request, default_name, record
+from testbench.vehicles import VEHICLES, vehicle
+
+EXAMPLES = """examples:
+  faultline rig list
+  faultline rig record --cycle training --seed 1 --out recordings --truth truth
+  faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs `faultline rig ARGV`; returns 0, or 2 after an error in one line on stderr."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return _list(arguments) if arguments.action == "list" else _record(arguments)
+    except RigError as error:
+        print(f"faultline rig: error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="faultline rig",
+        description=__doc__,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(dest="action", required=True)
+    show = actions.add_parser("list", help="print cycles, vehicles and faults")
+    show.add_argument("--json", action="store_true", help="for a program to read")
+    make = actions.add_parser(
+        "record",
+        help="write a bench recording and, apart from it, its truth",
+        description="Write a bench recording to OUT/<id>/ and its truth to TRUTH/<id>.toml.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    make.add_argument("--cycle", required=True, help=f"one of {', '.join(CYCLES)}")
+    make.add_argument("--vehicle", default="bench", help="default: bench")
+    make.add_argument("--fault", help="name of the fault; without it the recording is fault-free")
+    make.add_argument("--size", type=_number, help="size of the fault; see `faultline rig list`")
+    make.add_argument("--onset", type=_number, help="s after the first frame from which the fault is present")
+    make.add_argument("--seed", type=_seed, default=0, help="of noise, clocks and random cycles (default: 0)")
+    make.add_argument("--duration", type=_number, default=480.0, help="s (default: 480)")
+    make.add_argument("--id", type=_identifier, help="name of the recording (default: VEHICLE-CYCLE-sSEED[-FAULT])")
+    make.add_argument("--out", type=Path, required=True, help="folder of the recordings")
+    make.add_argument("--truth", type=Path, required=True, help="another folder, of the truths")
+    make.add_argument("--dbc", type=Path, help="DBC to encode with (default: the one that comes with faultline)")
+    make.add_argument("--force", action="store_true", help="replace what is already there")
+    return parser
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    tables: dict[str, dict[str, str]] = {
+        "cycles": {name: entry.text for name, entry in CYCLES.items()},
+        "vehicles": {name: entry.text for name, entry in VEHICLES.items()},
+        "faults": {name: f"{text}; size: {size}" for name, (text, size) in FAULTS.items()},
+    }
+    if arguments.json:
+        print(json.dumps({"schema": 1, **tables}, indent=2))
+        return 0
+    for title, table in tables.items():
+        print(title)
+        for name, text in table.items():
+            print(f"  {name:<10}  {text}")
+    return 0
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    faults = _faults(arguments)
+    name = arguments.id or default_name(
+        arguments.vehicle, arguments.cycle, arguments.seed, [fault.name for fault in faults]
+    )
+    request = Request(
+        name, vehicle(arguments.vehicle), cycle(arguments.cycle), faults, arguments.seed, arguments.duration
+    )
+    dbc = load_dbc(arguments.dbc)
+    with _progress(name) as progress:
+        folder, truth = record(request, dbc, arguments.out, arguments.truth, force=arguments.force, progress=progress)
+    print(f"recording {folder}\ntruth     {truth}")
+    return 0
+
+
+def _faults(arguments: argparse.Namespace) -> tuple[Fault, ...]:
+    """The fault that the options ask for; all three of them belong together."""
+    given = [arguments.fault, arguments.size, arguments.onset]
+    if given == [None, None, None]:
+        return ()
+    if None in given:
+        raise RigError("--fault, --size and --onset belong together; give all three or none")
+    return (Fault(arguments.fault, arguments.size, arguments.onset),)
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[Callable[[float], None]]:
+    """A progress bar on stderr, moved by the function it gives; none where stderr is not a terminal."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(name, total=1.0)
+        yield lambda part: bars.update(task, completed=part)
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 on")
+    return int(text)
+
+
+def _identifier(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no name for a folder; use letters, digits, . _ -")
+    return text

@@ -1,0 +1,82 @@
+"""The nine faults of the thesis (section 4.7), by name, size and onset."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from testbench.errors import RigError
+from testbench.plant import Plant, PlantParameters
+
+RESTRICTIONS = {
+    "fA_t": "tank_filter",
+    "fA_p": "pump_filter",
+    "fA_du": "du_filter",
+    "fA_ori": "return_orifice",
+    "fA_dos": "dosing_valve",
+}
+"""The restriction that each of the five clogging faults narrows."""
+
+_AREA, _FLOW, _PASCAL = "fraction of the area lost, 0..1", "fraction of the flow lost, 0..1", "Pa added to the reading"
+
+FAULTS = {
+    "fA_t": ("tank filter clogged", _AREA),
+    "fA_p": ("pump filter clogged", _AREA),
+    "fA_du": ("dosing unit's inlet filter clogged", _AREA),
+    "fA_ori": ("return orifice clogged", _AREA),
+    "fA_dos": ("dosing nozzle clogged", _AREA),
+    "fq_pump": ("pump delivers less", _FLOW),
+    "fy_p_tp": ("sensor between the filters reads wrong", _PASCAL),
+    "fy_p_ap": ("sensor after the pump reads wrong", _PASCAL),
+    "fy_p_du": ("sensor in the dosing unit reads wrong", _PASCAL),
+}
+"""Name of each fault: what it is, and what its size means."""
+
+LARGEST_LOSS = 0.98
+"""Beyond this a restriction is a plug and a pump is stopped: neither is a fault of this kind."""
+LARGEST_OFFSET = 5e5  # Pa
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: `size` as `FAULTS` says, present from `onset_s` [s after the first frame of the CAN log] on.
+
+    Raises:
+        RigError: unknown name, or a size outside its range.
+    """
+
+    name: str
+    size: float
+    onset_s: float
+    profile: str = "abrupt"
+
+    def __post_init__(self) -> None:
+        if self.name not in FAULTS:
+            raise RigError(f"there is no fault {self.name!r}; choose one of {', '.join(FAULTS)}")
+        meaning = FAULTS[self.name][1]
+        if meaning == _PASCAL:
+            if not 0 < abs(self.size) <= LARGEST_OFFSET:
+                raise RigError(
+                    f"size {self.size:g} of {self.name} is not within +-{LARGEST_OFFSET:.0f} Pa and other than 0"
+                )
+        elif not 0 < self.size <= LARGEST_LOSS:
+            raise RigError(f"size {self.size:g} of {self.name} is not in 0..{LARGEST_LOSS} ({meaning})")
+        if self.profile != "abrupt":
+            raise RigError(f"profile {self.profile!r} of {self.name} is not known; use 'abrupt'")
+
+    def strength(self, t: float) -> float:
+        """The fault's size at `t` [s], 0 before its onset."""
+        return self.size if t >= self.onset_s else 0.0
+
+
+def strength(faults: Sequence[Fault], name: str, t: float) -> float:
+    """The size of fault `name` at `t` [s], 0 where there is none."""
+    return sum(fault.strength(t) for fault in faults if fault.name == name)
+
+
+def apply(faults: Sequence[Fault], plant: Plant, healthy: PlantParameters, t: float) -> None:
+    """Gives the plant the restrictions and the pump of time `t` [s]; sensor faults are the sensors' own matter."""
+    for fault in faults:
+        if fault.name in RESTRICTIONS:
+            part = RESTRICTIONS[fault.name]
+            setattr(plant, part, getattr(healthy, part).blocked(fault.strength(t)))
+        elif fault.name == "fq_pump":
+            plant.pump_loss = fault.strength(t)

@@ -1,0 +1,67 @@
+"""The two loggers: the bus in candump's format, and the external sensors in volts on a clock of their own."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from testbench.bus import Knowledge, Sender
+from testbench.faults import Fault, strength
+from testbench.plant import Array
+from testbench.sensors import ExternalSensor
+from testbench.simulation import Run
+
+START = (
+    1_767_225_600  # 2026-01-01T00:00:00Z in Unix time: when every recording starts, so that equal runs give equal files
+)
+START_TEXT = "2026-01-01T00:00:00Z"
+CHANNEL = "can0"
+FRAME_TIME = 0.00027  # s on the bus: 29-bit identifier, 8 bytes and some stuffing at 500 kbit/s
+
+PERIOD = 0.1  # s, of the second logger
+JITTER = 0.005  # s, half width: its task has others beside it
+DROPPED = 0.005  # share of its samples that are lost
+START_SPREAD = 3.0  # s, half width: it is started and stopped by hand
+DRIFT = 50e-6  # half width: two ordinary quartzes against each other
+
+COLUMN_OF = {"y_p_tp": 0, "y_p_ap": 2}
+"""Where each external sensor sits in `Run.pressures`."""
+
+
+def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random.Generator) -> str:
+    """The bus over `duration` [s] as candump text: the first frame at time 0, each waiting for the one before."""
+    due: list[tuple[float, int, Sender]] = []
+    for sender in senders:
+        count = int(duration / sender.period) + 1
+        jitter = np.clip(rng.normal(0.0, sender.jitter, count), -3 * sender.jitter, 3 * sender.jitter)
+        times = rng.uniform(0.1, 1.0) * sender.period + np.arange(count) * sender.period + jitter
+        due += [(t, sender.message.frame_id, sender) for t in times.tolist()]
+    due.sort(key=lambda frame: frame[:2])
+    lines, first, free = [], due[0][0], 0.0
+    for t, frame_id, sender in due:
+        now = max(t - first, free)
+        if now > duration:
+            break
+        free = now + FRAME_TIME
+        known = Knowledge(*run.ecu[np.searchsorted(run.ecu_t, now, side="right") - 1].tolist())
+        seconds, micros = divmod(round(now * 1e6), 1_000_000)
+        data = sender.encode(known).hex().upper()
+        lines.append(f"({START + seconds}.{micros:06d}) {CHANNEL} {frame_id:08X}#{data}\n")
+    return "".join(lines)
+
+
+def external_csv(
+    run: Run, sensors: Mapping[str, ExternalSensor], faults: Sequence[Fault], duration: float, rng: np.random.Generator
+) -> str:
+    """The second logger's CSV: `time_s` since its own start on its own clock, one column of volts a sensor."""
+    start, stop = rng.uniform(-START_SPREAD, START_SPREAD), duration + rng.uniform(-START_SPREAD, START_SPREAD)
+    drift = rng.uniform(-DRIFT, DRIFT)
+    t = start + np.arange(int((stop - start) / PERIOD)) * PERIOD
+    t += rng.uniform(-JITTER, JITTER, len(t))
+    t = t[rng.random(len(t)) >= DROPPED]
+    columns = [f"{value:.4f}" for value in ((t - start + JITTER) * (1 + drift)).tolist()]
+    for signal, sensor in sensors.items():
+        true: Array = np.interp(t, run.t, run.pressures[:, COLUMN_OF[signal]])
+        offset = np.array([strength(faults, f"f{signal}", time) for time in t.tolist()])
+        columns = [f"{row},{volt:.4f}" for row, volt in zip(columns, sensor.read(true, offset, rng), strict=True)]
+    header = ",".join(["time_s", *(sensor.column for sensor in sensors.values())])
+    return "\n".join([header, *columns, ""])

@@ -1,0 +1,148 @@
+"""The files of a recording, and its truth in another folder.
+
+    OUT/<id>/recording.toml  can.log  external.csv  uds.dbc          what a bench would hand over
+    TRUTH/<id>.toml                                                  what only the rig knows
+
+Equal requests give equal bytes.
+"""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from testbench.bus import Dbc
+from testbench.cycles import Cycle, check_duration
+from testbench.errors import RigError
+from testbench.faults import Fault
+from testbench.loggers import START_TEXT, can_log, external_csv
+from testbench.simulation import simulate, stream
+from testbench.vehicles import Vehicle
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record: `duration` [s]; `name` is the recording's id.
+
+    Raises:
+        RigError: the duration is too short for a cycle, or a fault sets in after it.
+    """
+
+    name: str
+    vehicle: Vehicle
+    cycle: Cycle
+    faults: tuple[Fault, ...]
+    seed: int
+    duration: float
+
+    def __post_init__(self) -> None:
+        check_duration(self.duration)
+        for fault in self.faults:
+            if not 0 <= fault.onset_s < self.duration:
+                raise RigError(
+                    f"onset {fault.onset_s:g} s of {fault.name} is not within the recording's {self.duration:g} s"
+                )
+
+
+def default_name(vehicle: str, cycle: str, seed: int, faults: Sequence[str]) -> str:
+    """The recording's id, such as `bench-validation-s3-fA_du`."""
+    return "-".join([vehicle, cycle, f"s{seed}", *faults])
+
+
+def record(
+    request: Request, dbc: Dbc, out: Path, truth: Path, *, force: bool, progress: Callable[[float], None]
+) -> tuple[Path, Path]:
+    """Runs the rig and writes the recording; returns its folder and its truth file.
+
+    A recording appears whole or not at all.
+
+    Raises:
+        RigError: something is already there and `force` is not given, or `truth` lies beside or inside the recording.
+    """
+    folder, truth_file = out / request.name, truth / f"{request.name}.toml"
+    if truth.resolve() == out.resolve() or folder.resolve() in (truth.resolve(), *truth.resolve().parents):
+        raise RigError(f"{truth} would put the truth beside the recording; give --truth a folder of its own")
+    for path in (folder, truth_file):
+        if path.exists() and not force:
+            raise RigError(f"{path} exists; remove it or use --force")
+    files = _files(request, dbc, progress)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        truth.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".rig-") as temporary:
+            whole = Path(temporary) / request.name
+            whole.mkdir()
+            for name, content in files.items():
+                (whole / name).write_bytes(content)
+            if folder.exists():
+                shutil.rmtree(folder)
+            whole.rename(folder)
+        truth_file.write_text(_truth_toml(request))
+    except OSError as error:
+        raise RigError(f"{error.filename}: {error.strerror}") from error
+    return folder, truth_file
+
+
+def _files(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> dict[str, bytes]:
+    """Content of every file of the recording's folder."""
+    seed, cycle, sensors = request.seed, request.cycle, request.vehicle.external
+    run = simulate(request.vehicle, cycle, request.faults, seed, request.duration, progress=progress)
+    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"))
+    external = external_csv(run, sensors, request.faults, request.duration, stream(seed, cycle.name, "external"))
+    return {
+        "recording.toml": _recording_toml(request, dbc).encode(),
+        "can.log": can.encode(),
+        "external.csv": external.encode(),
+        "uds.dbc": dbc.content,
+    }
+
+
+def _recording_toml(request: Request, dbc: Dbc) -> str:
+    tables = "".join(
+        f"""
+[external.tables.{signal}]
+column = {json.dumps(sensor.column)}
+volts = {list(sensor.volts)}
+pascal = {list(sensor.pascal)}
+"""
+        for signal, sensor in request.vehicle.external.items()
+    )
+    return f"""schema = 1
+id = {json.dumps(request.name)}
+kind = "bench"
+source = "simulated by the faultline rig"
+vehicle = {json.dumps(request.vehicle.name)}
+cycle = {json.dumps(request.cycle.name)}
+start = {START_TEXT}
+sensor_set = "instrumented"
+
+[can]
+file = "can.log"
+dbc = "uds.dbc"
+dbc_sha256 = "{dbc.sha256}"
+
+[external]
+file = "external.csv"
+time_column = "time_s"
+unit = "V"
+{tables}"""
+
+
+def _truth_toml(request: Request) -> str:
+    faults = "".join(
+        f"""
+[[fault]]
+name = "{fault.name}"
+size = {fault.size!r}
+onset_s = {fault.onset_s!r}
+profile = "{fault.profile}"
+"""
+        for fault in request.faults
+    )
+    return f"""schema = 1
+recording = {json.dumps(request.name)}
+{faults}
+[effects]
+"""

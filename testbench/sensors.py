@@ -1,0 +1,56 @@
+"""Sensors: true value to what is read, by noise, range and resolution.
+
+Noise is white and Gaussian: at 5 to 10 Hz a sensor's own dynamics (milliseconds) do not show.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbench.plant import BAR, Array
+
+MBAR = 100.0  # Pa
+STANDSTILL = 0.1  # rev/s: no edges of the hall sensor arrive within its time-out
+
+
+@dataclass(frozen=True)
+class EcuSensors:
+    """The controller's own sensors: p_du through a 12 bit converter, speed from hall edges."""
+
+    noise_p_du: float = 10 * MBAR  # Pa, sd: 0.06 % of the range, an automotive sensor
+    noise_n_p: float = 0.05  # rev/s, sd: jitter of the edges at 30 rev/s
+    range_p_du: float = 16 * BAR  # Pa: above the relief pressure of 13.5 bar (thesis 4.2)
+    bits: int = 12  # usual microcontroller
+
+    def p_du(self, true: float, noise: float) -> float:
+        """The reading [Pa] of `true` [Pa] with `noise` in standard deviations."""
+        step = self.range_p_du / (1 << self.bits)
+        count = round((true + self.noise_p_du * noise) / step)
+        return min(max(count, 0), (1 << self.bits) - 1) * step
+
+    def n_p(self, true: float, noise: float) -> float:
+        """The reading [rev/s] of `true` [rev/s] with `noise` in standard deviations; 0 at standstill."""
+        return max(true + self.noise_n_p * noise, 0.0) if true > STANDSTILL else 0.0
+
+
+@dataclass(frozen=True)
+class ExternalSensor:
+    """An added pressure transmitter, read in volts by the second logger.
+
+    `volts` and `pascal` are its datasheet's table; `zero_sd` [Pa] is the spread of the error that mounting and ageing
+    leave, constant over a recording.
+    """
+
+    column: str
+    volts: tuple[float, ...]
+    pascal: tuple[float, ...]
+    noise: float
+    zero_sd: float
+    bits: int = 14  # over 0..5 V
+
+    def read(self, true: Array, offset: Array | float, rng: np.random.Generator) -> Array:
+        """Volts for the true pressures `true` (n,) [Pa] with an added `offset` [Pa]."""
+        zero = self.zero_sd * rng.standard_normal()
+        seen = true + offset + zero + self.noise * rng.standard_normal(len(true))
+        step = 5.0 / 2**self.bits
+        return np.asarray(np.round(np.interp(seen, self.pascal, self.volts) / step) * step)

@@ -1,0 +1,75 @@
+"""Vehicles: a plant with its sensors, by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from testbench.errors import RigError
+from testbench.plant import ATMOSPHERE, BAR, ML, SYSTEM_PRESSURE, PlantParameters
+from testbench.pump import PumpParameters
+from testbench.restriction import Restriction
+from testbench.sensors import MBAR, EcuSensors, ExternalSensor
+
+# Transmitters with 0.5..4.5 V ratiometric output. The tables bend by some tenths of a percent, as certificates show.
+_VOLTS = (0.5, 1.5, 2.5, 3.5, 4.5)
+P_TP = ExternalSensor(
+    "p_tp_V", _VOLTS, (0.0, 62_100.0, 124_600.0, 187_300.0, 250_000.0), noise=4 * MBAR, zero_sd=15 * MBAR
+)
+P_AP = ExternalSensor(
+    "p_ap_V", _VOLTS, (0.0, 398_000.0, 797_500.0, 1_198_500.0, 1_600_000.0), noise=8 * MBAR, zero_sd=30 * MBAR
+)
+
+
+MAXIMUM_FLOW = 3.2 * ML  # m^3/s, return at 10 bar and the dosing valve open: what the filters are rated at
+
+BENCH_PLANT = PlantParameters(
+    # Tank strainer: large mesh area, 20 mbar at full flow keeps the suction side near 1 bar (thesis fig. 5.8). The
+    # laminar share of all filters is small, since their drop at working flow is mostly that of housings and fittings.
+    tank_filter=Restriction.rated(20 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
+    # Main filter in the pump: finer than the strainer, twice its drop.
+    pump_filter=Restriction.rated(40 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
+    # Inlet filter of the dosing unit: a small cartridge, the offset between p_ap and p_du of thesis fig. 5.8.
+    du_filter=Restriction.rated(60 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
+    # Bore of 0.3 mm: 2 mL/s at 10 bar, Reynolds number about 6000, so almost no laminar part.
+    return_orifice=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, 2.0 * ML, laminar_share=0.01),
+    # Nozzle of a heavy truck's dosing unit: 1.2 mL/s held open is 4.7 kg/h, in the middle of what such units dose.
+    dosing_valve=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, 1.2 * ML, laminar_share=0.01),
+    # Short moulded ducts of 6 and 8 mL; the fluid's 2.2 GPa softened by plastic walls to about 0.3 GPa.
+    compliance_tp=6 * ML / 0.3e9,
+    compliance_bp=8 * ML / 0.3e9,
+    # Heated EPDM hose of 60 mL, taken to widen by 0.6 % of its volume a bar: with the return orifice it gives p_du its
+    # time constant of 3 s and, pulsed at half dose, a ripple of 0.1 bar.
+    compliance_ap=0.35 * ML / BAR,
+    # Drilled metal block of 5 mL with plastic fittings and a sensor's membrane: 0.2 GPa.
+    compliance_du=5 * ML / 0.2e9,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """One vehicle or bench. `external` maps the signal's name to its sensor."""
+
+    name: str
+    text: str
+    plant: PlantParameters
+    pump: PumpParameters
+    ecu_sensors: EcuSensors
+    external: Mapping[str, ExternalSensor]
+
+
+VEHICLES = {
+    "bench": Vehicle(
+        name="bench",
+        text="test bench: short hoses, two loggers, vented to the workshop",
+        plant=BENCH_PLANT,
+        pump=PumpParameters(),
+        ecu_sensors=EcuSensors(),
+        external={"y_p_tp": P_TP, "y_p_ap": P_AP},
+    )
+}
+
+
+def vehicle(name: str) -> Vehicle:
+    """The vehicle called `name`; raises `RigError` if there is none."""
+    if name not in VEHICLES:
+        raise RigError(f"there is no vehicle {name!r}; choose one of {', '.join(VEHICLES)}")
+    return VEHICLES[name]

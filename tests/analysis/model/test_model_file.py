@@ -1,0 +1,273 @@
+"""Model files: what is read, and one clear line for everything that is wrong with one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import sympy as sp
+
+from analysis.model import ModelError, load_model, parse_model
+
+GOOD = """
+schema = 1
+name = "tank"
+
+[known.y]
+unit = "m"
+min = 0.0
+max = 2
+noise = 0.01
+
+[unknown.h]
+unit = "m"
+initial = ["2*y + h0", "h0"]
+
+[unknown.dh]
+unit = "m/s"
+
+[parameter.k]
+unit = "1/s"
+value = 0.5
+min = 0.1
+max = 1.0
+prior = 0.3
+
+[parameter.h0]
+unit = "m"
+value = 1
+
+[[equation]]
+name = "e1"
+expr = "dh + k*h"
+fault = {name = "fk", component = "valve", enters = "k -> k*(1 + fk)", sizes = [-0.5], relative_to = "k"}
+
+[[equation]]
+name = "e3"
+expr = "y - h"
+fault = {name = "fy", component = "sensor", enters = "h -> h + fy", sizes = [-0.1, 0.1]}
+
+[[differential]]
+name = "e2"
+state = "h"
+derivative = "dh"
+
+[[provenance]]
+command = "calibrate"
+recordings = ["abc"]
+"""
+
+
+def test_a_file_becomes_a_model() -> None:
+    model = parse_model(GOOD, "tank.toml")
+    h, k, fk, y = sp.symbols("h k fk y")
+    assert (model.name, model.description, model.source) == ("tank", "", "")
+    assert (model.known["y"].max, model.parameters["h0"].min, model.parameters["h0"].prior) == (2.0, None, None)
+    assert model.unknown["h"].initial == (2 * y + sp.Symbol("h0"), sp.Symbol("h0"))
+    assert model.expression("e1", with_fault=False) == sp.Symbol("dh") + k * h
+    assert model.expression("e1", with_fault=True) == sp.Symbol("dh") + k * (1 + fk) * h
+    assert list(model.faults) == ["fk", "fy"]
+    assert [model.faults["fk"].absolute(s, model) for s in model.faults["fk"].sizes] == [-0.25]
+    assert model.faults["fy"].absolute(0.1, model) == 0.1
+    assert model.provenance == ({"command": "calibrate", "recordings": ["abc"]},)
+
+
+def test_the_file_s_order_is_kept() -> None:
+    model = parse_model(GOOD, "tank.toml")
+    assert list(model.parameters) == ["k", "h0"]
+    assert list(model.equations) == ["e1", "e3"]
+
+
+def change(old: str, new: str) -> Callable[[str], str]:
+    def changed(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return changed
+
+
+def add(text: str) -> Callable[[str], str]:
+    return lambda before: before + text
+
+
+WRONG = [
+    ("not toml", change("schema = 1", "schema = "), "m.toml: not TOML: "),
+    ("schema missing", change("schema = 1\n", ""), "m.toml: schema: is missing; give a number"),
+    ("schema newer", change("schema = 1", "schema = 2"), "m.toml: schema: this is 2, readable is 1; use the faultline"),
+    ("name missing", change('name = "tank"\n', ""), "m.toml: name: is missing; give a string"),
+    (
+        "unknown key on top",
+        change("schema = 1", "schema = 1\nspeed = 3"),
+        "m.toml: speed: unknown key; allowed here are schema, ",
+    ),
+    (
+        "unknown key in a signal",
+        change("noise = 0.01", "noise = 0.01\nnosie = 1"),
+        "m.toml: known.y.nosie: unknown key; allowed here are unit, description, min, max, noise",
+    ),
+    (
+        "unknown key in a fault",
+        change("sizes = [-0.5]", "sizes = [-0.5], color = 1"),
+        "m.toml: equation[0].fault.color: unknown key; ",
+    ),
+    (
+        "unknown key in an unknown",
+        change('unit = "m/s"', 'unit = "m/s"\nvalue = 1'),
+        "m.toml: unknown.dh.value: unknown",
+    ),
+    ("unknown key in a parameter", change("prior = 0.3", "sd = 0.3"), "m.toml: parameter.k.sd: unknown key; "),
+    ("unknown key in an equation", change('name = "e1"', 'name = "e1"\nx = 1'), "m.toml: equation[0].x: unknown key; "),
+    (
+        "unknown key in a differential",
+        change('state = "h"', 'state = "h"\nx = 1'),
+        "m.toml: differential[0].x: unknown key; allowed here are name, state, derivative",
+    ),
+    ("unit missing", change('unit = "m"\nmin', "min"), "m.toml: known.y.unit: is missing; give a string"),
+    ("text for a number", change("noise = 0.01", 'noise = "0.01"'), "m.toml: known.y.noise: must be a finite number"),
+    ("truth for a number", change("noise = 0.01", "noise = true"), "m.toml: known.y.noise: must be a finite number"),
+    ("no number", change("noise = 0.01", "noise = nan"), "m.toml: known.y.noise: must be a finite number, not nan"),
+    ("huge whole number", change("max = 2", "max = 1" + "0" * 400), "m.toml: known.y.max: must be a finite number"),
+    ("number for a text", change('unit = "m"', "unit = 1"), "m.toml: known.y.unit: must be a string, not 1"),
+    ("list of numbers for texts", change('"h0"]', "3]"), "m.toml: unknown.h.initial[1]: must be a string, not 3"),
+    ("value for a table", change("schema = 1", "schema = 1\nknown = 3"), "m.toml: not TOML: "),
+    ("signal that is no table", change("[known.y]", "[known]\nx = 3\n[known.y]"), "m.toml: known.x: must be a table"),
+    ("size no number", change("[-0.5]", '["-0.5"]'), "m.toml: equation[0].fault.sizes[0]: must be a finite number"),
+    ("empty range", change("max = 2", "max = 0"), "m.toml: known.y.max: the operating range [0, 0] is empty"),
+    ("no noise", change("noise = 0.01", "noise = 0"), "m.toml: known.y.noise: must be positive"),
+    ("value out of bounds", change("value = 0.5", "value = 5"), "m.toml: parameter.k: value 5 is outside [0.1, 1] 1/s"),
+    ("prior without a sign", change("prior = 0.3", "prior = 0"), "m.toml: parameter.k: a prior is the spread of"),
+    (
+        "prior of a negative",
+        change("value = 1", "value = -1\nprior = 1"),
+        "m.toml: parameter.h0: a prior is the spread",
+    ),
+    ("name twice in a section", add('[unknown.h]\nunit = "m"\n'), "m.toml: not TOML: "),
+    (
+        "name in two sections",
+        add('[parameter.y]\nunit = "m"\nvalue = 1\n'),
+        "m.toml: y is declared twice among known, unknown and parameter; rename one",
+    ),
+    ("no name", change("[unknown.dh]", '[unknown."d h"]'), "m.toml: 'd h': is no name; use letters"),
+    ("keyword as a name", change("[parameter.h0]", "[parameter.lambda]"), "m.toml: 'lambda': is no name; "),
+    ("function as a name", change("[parameter.h0]", "[parameter.abs]"), "m.toml: 'abs': is no name; "),
+    (
+        "equation name twice",
+        change('name = "e3"', 'name = "e1"'),
+        "m.toml: two equations or differentials are named e1",
+    ),
+    ("equation named as differential", change('name = "e3"', 'name = "e2"'), "m.toml: two equations or differentials"),
+    (
+        "undefined name",
+        change("dh + k*h", "dh + k*h_x"),
+        "m.toml: equation[0].expr: unknown name 'h_x'; known names are y, h, dh, k, h0",
+    ),
+    ("unused unknown", add('[unknown.q]\nunit = "m"\n'), "m.toml: unknown.q: is in no equation; use it or remove it"),
+    (
+        "fault in two equations",
+        change('"fy", component = "sensor", enters = "h -> h + fy"', '"fk", component = "s", enters = "h -> h + fk"'),
+        "m.toml: fault fk is in two equations; let it define",
+    ),
+    ("fault named as declared", change('name = "fy"', 'name = "h"'), "m.toml: equation[1].fault.name: h is declared"),
+    ("fault with no name", change('name = "fy"', 'name = "f y"'), "m.toml: equation[1].fault.name: 'f y': is no name"),
+    ("component missing", change('component = "valve", ', ""), "m.toml: equation[0].fault.component: is missing"),
+    ("enters without arrow", change("k -> k*(1 + fk)", "k*(1 + fk)"), "m.toml: equation[0].fault.enters: `k*(1 + fk)`"),
+    (
+        "enters an expression",
+        change("k -> k*", "2*k -> k*"),
+        "m.toml: equation[0].fault.enters: `2*k -> k*(1 + fk)` must",
+    ),
+    (
+        "enters another equation",
+        change("h -> h + fy", "k -> k + fy"),
+        "m.toml: equation[1].fault.enters: k is not in `y - h`; a fault must change its equation",
+    ),
+    ("enters nothing", change("h -> h + fy", "h -> h"), "m.toml: equation[1].fault.enters: fy is not on the right"),
+    (
+        "a zero fault changes",
+        change("h -> h + fy", "h -> 2*h + fy"),
+        "m.toml: equation[1].fault.enters: `h -> 2*h + fy` must leave h as it is where fy = 0",
+    ),
+    ("no sizes", change("[-0.1, 0.1]", "[]"), "m.toml: equation[1].fault.sizes: give at least one size"),
+    ("size zero", change("[-0.1, 0.1]", "[0.0]"), "m.toml: equation[1].fault.sizes: give at least one size, none"),
+    (
+        "sizes of no parameter",
+        change('relative_to = "k"', 'relative_to = "y"'),
+        "m.toml: equation[0].fault.relative_to: y is no parameter; leave it away for sizes in SI units",
+    ),
+    (
+        "derivative without a constraint",
+        change('[[differential]]\nname = "e2"\nstate = "h"\nderivative = "dh"\n', ""),
+        "m.toml: unknown.dh: no [[differential]] makes it the derivative of h; add one",
+    ),
+    (
+        "state undefined",
+        change('state = "h"', 'state = "x"'),
+        "m.toml: differential[0].state: x is no unknown; declare",
+    ),
+    (
+        "derivative known",
+        change('derivative = "dh"', 'derivative = "y"'),
+        "m.toml: differential[0].derivative: y is no",
+    ),
+    ("its own derivative", change('derivative = "dh"', 'derivative = "h"'), "m.toml: h is in two differentials"),
+    (
+        "state without start",
+        change('initial = ["2*y + h0", "h0"]', ""),
+        "m.toml: unknown.h.initial: is missing; a state",
+    ),
+    (
+        "start of no state",
+        change('unit = "m/s"', 'unit = "m/s"\ninitial = ["y"]'),
+        "m.toml: unknown.dh.initial: only a state starts somewhere; dh is none",
+    ),
+    (
+        "start from an unknown",
+        change('"h0"]', '"dh"]'),
+        "m.toml: unknown.h.initial[1]: unknown name 'dh'; known names are y, k, h0",
+    ),
+    ("start not affine", change('"h0"]', '"y**2"]'), "m.toml: unknown.h.initial[1]: `y**2` is not affine in known"),
+    (
+        "start with a bend",
+        change('"h0"]', '"abs(y)"]'),
+        "m.toml: unknown.h.initial[1]: `abs(y)` is not affine in known",
+    ),
+    ("start over a signal", change('"h0"]', '"1/y"]'), "m.toml: unknown.h.initial[1]: `1/y` is not affine in known"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "message"), [case[1:] for case in WRONG], ids=[case[0] for case in WRONG])
+def test_a_wrong_file_says_what_is_wrong_where(wrong: Callable[[str], str], message: str) -> None:
+    with pytest.raises(ModelError) as error:
+        parse_model(wrong(GOOD), "m.toml")
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_needs_an_equation() -> None:
+    with pytest.raises(ModelError, match=r"^m: equation: there is none"):
+        parse_model('schema = 1\nname = "empty"', "m")
+
+
+def test_a_file_is_found_by_path_and_a_shipped_model_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "tank.toml"
+    path.write_text(GOOD)
+    assert load_model(path) == load_model(str(path)) == parse_model(GOOD, "tank")
+    assert load_model("uds4").name == "uds4"
+
+
+def test_a_message_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "tank.toml"
+    path.write_text("schema = 7")
+    with pytest.raises(ModelError, match="schema: this is 7") as error:
+        load_model(path)
+    assert str(error.value).startswith(f"{path}: ")
+
+
+def test_what_is_no_text_file_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "tank.toml"
+    path.write_bytes(b"schema = 1\n\xff")
+    with pytest.raises(ModelError, match=r"not a text file in UTF-8 \(byte 11\)"):
+        load_model(path)
+    with pytest.raises(ModelError, match="cannot be read; give a model file"):
+        load_model(tmp_path)
+    with pytest.raises(ModelError, match="cannot be read"):
+        load_model("../model/uds4")

@@ -1,0 +1,60 @@
+"""The shape of the project: what the wheel holds, who may import whom, what the folders are."""
+
+import subprocess
+import sys
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    source = out / "source"  # a build writes beside its sources: not into the checkout
+    subprocess.run(["git", "clone", "--quiet", str(ROOT), str(source)], check=True)
+    pip = [sys.executable, "-m", "pip", "--quiet", "wheel", "--no-deps", "--wheel-dir", str(out), str(source)]
+    subprocess.run(pip, check=True)
+    [built] = out.glob("*.whl")
+    return built
+
+
+def test_every_package_folder_is_in_the_package_list() -> None:
+    folders = {
+        str(path.parent.relative_to(ROOT)).replace("/", ".")
+        for top in ("service", "analysis", "testbench", "dbc")
+        for path in (ROOT / top).rglob("__init__.py")
+    }
+    assert folders == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_the_wheels_top_level_is_the_four_packages(wheel: Path) -> None:
+    names = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {name for name in names if not name.endswith(".dist-info")} == {"service", "analysis", "testbench", "dbc"}
+    data = [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith((".dbc", ".toml"))]
+    assert "dbc/uds.dbc" in data
+    assert "analysis/model/uds4.toml" in data
+
+
+def test_the_service_passes_its_tests_with_the_vehicles_libraries_alone(wheel: Path, tmp_path: Path) -> None:
+    """No scipy, sympy, networkx, onnx, matplotlib, rich or torch: the base dependencies and the test runner."""
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    install = [python, "-m", "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt"]
+    subprocess.run([*map(str, install), str(wheel), "pytest", "hypothesis"], check=True)
+    names = ["scipy", "sympy", "networkx", "onnx", "matplotlib", "rich", "torch"]
+    absent = f"import importlib.util as u; assert not any(map(u.find_spec, {names}))"
+    subprocess.run([str(python), "-c", absent], check=True)
+    tests = subprocess.run(
+        [str(python), "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", str(ROOT / "tests" / "service")],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert tests.returncode == 0, tests.stdout[-3000:]

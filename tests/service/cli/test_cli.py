@@ -1,0 +1,159 @@
+"""`faultline` finds its commands, imports one of them, and turns whatever happens into a line and an exit code."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from service import cli
+from service.cli import GROUP, dispatch, overview
+
+ROOT = Path(__file__).parents[3]
+
+COMMAND = '''"""{line}
+
+More.
+"""
+
+from service.core.errors import InputError
+
+
+def main(argv: list[str]) -> int:
+{body}
+'''
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on the path, for a package of commands."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "fakecommands").mkdir()
+    (tmp_path / "fakecommands" / "__init__.py").touch()
+    yield tmp_path / "fakecommands"
+    for name in [name for name in sys.modules if name.partition(".")[0] == "fakecommands"]:
+        del sys.modules[name]
+
+
+def _command(package: Path, name: str, body: str) -> dict[str, EntryPoint]:
+    (package / f"{name}.py").write_text(COMMAND.format(line=f"The {name} command.", body=f"    {body}"))
+    return {name: EntryPoint(name, f"fakecommands.{name}:main", GROUP)}
+
+
+def _declared() -> dict[str, EntryPoint]:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][GROUP]
+    return {name: EntryPoint(name, value, GROUP) for name, value in table.items()}
+
+
+def test_runs_the_command_with_the_rest_of_the_arguments(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = _command(package, "say", "print(*argv); return 1")
+    assert dispatch(["say", "a", "--b"], commands) == 1
+    assert capsys.readouterr().out == "a --b\n"
+
+
+def test_help_lists_every_command_without_importing_any(capsys: pytest.CaptureFixture[str]) -> None:
+    script = (
+        "import sys; from tests_commands import commands; from service.cli import dispatch\n"
+        "code = dispatch(['--help'], commands)\n"
+        "heavy = {'numpy', 'can', 'cantools', 'scipy', 'sympy', 'analysis', 'testbench', 'msgspec'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else code)"
+    )
+    rows = {name: entry.value for name, entry in _declared().items()}
+    setup = (
+        "import sys, types; from importlib.metadata import EntryPoint\n"
+        "module = types.ModuleType('tests_commands'); sys.modules['tests_commands'] = module\n"
+        f"module.commands = {{n: EntryPoint(n, v, {GROUP!r}) for n, v in {rows!r}.items()}}\n"
+    )
+    done = subprocess.run([sys.executable, "-c", setup + script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for name in rows:
+        assert f"\n  {name:<12}" in done.stdout
+    vehicle, offline = done.stdout.index("On the vehicle:"), done.stdout.index("Offline:")
+    assert vehicle < done.stdout.index("\n  watch") < offline < done.stdout.index("\n  ingest")
+
+
+def test_the_line_in_the_help_is_the_docstrings_first() -> None:
+    import service.watch
+
+    assert (service.watch.__doc__ or "").partition("\n")[0] in overview(_declared())
+
+
+def test_a_command_left_out_of_the_installation_is_said_so(package: Path) -> None:
+    text = overview({"gone": EntryPoint("gone", "service.gone.nowhere:main", GROUP)})
+    assert "gone        (not part of this installation)" in text
+
+
+def test_a_packages_docstring_serves_too() -> None:
+    assert "Logs and recordings" in overview({"logs": EntryPoint("logs", "service.logs:main", GROUP)})
+
+
+def test_no_command_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dispatch([], {}) == 2
+    assert "usage: faultline" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("given", "words"), [("wacth", "did you mean `faultline watch`?"), ("zzz", "--help` lists")])
+def test_an_unknown_command_is_wrong_use(given: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert dispatch([given], _declared()) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"faultline: error: no command '{given}'")
+    assert words in error
+
+
+def test_bad_input_is_one_line_and_two(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = _command(package, "fail", "raise InputError('x.log: is empty; give another')")
+    assert dispatch(["fail"], commands) == 2
+    assert capsys.readouterr().err == "faultline fail: error: x.log: is empty; give another\n"
+
+
+def test_an_interrupt_is_not_a_traceback(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = _command(package, "stop", "raise KeyboardInterrupt")
+    assert dispatch(["stop"], commands) == 130
+    assert capsys.readouterr().err == "faultline stop: interrupted\n"
+
+
+def test_a_missing_extra_is_named(
+    package: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "requires", lambda name: ["numpy>=2", 'scipy>=1.14; extra == "design"'])
+    commands = _command(package, "fit", "raise ModuleNotFoundError(name='scipy.signal')")
+    assert dispatch(["fit"], commands) == 2
+    assert "needs scipy.signal; pip install 'faultline[design]'" in capsys.readouterr().err
+    commands = _command(package, "rigged", "raise ModuleNotFoundError(name='testbench')")
+    assert dispatch(["rigged"], commands) == 2
+    assert "this installation of faultline is without it" in capsys.readouterr().err
+
+
+def test_a_module_that_nobody_promised_is_a_bug(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "requires", lambda name: ["numpy>=2"])
+    commands = _command(package, "broken", "raise ModuleNotFoundError(name='numpyy')")
+    with pytest.raises(ModuleNotFoundError):
+        dispatch(["broken"], commands)
+
+
+def test_version_without_installation(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dispatch(["--version"], {}) == 0
+    assert capsys.readouterr().out.startswith("faultline ")
+
+
+def test_a_closed_pipe_ends_quietly(package: Path) -> None:
+    commands = _command(package, "talk", "[print(k) for k in range(100_000)]; return 0")
+    value = commands["talk"].value
+    script = (
+        "import sys; from importlib.metadata import EntryPoint; from service.cli import dispatch\n"
+        f"sys.exit(dispatch(['talk'], {{'talk': EntryPoint('talk', {value!r}, 'g')}}))"
+    )
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}"}
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as talker:
+        assert talker.stdout is not None
+        assert talker.stderr is not None
+        talker.stdout.readline()
+        talker.stdout.close()
+        assert talker.stderr.read() == b""
+        assert talker.wait() == 141

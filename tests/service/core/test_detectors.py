@@ -1,0 +1,68 @@
+"""CUSUM and operating modes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.core.cusum import Cusum
+from service.core.manifest import Input, Modes
+from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
+
+
+@given(st.lists(st.floats(-5, 5), max_size=200), st.floats(0.1, 2), st.floats(1, 50))
+def test_follows_the_definition_of_the_two_sums(samples: list[float], nu: float, J: float) -> None:
+    cusum, above, below = Cusum(nu, J), 0.0, 0.0
+    for tick, s in enumerate(samples):
+        cusum.update(tick, s)
+        above = min(2 * J, max(0.0, above + s - nu))
+        below = min(2 * J, max(0.0, below - s - nu))
+        assert cusum.value == max(above, below)
+        if cusum.value >= J:
+            assert cusum.alarm
+        if cusum.value == 0:
+            assert not cusum.alarm
+
+
+def test_a_fault_that_ends_heals_in_bounded_time() -> None:
+    cusum = Cusum(nu=0.5, J=10.0)
+    for tick in range(10_000):
+        cusum.update(tick, 5.0)
+    ticks = next(tick for tick in range(10_000) if (cusum.update(tick, 0.0), not cusum.alarm)[1])
+    assert ticks <= 2 * 10.0 / 0.5
+
+
+def test_sign_tells_the_direction() -> None:
+    for direction in (1, -1):
+        cusum = Cusum(nu=0.5, J=3.0)
+        for tick in range(20):
+            cusum.update(tick, 2.0 * direction)
+        assert cusum.alarm
+        assert cusum.sign == direction
+
+
+INPUTS = [Input(signal=name, unit="1", maximum_age_s=1.0, lower=0.0, upper=100.0) for name in ("dc_dose", "n_p")]
+MODES = Modes(signal="dc_dose", idle_below=0.02, maximum_above=0.98, edges={"dc_dose": 0.03}, settle_ticks=3)
+USABLE = np.ones(2, dtype=np.bool_)
+
+
+@pytest.mark.parametrize(("dose", "mode"), [(0.0, IDLE), (0.5, PARTIAL), (1.0, MAXIMUM)])
+def test_a_steady_dose_has_its_mode_after_the_edge(dose: float, mode: int) -> None:
+    tracker = ModeTracker(MODES, INPUTS)
+    seen = [tracker.update(np.array([dose, 20.0]), USABLE) for _ in range(5)]
+    assert seen == [EDGE, EDGE, mode, mode, mode]
+
+
+def test_a_step_is_an_edge_and_an_unwatched_input_is_not() -> None:
+    tracker = ModeTracker(MODES, INPUTS)
+    for _ in range(5):
+        tracker.update(np.array([0.0, 20.0]), USABLE)
+    assert tracker.update(np.array([0.0, 90.0]), USABLE) == IDLE
+    assert [tracker.update(np.array([0.5, 90.0]), USABLE) for _ in range(4)] == [EDGE, EDGE, EDGE, PARTIAL]
+
+
+def test_without_the_mode_signal_nothing_is_steady() -> None:
+    tracker = ModeTracker(MODES, INPUTS)
+    for _ in range(5):
+        tracker.update(np.array([0.0, 20.0]), USABLE)
+    assert tracker.update(np.array([0.0, 20.0]), np.array([False, True])) == EDGE

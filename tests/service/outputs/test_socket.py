@@ -1,0 +1,257 @@
+"""The event socket serves every client what it asked for, and lets none hold up the others."""
+
+import os
+import selectors
+import socket
+import stat
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.core.errors import InputError
+from service.core.events import SCHEMA, Event, decode
+from service.outputs import socket as module
+from service.outputs.socket import EventSocket
+
+
+def event(seq: int) -> Event:
+    return Event(
+        schema=SCHEMA,
+        id=f"truck-{seq}",
+        seq=seq,
+        tick=10 * seq,
+        t_s=2.0 * seq,
+        wall=None,
+        transition="started",
+        diagnoses=[],
+        alarm=[],
+        cannot_tell=["t02"],
+        since_tick=None,
+        bundle="0" * 64,
+    )
+
+
+class Loop:
+    """The daemon's loop, turned by hand."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.selector = selectors.DefaultSelector()
+        self.events = EventSocket(path)
+        self.events.register(self.selector)
+        self.clients: list[socket.socket] = []
+
+    def turn(self) -> None:
+        while ready := self.selector.select(0):
+            if all(mask == selectors.EVENT_WRITE for _, mask in ready) and self._stuck(ready):
+                return
+            self.events.serve(ready)
+
+    def _stuck(self, ready: list[tuple[selectors.SelectorKey, int]]) -> bool:
+        return not ready
+
+    def client(self, request: bytes = b"") -> socket.socket:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.settimeout(5)
+        sock.connect(str(self.path))
+        sock.sendall(request)
+        self.clients.append(sock)
+        self.turn()
+        return sock
+
+    def close(self) -> None:
+        self.events.close()
+        self.selector.close()
+        for sock in self.clients:
+            sock.close()
+
+
+@pytest.fixture
+def loop(tmp_path: Path) -> Iterator[Loop]:
+    served = Loop(tmp_path / "events.sock")
+    yield served
+    served.close()
+
+
+def received(sock: socket.socket) -> list[int]:
+    """Sequence numbers of what has come."""
+    sock.setblocking(False)
+    content = b""
+    while True:
+        try:
+            part = sock.recv(65536)
+        except BlockingIOError:
+            break
+        if not part:
+            break
+        content += part
+    assert content == b"" or content.endswith(b"\n")
+    return [decode(line).seq for line in content.splitlines()]
+
+
+def ended(sock: socket.socket) -> bool:
+    """Whether the server has closed the connection."""
+    sock.setblocking(False)
+    try:
+        return sock.recv(1) == b""
+    except BlockingIOError:
+        return False
+
+
+def test_every_client_gets_new_events(loop: Loop) -> None:
+    loop.events.publish(event(1))
+    clients = [loop.client(b"{}\n"), loop.client(b"{}\n")]
+    loop.events.publish(event(2))
+    loop.events.publish(event(3))
+    assert [received(sock) for sock in clients] == [[2, 3], [2, 3]]
+
+
+def test_nothing_is_sent_before_the_request(loop: Loop) -> None:
+    sock = loop.client()
+    loop.events.publish(event(1))
+    loop.turn()
+    assert received(sock) == []
+    sock.sendall(b'{"aft')
+    loop.turn()
+    assert received(sock) == []
+    sock.sendall(b'er":0}\n')
+    loop.turn()
+    assert received(sock) == [1]
+
+
+@pytest.mark.parametrize(("after", "expected"), [(0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4])])
+def test_earlier_events_can_be_asked_for(loop: Loop, after: int, expected: list[int]) -> None:
+    for seq in (1, 2, 3):
+        loop.events.publish(event(seq))
+    sock = loop.client(b'{"after":%d}\n' % after)
+    loop.events.publish(event(4))
+    assert received(sock) == expected
+
+
+def test_a_number_from_before_a_restart_gets_everything(loop: Loop) -> None:
+    loop.events.publish(event(1))
+    assert received(loop.client(b'{"after":500}\n')) == [1]
+    assert received(loop.client(b'{"after":1}\n')) == []
+
+
+def test_the_ring_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RING", 3)
+    loop = Loop(tmp_path / "e.sock")
+    for seq in range(1, 6):
+        loop.events.publish(event(seq))
+    assert received(loop.client(b'{"after":0}\n')) == [3, 4, 5]
+    loop.close()
+
+
+def test_a_slow_client_is_dropped_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RING", 50)
+    loop = Loop(tmp_path / "e.sock")
+    slow, quick = loop.client(b"{}\n"), loop.client(b"{}\n")
+    got: list[int] = []
+    for seq in range(1, 5001):
+        loop.events.publish(event(seq))
+        got += received(quick)
+    assert got == list(range(1, 5001))
+    slow.setblocking(True)
+    content = b""
+    while part := slow.recv(65536):  # ends, because the server has closed it
+        content += part
+    assert 0 < content.count(b"\n") < 5000
+    loop.close()
+
+
+def test_a_client_that_reads_late_misses_nothing_within_the_ring(loop: Loop) -> None:
+    sock = loop.client(b"{}\n")
+    for seq in range(1, 3001):  # more than a socket's buffer
+        loop.events.publish(event(seq))
+    sock.setblocking(True)
+    content = b""
+    while content.count(b"\n") < 3000:
+        loop.events.serve(loop.selector.select(0))
+        content += sock.recv(65536)
+    assert [decode(line).seq for line in content.splitlines()] == list(range(1, 3001))
+
+
+@pytest.mark.parametrize(
+    "request_line", [b"hello\n", b"[]\n", b'{"after":"x"}\n', b'{"before":1}\n', b"\xff\n", b"x" * 5000]
+)
+def test_a_request_that_makes_no_sense_is_answered_and_ended(loop: Loop, request_line: bytes) -> None:
+    sock = loop.client(request_line)
+    loop.turn()
+    assert sock.recv(4096).startswith(b'{"error":"')
+    assert ended(sock)
+    loop.events.publish(event(1))
+
+
+def test_clients_may_leave_at_any_time(loop: Loop) -> None:
+    stays, leaves = loop.client(b"{}\n"), loop.client(b"{}\n")
+    leaves.close()
+    loop.events.publish(event(1))
+    loop.turn()
+    loop.events.publish(event(2))
+    assert received(stays) == [1, 2]
+
+
+def test_too_many_clients_are_turned_away(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CLIENTS", 1)
+    first, second = loop.client(b"{}\n"), loop.client(b"{}\n")
+    loop.events.publish(event(1))
+    assert received(first) == [1]
+    assert second.recv(10) == b""
+
+
+def test_keys_of_others_are_left_alone(loop: Loop) -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        loop.selector.register(ours, selectors.EVENT_READ)
+        theirs.send(b"x")
+        loop.events.serve(loop.selector.select(1))
+        assert ours.recv(1) == b"x"
+
+
+def test_only_the_daemons_group_may_connect(loop: Loop) -> None:
+    assert stat.S_IMODE(loop.path.stat().st_mode) == 0o660
+    assert os.umask(os.umask(0o022)) != 0o117
+
+
+def test_the_file_goes_with_the_process(tmp_path: Path) -> None:
+    path = tmp_path / "e.sock"
+    with EventSocket(path):
+        assert path.exists()
+    assert not path.exists()
+
+
+def test_a_dead_processes_file_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "e.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
+        dead.bind(str(path))
+    with EventSocket(path):
+        pass
+
+
+def test_a_living_processes_is_not(loop: Loop) -> None:
+    with pytest.raises(InputError, match="another process serves events there"):
+        EventSocket(loop.path)
+    assert loop.path.exists()
+
+
+def test_no_file_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "precious"
+    path.write_text("x")
+    with pytest.raises(InputError, match="is no socket"):
+        EventSocket(path)
+    assert path.read_text() == "x"
+
+
+@pytest.mark.parametrize("name", ["absent/e.sock", "x" * 200])
+def test_a_path_that_cannot_be_used_is_bad_input(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"give another --socket"):
+        EventSocket(tmp_path / name)
+
+
+def test_closing_the_selector_first_is_fine(tmp_path: Path) -> None:
+    with EventSocket(tmp_path / "e.sock") as events, selectors.DefaultSelector() as selector:
+        events.register(selector)
+    assert threading.active_count() >= 1
