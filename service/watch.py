@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
 
 
 def subscribe(path: Path, after: int | None, wait_s: float) -> Iterator[bytes]:
-    """The lines that the service at `path` sends, until it ends.
+    """The whole lines that the service at `path` sends, until it ends.
 
     Raises:
         InputError: nobody serves there within `wait_s` [s].
@@ -66,7 +66,8 @@ def subscribe(path: Path, after: int | None, wait_s: float) -> Iterator[bytes]:
         try:
             sock.sendall(msgspec.json.encode(request) + b"\n")
             with sock.makefile("rb") as lines:
-                yield from lines
+                # Where the service ends in mid-line, that line is no event.
+                yield from (line for line in lines if line.endswith(b"\n"))
         except ConnectionError as error:
             raise InputError(f"{path}: the service broke off: {error.strerror}") from error
 

@@ -26,6 +26,23 @@ PROBE_S = 0.2
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What `evaluate --json` says of a recording."""
+
+    recording: str
+    faults: list[str]
+    onset_s: float | None
+    detected: bool
+    delay_s: float | None
+    isolated: list[str]
+    first: list[str]
+    contained: bool
+    named: bool
+    tests: list[str]
+    false_alarms: int
+
+
+@dataclass(frozen=True)
 class Recording:
     """One run of the rig: what for, and the arguments of `rig record`."""
 
@@ -54,8 +71,8 @@ RECORDINGS = (
     Recording("tune", "drive", 3, 420),
     Recording("tune", "training", 4, 420),
     Recording("evaluate", "validation", 5, 420),
-    Recording("evaluate", "validation", 6, 420, "fA_du", 0.6),
-    Recording("evaluate", "validation", 7, 420, "fA_t", 0.6),
+    Recording("evaluate", "validation", 6, 420, "fA_du", 0.65),
+    Recording("evaluate", "validation", 7, 420, "fA_t", 0.65),
 )
 
 ALLOWED = {
@@ -105,7 +122,7 @@ class Demo:
 
     def run(self) -> bool:
         """All steps; whether the faults were isolated as promised."""
-        print("faultline demo: everything here is simulated by the test rig, no vehicle was harmed or measured")
+        print("faultline demo: all recordings are simulated by the test rig, none is of a real vehicle")
         self._record()
         self._bundle()
         bus = self._bus()
@@ -149,18 +166,18 @@ class Demo:
         self._step(f"bus: {bus} on this machine only, because the kernel has no vcan0")
         return bus
 
-    def _live(self, recording: Recording, bus: str) -> dict[str, object]:
+    def _live(self, recording: Recording, bus: str) -> Verdict:
         """The daemon listens, a subscriber watches, a recording is replayed; then the events meet the truth."""
         log = self._logs[recording]
         events, where = self._out / f"{log.name}.events.jsonl", self._out / "events.sock"
         minutes = recording.duration / 60
-        self._step(f"live: {log.name}, {minutes:.0f} min at {self._speed:g}x; `watch` prints the alarms as they come")
+        self._step(f"live: {log.name}, {minutes:g} min at {self._speed:g}x; `watch` prints the alarms as they come")
         run = ("run", "--bundle", self._out / "bundle", "--bus", bus, "--socket", where, "--source", log.name)
         with events.open("wb") as told, (self._out / "daemon.log").open("ab") as log_file:
             daemon = self._spawn(*run, "--speed", self._speed, stdout=subprocess.DEVNULL, stderr=log_file)
             watchers = [
-                self._spawn("watch", "--socket", where, "--wait", 20),
-                self._spawn("watch", "--socket", where, "--wait", 20, "--json", stdout=told),
+                self._spawn("watch", "--socket", where, "--wait", 20, "--after", 0, "--bundle", self._out / "bundle"),
+                self._spawn("watch", "--socket", where, "--wait", 20, "--after", 0, "--json", stdout=told),
             ]
             try:
                 self._ready(where, daemon)
@@ -173,31 +190,23 @@ class Demo:
                     watcher.wait(10)
         return self._judge(recording, events)
 
-    def _judge(self, recording: Recording, events: Path | None) -> dict[str, object]:
+    def _judge(self, recording: Recording, events: Path | None) -> Verdict:
         log = self._logs[recording]
         arguments = [log, "--bundle", self._out / "bundle", "--truth", self._out / "truth" / f"{log.name}.toml"]
         picture = self._out / f"{recording.fault or 'fault-free'}.png"
         more = ["--events", events] if events else []
         told = self._call("evaluate", *arguments, *more, "--picture", picture, "--json", accept=(0, 1))
-        verdict: dict[str, object] = json.loads(told)
-        return verdict
+        return Verdict(**json.loads(told))
 
-    def _summary(self, verdicts: Iterable[dict[str, object]]) -> bool:
+    def _summary(self, verdicts: Iterable[Verdict]) -> bool:
         self._step("summary, against truth.toml")
         good = True
         for verdict in verdicts:
-            [fault] = verdict["faults"] or [""]  # type: ignore[misc, attr-defined]
-            problems = list(_problems(fault, verdict))
+            problems = _problems(verdict)
             good = good and not problems
-            mark = "as promised" if not problems else "NOT as promised: " + "; ".join(problems)
-            if fault:
-                print(
-                    f"   {fault:<7} onset {verdict['onset_s']:g} s, detected after {verdict['delay_s']} s, "
-                    f"isolated {{{', '.join(verdict['isolated'])}}}, first {', '.join(verdict['first'])}, "
-                    f"false alarms before {verdict['false_alarms']}: {mark}"
-                )
-            else:
-                print(f"   none    false alarms {verdict['false_alarms']}: {mark}")
+            print(
+                f"   {_sentence(verdict)}: {'NOT as promised, ' + '; '.join(problems) if problems else 'as promised'}"
+            )
         for picture in sorted(self._out.glob("*.png")):
             print(f"   picture: {picture}")
         return good
@@ -233,18 +242,28 @@ class Demo:
         raise DemoError("the daemon was not ready in 20 s")
 
 
-def _problems(fault: str, verdict: dict[str, object]) -> Iterable[str]:
-    if verdict["false_alarms"]:
-        yield f"{verdict['false_alarms']} false alarms"
-    if not fault:
-        return
-    isolated, first = set(verdict["isolated"]), verdict["first"]  # type: ignore[call-overload]
-    if not verdict["detected"]:
-        yield "not detected"
-    elif fault not in isolated or not isolated <= ALLOWED[fault]:
-        yield f"the isolated set should hold {fault} and at most {', '.join(sorted(ALLOWED[fault]))}"
-    elif fault in FIRST and first != [fault]:
-        yield f"{fault} should be ranked first"
+def _sentence(v: Verdict) -> str:
+    if not v.faults:
+        return f"fault-free: {v.false_alarms} false alarms"
+    return (
+        f"{v.faults[0]} from {v.onset_s:g} s: detected after {v.delay_s} s, isolated {{{', '.join(v.isolated)}}}, "
+        f"first {', '.join(v.first)}, {v.false_alarms} false alarms before"
+    )
+
+
+def _problems(v: Verdict) -> list[str]:
+    """What is not as the demo promises."""
+    problems = [f"{v.false_alarms} false alarms"] if v.false_alarms else []
+    if not v.faults:
+        return problems
+    [fault] = v.faults
+    if not v.detected:
+        problems.append("not detected")
+    elif fault not in v.isolated or not set(v.isolated) <= ALLOWED[fault]:
+        problems.append(f"the isolated set should hold {fault} and at most {', '.join(sorted(ALLOWED[fault]))}")
+    elif fault in FIRST and v.first != [fault]:
+        problems.append(f"{fault} should be ranked first, alone")
+    return problems
 
 
 def _command(arguments: Iterable[object]) -> list[str]:

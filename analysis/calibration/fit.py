@@ -12,6 +12,7 @@ with Levenberg's damping (scipy); the whole Jacobian is one batch through the gr
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +69,7 @@ def fit(bank: Bank, ticks: list[Tick], where: str, progress: Callable[[str], Non
 
     xi, weight = np.zeros(len(free)), np.tile(used.sigma, (len(data.blocks), 1))
     for title in ("first fit", "second fit"):
-        xi = _solve(means, xi, weight, lambda text, title=title: progress(f"{title}: {text}"))
+        xi = _solve(means, xi, weight, partial(_say, progress, title))
         left = means(xi[None])[0]
         weight = _spread(left, data.modes, used.sigma)
     J = _jacobian(means, xi, weight)
@@ -78,6 +79,10 @@ def fit(bank: Bank, ticks: list[Tick], where: str, progress: Callable[[str], Non
         rms=dict(zip((t.name for t in used.tests), np.sqrt((left**2).mean(axis=0)).tolist(), strict=True)),
         blocks=len(data.blocks),
     )
+
+
+def _say(progress: Callable[[str], None], title: str, cost: float) -> None:
+    progress(f"{title}: cost {cost:.1f}")
 
 
 class _Data(NamedTuple):
@@ -115,12 +120,12 @@ def _spread(left: Array, modes: npt.NDArray[np.int64], floor: Array) -> Array:
     return weight
 
 
-def _solve(means: Callable[[Array], Array], start: Array, weight: Array, progress: Callable[[str], None]) -> Array:
+def _solve(means: Callable[[Array], Array], start: Array, weight: Array, progress: Callable[[float], None]) -> Array:
     """One weighted fit."""
 
     def residual(xi: Array) -> Array:
         value = np.concatenate([(means(xi[None])[0] / weight).ravel(), xi])
-        progress(f"cost {value @ value:.1f}")
+        progress(float(value @ value))
         return value
 
     fitted = least_squares(residual, start, jac=lambda xi: _jacobian(means, xi, weight), method="lm", ftol=TOLERANCE)

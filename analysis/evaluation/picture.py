@@ -114,7 +114,7 @@ def _told(axes: Axes, events: Sequence[Event], origin_s: float, end_s: float) ->
         start = origin_s + event.t_s
         stop = origin_s + following.t_s if following else end_s
         for diagnosis in event.diagnoses:
-            for fault in diagnosis.faults:
+            for fault in diagnosis.faults or ["unknown"]:
                 row = faults.setdefault(fault, len(faults))
                 axes.barh(
                     row, stop - start, left=start, color=ALARM, alpha=1.0 if diagnosis.rank == 1 else 0.3, height=0.7

@@ -58,8 +58,8 @@ class Bank:
         names = [channel.signal for channel in self.inputs]
         uses = np.array([[float(name in g.inputs) for g in self.generators] for name in names])
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
-        bounds = (np.array([getattr(channel, side) for channel in self.inputs]) for side in ("lower", "upper"))
-        region = Region(*bounds, uses)
+        lower = np.array([channel.lower for channel in self.inputs])
+        region = Region(lower, np.array([channel.upper for channel in self.inputs]), uses)
         return step_graph(self.stacked([{}]), measured, PERIOD_S, self.sigma, region, parametric=parametric)
 
     def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:

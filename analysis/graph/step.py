@@ -167,16 +167,20 @@ def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, h: 
 def _inverse(w: Writer, M: str, N: int) -> str:
     """M^-1 (B, T, N, N) in place: Gauss-Jordan without pivoting, because the pivots of an M-matrix are positive.
 
-    Pivot k of W is W - (column_k - e_k) (row_k + e_k) / W_kk; after N pivots W is the inverse.
+    Pivot k replaces row k, column k and their crossing instead of adding to them: with pivots of 1e7 next to ones, the
+    shorter W - (column - e_k)(row + e_k) / W_kk would lose half the digits.
     """
     work = M
     for k in range(N):
+        unit = np.eye(N)[k]
+        others = 1.0 - unit
         row, column = w.slice(work, 2, k, k + 1), w.slice(work, 3, k, k + 1)
         pivot = w.slice(row, 3, k, k + 1)
-        unit = np.eye(N)[k]
-        left = w("Sub", column, w.constant(unit.reshape(1, 1, N, 1)))
-        right = w("Div", w("Add", row, w.constant(unit.reshape(1, 1, 1, N))), pivot)
-        work = w("Sub", work, w("Mul", left, right))
+        right = w("Add", w("Mul", row, w.constant(others.reshape(1, 1, 1, N))), w.constant(unit.reshape(1, 1, 1, N)))
+        left = w("Mul", column, w.constant(others.reshape(1, 1, N, 1)))
+        left = w("Sub", w.constant(unit.reshape(1, 1, N, 1)), left)
+        kept = w("Mul", work, w.constant(np.outer(others, others).reshape(1, 1, N, N)))
+        work = w("Add", kept, w("Mul", left, w("Div", right, pivot)))
     return work
 
 

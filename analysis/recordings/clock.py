@@ -143,7 +143,7 @@ def _windows(smooth: Track, p_du: Track, dose: Vector, lag: float) -> list[_Offs
 def _gain(smooth: Track, p_du: Track, dose: Vector, lag: float) -> float:
     """Slope of p_du over p_ap at given dose, over the whole recording.
 
-    Within a window it could not be told from a delay: p_ap settles exponentially, and that, when late, is itself scaled.
+    In a window it could not be told from a delay: p_ap settles exponentially, and a late exponential is a scaled one.
     """
     A = np.column_stack([np.ones_like(dose), np.interp(p_du.t - lag, *smooth), dose])
     scale = np.maximum(np.sqrt((A**2).mean(axis=0)), 1e-9)

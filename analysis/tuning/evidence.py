@@ -51,7 +51,8 @@ def _standard(s: Seen, detectors: Sequence[Detector]) -> Array:
     offset = np.array([detector.offset for detector in detectors]).T  # (modes, T)
     scale = np.array([detector.scale for detector in detectors]).T
     mode = s.mode[steady]
-    return (s.r[steady] - offset[mode]) / scale[mode]
+    standard: Array = (s.r[steady] - offset[mode]) / scale[mode]
+    return standard
 
 
 def _block_means(s: Seen, mode: int, rows: list[int]) -> Array:

@@ -17,7 +17,7 @@ tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """One explanation of the alarms: all of `faults` together.
+    """One explanation of the alarms: all of `faults` together; no name means that no known fault or pair explains them.
 
     `rank` starts at 1; explanations the data cannot separate share a rank. `p` is a probability with three digits, or
     None as long as no calibration curve stands behind it.

@@ -7,8 +7,8 @@ Silence exonerates nobody.
 from collections.abc import Sequence
 from itertools import combinations
 
-UNKNOWN = ("unknown",)
-"""The explanation when no set of at most `MAXIMUM_FAULTS` known faults hits every conflict."""
+UNKNOWN: tuple[str, ...] = ()
+"""The explanation when no set of at most `MAXIMUM_FAULTS` known faults hits every conflict: no name at all."""
 
 MAXIMUM_FAULTS = 2
 

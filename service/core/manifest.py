@@ -3,11 +3,11 @@
 `service.bundle` reads it from a folder; the core computes with it. Units are SI: Pa, 1/s, 1 for ratios, s.
 """
 
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
-SCHEMA = "faultline.bundle/1"
+SCHEMA: Final = "faultline.bundle/1"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""

@@ -99,13 +99,12 @@ class EventSocket:
         except OSError:  # gone again, or no descriptor left: the loop must go on either way
             return
         sock.setblocking(False)
-        if len(self._clients) >= CLIENTS:
-            sock.close()
-            return
         client = _Client(sock)
         self._clients.append(client)
         if self._selector is not None:
             self._selector.register(sock, selectors.EVENT_READ, client)
+        if len(self._clients) > CLIENTS:
+            self._refuse(client, "too many clients")
 
     def _read(self, client: _Client) -> None:
         try:
@@ -147,13 +146,14 @@ class EventSocket:
     def _flush(self, client: _Client) -> None:
         """Sends until the client takes no more or has all."""
         while client.place is not None and client in self._clients:
-            if client.rest:
+            behind = self._published - client.place
+            if behind > len(self._ring):
+                self._drop(client)  # fell out of the ring
+            elif client.rest:
                 if not self._send(client):
                     return
-            elif client.place < self._published - len(self._ring):
-                self._drop(client)  # fell out of the ring
-            elif client.place < self._published:
-                client.rest = self._ring[client.place - self._published + len(self._ring)][1]
+            elif behind:
+                client.rest = self._ring[-behind][1]
                 client.place += 1
             else:
                 self._want(client, selectors.EVENT_READ)

@@ -88,7 +88,7 @@ def maximum_dose(rng: np.random.Generator) -> tuple[Array, Array]:
     return steps(20.0, 28.0, 28.0), steps(0.0, 1.0, 1.0)
 
 
-DISTINCT = {"t02", "t06", "t08", "t12", "t21"}
+DISTINCT = {"t02", "t06", "t08", "t12", "t20"}
 """Tests of one to four states; the others are numerically the same as one of these."""
 
 SCENARIOS = [pump_off, pressure_ladder, maximum_dose]
@@ -119,13 +119,16 @@ def test_agrees_with_a_stiff_solver_once_the_hose_has_settled(
         assert np.sqrt((error**2).mean()) < (200.0 if not rippled else 1000.0), test.test
 
 
-def test_does_not_cycle_at_zero_flow(bank: Bank) -> None:
-    """The wound: a Rosenbrock step on the root flipped p_tp by 30 mbar each sample with the pump standing."""
-    z = np.tile([ATMOSPHERE, ATMOSPHERE, ATMOSPHERE, 0.0, 0.0], (200, 1))
-    z[:, :3] += np.random.default_rng(2).normal(0.0, 400.0, (200, 3))
-    jumps = np.abs(np.diff(simulated(bank, z)[100:], axis=0)).max(axis=0)
-    measured = np.abs(np.diff(z[100:, :3], axis=0)).max()
+@pytest.mark.parametrize("speed", [0.0, 0.02])
+def test_stands_still_with_the_pump(bank: Bank, speed: float) -> None:
+    """Two wounds: a Rosenbrock step on the root flipped p_tp by 30 mbar each sample; lost digits put it 26 mbar off."""
+    z = np.tile([ATMOSPHERE, ATMOSPHERE, ATMOSPHERE, speed, 0.0], (400, 1))
+    z[:, :3] += np.random.default_rng(2).normal(0.0, 400.0, (400, 3))
+    predicted = simulated(bank, z)[200:]
+    jumps = np.abs(np.diff(predicted, axis=0)).max(axis=0)
+    measured = np.abs(np.diff(z[200:, :3], axis=0)).max()
     assert (jumps <= 1.5 * measured).all()
+    assert (np.abs(predicted.mean(axis=0) - ATMOSPHERE) < 200.0).all()
 
 
 def test_a_rippled_neighbour_does_not_make_the_prediction_louder_than_the_ripple(bank: Bank) -> None:

@@ -111,7 +111,7 @@ class Script:
     def setblocking(self, flag: bool) -> None:
         assert flag is False
 
-    def recvmsg(self, size: int, extra: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, None]:
+    def recvmsg(self, *_sizes: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, None]:
         if not self.steps:
             raise BlockingIOError
         step = self.steps.pop(0)

@@ -59,7 +59,7 @@ def test_help_lists_every_command_without_importing_any(capsys: pytest.CaptureFi
     script = (
         "import sys; from tests_commands import commands; from service.cli import dispatch\n"
         "code = dispatch(['--help'], commands)\n"
-        "heavy = {'numpy', 'can', 'cantools', 'scipy', 'sympy', 'analysis', 'testbench', 'msgspec'} & set(sys.modules)\n"
+        "heavy = {'numpy', 'can', 'cantools', 'scipy', 'analysis', 'testbench', 'msgspec'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)"
     )
     rows = {name: entry.value for name, entry in _declared().items()}
@@ -119,7 +119,7 @@ def test_an_interrupt_is_not_a_traceback(package: Path, capsys: pytest.CaptureFi
 def test_a_missing_extra_is_named(
     package: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "requires", lambda name: ["numpy>=2", 'scipy>=1.14; extra == "design"'])
+    monkeypatch.setattr(cli, "requires", lambda _: ["numpy>=2", 'scipy>=1.14; extra == "design"'])
     commands = _command(package, "fit", "raise ModuleNotFoundError(name='scipy.signal')")
     assert dispatch(["fit"], commands) == 2
     assert "needs scipy.signal; pip install 'faultline[design]'" in capsys.readouterr().err
@@ -129,7 +129,7 @@ def test_a_missing_extra_is_named(
 
 
 def test_a_module_that_nobody_promised_is_a_bug(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "requires", lambda name: ["numpy>=2"])
+    monkeypatch.setattr(cli, "requires", lambda _: ["numpy>=2"])
     commands = _command(package, "broken", "raise ModuleNotFoundError(name='numpyy')")
     with pytest.raises(ModuleNotFoundError):
         dispatch(["broken"], commands)

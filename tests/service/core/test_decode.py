@@ -4,6 +4,7 @@ from importlib import resources
 
 import cantools.database
 import pytest
+from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,12 +20,13 @@ ECU, SENSORS = 0x18FF103D, 0x18FF20F9
 @given(st.binary(min_size=8, max_size=8))
 def test_agrees_with_cantools_on_every_payload(data: bytes) -> None:
     database = cantools.database.load_string(DBC, "dbc")
+    assert isinstance(database, Database)
     decoded = database.decode_message(ECU, data)
     assert isinstance(decoded, dict)
     factor = {"y_p_du": 1e3, "n_p": 1.0, "dc_dose": 1e-2}
     table = compile_dbc(DBC, UNITS, "uds.dbc")
     for name, value, _quality in table.decode(ECU, True, data):
-        assert value == pytest.approx(float(decoded[name]) * factor[name])
+        assert value == pytest.approx(float(str(decoded[name])) * factor[name])
 
 
 BIG_ENDIAN = """VERSION ""
@@ -38,7 +40,9 @@ BO_ 256 M: 8 A
 
 @given(st.binary(min_size=8, max_size=8))
 def test_signed_and_big_endian_signals_agree_with_cantools(data: bytes) -> None:
-    decoded = cantools.database.load_string(BIG_ENDIAN, "dbc").decode_message(256, data)
+    database = cantools.database.load_string(BIG_ENDIAN, "dbc")
+    assert isinstance(database, Database)
+    decoded = database.decode_message(256, data)
     assert isinstance(decoded, dict)
     table = compile_dbc(BIG_ENDIAN, {"up": "Pa", "down": "Pa"}, "m.dbc")
     assert {name: value for name, value, _ in table.decode(256, False, data)} == pytest.approx(decoded)

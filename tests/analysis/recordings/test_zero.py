@@ -1,0 +1,50 @@
+"""The zero is calibrated where the pump stands still in a drained system, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from analysis.recordings.zero import ATMOSPHERE, standstill, zero_error
+from service.core.signals import Vector
+
+T = np.arange(0.0, 60.0, 0.2)
+
+
+def _until(starts: float, gauge: float = 0.0) -> float:
+    return standstill(T, np.where(starts > T, 0.0, 20.0), np.full_like(T, ATMOSPHERE + gauge))
+
+
+def test_the_standstill_ends_a_second_before_the_pump_starts() -> None:
+    assert _until(15.0) == pytest.approx(14.0, abs=0.2)
+
+
+def test_a_pump_that_never_runs_stands_to_the_end() -> None:
+    assert _until(1e9) == pytest.approx(T[-1] - 1.0)
+
+
+@pytest.mark.parametrize(("starts", "gauge"), [(0.0, 0.0), (5.0, 0.0), (15.0, 5e5), (15.0, -0.3e5)])
+def test_a_short_or_pressurised_standstill_is_none(starts: float, gauge: float) -> None:
+    assert _until(starts, gauge) == 0.0
+
+
+def _readings(error: float, noise: float, count: int = 140) -> Vector:
+    return np.asarray(ATMOSPHERE + error + noise * np.random.default_rng(3).standard_normal(count))
+
+
+def test_the_zero_error_is_given_back_in_spite_of_outliers_and_gaps() -> None:
+    readings = _readings(2_500.0, 400.0)
+    readings[::20] = 9e5
+    readings[5::20] = np.nan
+    assert zero_error(readings) == pytest.approx(2_500.0, abs=100.0)
+
+
+@pytest.mark.parametrize(
+    "readings",
+    [
+        _readings(0.9e5, 400.0),  # more than any zero error: a fault
+        _readings(0.0, 20_000.0),  # restless: not standing still
+        _readings(0.0, 400.0, count=9),  # too few
+        np.full(140, np.nan),
+    ],
+)
+def test_what_cannot_be_a_zero_error_is_none(readings: Vector) -> None:
+    assert zero_error(readings) is None

@@ -1,0 +1,33 @@
+"""docs/events.md says what the code does."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from service.core.events import SCHEMA, Diagnosis, Event, Transition
+from service.outputs.socket import RING
+
+PAGE = (Path(__file__).parents[3] / "docs" / "events.md").read_text()
+
+
+def _rows(section: str) -> list[str]:
+    """First cells of the tables under a heading, without backquotes."""
+    text = PAGE.partition(f"## {section}\n")[2].partition("\n## ")[0]
+    return re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)
+
+
+def test_names_every_field_in_order() -> None:
+    fields = [field.name for struct in (Event, Diagnosis) for field in msgspec.structs.fields(struct)]
+    assert _rows("Fields") == fields
+
+
+def test_names_every_transition() -> None:
+    assert _rows("Transitions") == list(get_args(Transition))
+
+
+def test_names_the_schema_and_the_ring() -> None:
+    assert f"Schema `{SCHEMA}`" in PAGE
+    assert f"the latest {RING}" in PAGE
+    assert f"falls {RING} events behind" in PAGE
