@@ -22,6 +22,10 @@ class Progress:
     ) -> None:
         self._status.stop()
 
+    def note(self, text: str) -> None:
+        """What the user must not miss: stays on the terminal."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
     def say(self, text: str) -> None:
         """What is going on now."""
         self._status.update(f"{self._title}: {text}")

@@ -72,6 +72,7 @@ class Daemon:
         self._speed = speed
         self._start: float | None = None  # monotonic time of the first frame
         self._stopped = False
+        self._printing = True
 
     def serve(self) -> None:
         """Serves until a signal to stop."""
@@ -113,5 +114,14 @@ class Daemon:
         for event in events:
             dated = msgspec.structs.replace(event, wall=datetime.now(UTC).isoformat(timespec="milliseconds"))
             self._subscribers.publish(dated)
-            sys.stdout.buffer.write(encode(dated))
-            sys.stdout.buffer.flush()
+            self._print(encode(dated))
+
+    def _print(self, line: bytes) -> None:
+        """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
+        if self._printing:
+            try:
+                sys.stdout.buffer.write(line)
+                sys.stdout.buffer.flush()
+            except BrokenPipeError:
+                self._printing = False
+                print("faultline run: standard output is closed; events go on over the socket", file=sys.stderr)

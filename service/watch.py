@@ -105,7 +105,8 @@ def _faults(folder: Path) -> dict[str, Fault]:
 
 def describe(event: Event, faults: Mapping[str, Fault]) -> str:
     """The event for a person; `faults` explains names, and may be empty."""
-    head = f"{event.t_s:9.1f} s  {WORDS[event.transition]}"
+    blind_no_more = event.transition == "cannot_tell" and not event.cannot_tell
+    head = f"{event.t_s:9.1f} s  {'all tests can tell' if blind_no_more else WORDS[event.transition]}"
     if event.since_tick is not None and event.tick:
         since = event.since_tick * event.t_s / event.tick
         head += f", evidence since {since:.1f} s"
@@ -124,7 +125,7 @@ def _nothing(event: Event) -> str:
     if event.alarm:
         return "no candidate yet for what has fired"
     if event.cannot_tell:
-        return "no fault seen by the tests that can tell, the others may miss one"
+        return "no alarm, but not known to be free of faults: some tests cannot tell"
     return "no fault: every test is quiet"
 
 

@@ -10,9 +10,8 @@ from analysis.calibration.fit import Fit, fit
 from analysis.graph.bank import build_bank
 from analysis.model import Model, dump_model, load_model
 from analysis.progress import Progress
-from analysis.recordings.observe import observe
+from analysis.recordings.observe import observe, open_known
 from service.core.decode import compile_dbc
-from service.logs import open_log
 
 EXAMPLE = """example:
   faultline calibrate uds4 out/logs/bench-training-s1 --out out/calibrated.toml
@@ -30,9 +29,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
     model = load_model(options.model)
-    log = open_log(options.recording)
     bank = build_bank(model)
-    with Progress(f"calibrating {model.name} on {log.id}") as progress:
+    with Progress(f"calibrating {model.name}") as progress:
+        log = open_known(options.recording, progress.note)
         table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, str(options.recording))
         result = fit(bank, observe(bank, table, log.relative()), str(options.recording), progress.say)
     entry = {"command": "calibrate", "recordings": [log.sha256], "blocks": result.blocks}

@@ -1,6 +1,8 @@
 """Compare diagnoses with the truth of a recording, and draw them."""
 
 import argparse
+import sys
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -9,10 +11,10 @@ from analysis.evaluation.judge import Verdict, judge
 from analysis.evaluation.story import Story, tell
 from analysis.evaluation.truth import load_truth
 from analysis.progress import Progress
+from analysis.recordings.observe import open_known
 from service.bundle import load_bundle
 from service.core.errors import InputError
 from service.core.events import Event, decode
-from service.logs import open_log
 
 EXAMPLE = """example:
   faultline evaluate out/logs/bench-validation-s7-fA_du --bundle out/bundle \\
@@ -32,7 +34,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
-    bundle, log = load_bundle(options.bundle), open_log(options.recording)
+    bundle = load_bundle(options.bundle)
+    log = open_known(options.recording, partial(print, file=sys.stderr))
     if log.sha256 in [*bundle.manifest.origin.calibrate, *bundle.manifest.origin.tune]:
         raise InputError(
             f"{options.recording}: the bundle was made from this recording; evaluate on one it has not seen"

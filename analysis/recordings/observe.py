@@ -1,6 +1,7 @@
 """A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from analysis.graph.bank import PERIOD_S, Bank
 from service.core.decode import DecodeTable
@@ -9,7 +10,7 @@ from service.core.manifest import Modes
 from service.core.modes import ModeTracker
 from service.core.observer import Observer, Tick
 from service.core.sampling import Sampler
-from service.logs import Frame
+from service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0
 
@@ -21,6 +22,20 @@ MODES = Modes(
     settle_ticks=round(4.0 / PERIOD_S),
 )
 """Some seconds after a dose step the hose has settled; pump steps of this size are the pressure ladder's."""
+
+
+def open_known(path: Path, say: Callable[[str], None]) -> Log:
+    """The log at `path`, whose loss, if there is one, is said.
+
+    Raises:
+        LogError: it is no log, or a bare one: without a recording's folder its DBC is not known.
+    """
+    log = open_log(path)
+    if log.dbc_path is None:
+        raise LogError(f"{path}: a bare log names no DBC; give its recording's folder")
+    if log.report.lost:
+        say(f"{path}: {log.report.summary()}")
+    return log
 
 
 def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:

@@ -8,13 +8,12 @@ import msgspec
 from analysis.graph.bank import Bank, build_bank
 from analysis.model import dump_model, load_model
 from analysis.progress import Progress
-from analysis.recordings.observe import MODES, START_WITHIN_S, observe
+from analysis.recordings.observe import MODES, START_WITHIN_S, observe, open_known
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
 from analysis.tuning.thresholds import seen, tune_detectors
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.logs import open_log
 
 GOLDEN_TICKS = 150
 
@@ -52,7 +51,7 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
     units = {channel.signal: channel.unit for channel in bank.inputs}
     watched, digests = [], []
     for path in recordings:
-        log = open_log(path)
+        log = open_known(path, progress.note)
         if log.sha256 in calibrated or log.sha256 in digests:
             used = "for calibration" if log.sha256 in calibrated else "twice"
             raise InputError(f"{path}: this recording is used {used}; tune on fault-free recordings of their own")

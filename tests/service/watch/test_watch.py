@@ -61,8 +61,14 @@ def test_no_fault_and_cannot_tell_never_look_alike() -> None:
     assert "no fault: every test is quiet" in quiet
     assert "cannot tell" not in quiet
     assert "every test is quiet" not in blind
-    assert "the others may miss one" in blind
+    assert "not known to be free of faults" in blind
     assert "cannot tell: t02" in blind
+
+
+def test_sight_regained_does_not_read_as_sight_lost() -> None:
+    event = msgspec.structs.replace(QUIET, transition="cannot_tell")
+    assert "cannot tell" not in describe(event, {})
+    assert describe(event, {}).splitlines()[0].endswith("all tests can tell")
 
 
 def test_alarms_without_an_explanation_are_not_no_fault() -> None:

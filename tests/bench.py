@@ -1,0 +1,89 @@
+"""What a tick costs: `make bench`. Paired, interleaved, CPU time; medians and spread. Never a test.
+
+The peer of the fused graph is what a straightforward exporter would ship: one session per residual generator.
+"""
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from analysis.graph.bank import build_bank
+from analysis.model import load_model
+from service.bundle import load_bundle
+from service.core.generators import Graph
+from service.core.monitor import Monitor
+from service.logs import open_log
+
+GOLDEN = Path(__file__).parent / "golden"
+ROUNDS, CALLS = 15, 400
+
+
+def cost_us(call: Callable[[], object]) -> float:
+    """CPU time of a call [us], mean over `CALLS`."""
+    start = time.process_time()
+    for _ in range(CALLS):
+        call()
+    return (time.process_time() - start) / CALLS * 1e6
+
+
+def report(name: str, samples: list[float], unit: str = "us") -> None:
+    """Median and range of a figure."""
+    middle = statistics.median(samples)
+    print(f"{name:<52}{middle:>9.1f} {unit}   [{min(samples):.1f} .. {max(samples):.1f}]")
+
+
+def graphs() -> None:
+    """Ten generators in one graph against ten sessions, interleaved."""
+    bank = build_bank(load_model("uds4"))
+    z = np.array([[1.0e5, 1.0e6, 1.0e6, 22.0, 0.5]])
+    x = bank.start(z[0])[None]
+    fused = Graph(bank.graph())
+    singles, first = [], 0
+    for row, generator in enumerate(bank.generators):
+        states = x[:, first : first + len(generator.states)]
+        singles.append((Graph(bank.only([row]).graph()), states))
+        first += len(generator.states)
+    a: list[float] = []
+    b: list[float] = []
+    for _ in range(ROUNDS):
+        a.append(cost_us(lambda: fused(z=z, x=x)))
+        b.append(cost_us(lambda: [graph(z=z, x=states) for graph, states in singles]))
+    report("ten generators, one fused graph, a sample", a)
+    report("ten generators, ten sessions, a sample", b)
+    report("ratio of the pairs", [theirs / ours for ours, theirs in zip(a, b, strict=True)], "x ")
+
+
+def monitor() -> None:
+    """The whole core on the golden log: decoding, sampling, residuals, decision, events."""
+    bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
+    frames = list(log.relative())
+    ticks = int(log.duration_s / bundle.manifest.period_s)
+    spent = []
+    for _ in range(ROUNDS):
+        core = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
+        start = time.process_time()
+        list(core.log(iter(frames)))
+        spent.append((time.process_time() - start) / ticks * 1e6)
+    report(f"whole core, a sample of {len(frames) / ticks:.0f} frames", spent)
+
+
+def memory() -> None:
+    """Peak resident memory of a process that diagnoses the golden log (VmHWM, without its parent's)."""
+    code = (
+        "import sys; from service.diagnose import main; main(sys.argv[1:]); "
+        "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
+    )
+    command = [sys.executable, "-c", code, str(GOLDEN / "log"), "--bundle", str(GOLDEN / "bundle")]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    report("diagnosing the golden log, peak resident memory", [int(done.stdout.split()[-1]) / 1024], "MiB")
+
+
+if __name__ == "__main__":
+    graphs()
+    monitor()
+    memory()

@@ -1,0 +1,89 @@
+"""The main job end to end, and the README's commands on what it made."""
+
+import json
+import re
+import shlex
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from demo_run import FAULTLINE, Ran
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line and not line.startswith("#")]
+
+
+def test_it_isolates_both_faults_and_says_so(demo: Ran) -> None:
+    assert demo.code == 0, demo.out + demo.err
+    [du] = [line for line in demo.out.splitlines() if line.strip().startswith("fA_du from")]
+    [t] = [line for line in demo.out.splitlines() if line.strip().startswith("fA_t from")]
+    assert "first fA_du, 0 false alarms before: as promised" in du
+    assert "0 false alarms before: as promised" in t
+    assert "fault-free: 0 false alarms: as promised" in demo.out
+    assert "cannot tell: t02" in demo.out
+    assert "1. fA_du (dosing unit filter" in demo.out
+
+
+def test_it_draws_a_picture_of_every_evaluated_recording(demo: Ran) -> None:
+    pictures = sorted((demo.folder / "out" / "demo").glob("*.png"))
+    assert [path.name for path in pictures] == ["fA_du.png", "fA_t.png", "fault-free.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+
+
+def test_the_recordings_keep_the_truth_apart(demo: Ran) -> None:
+    out = demo.folder / "out" / "demo"
+    for folder in [*(out / "bench").iterdir(), *(out / "logs").iterdir()]:
+        names = {path.name for path in folder.iterdir()}
+        assert not any("truth" in name for name in names)
+    bench = tomllib.loads((out / "bench" / "training-1" / "recording.toml").read_text())
+    assert bench["kind"] == "bench"
+    log = tomllib.loads((out / "logs" / "training-1" / "recording.toml").read_text())
+    assert log["kind"] == "instrumented"
+    assert "external" not in log
+
+
+def test_calibration_tuning_and_evaluation_saw_disjoint_data(demo: Ran) -> None:
+    origin = json.loads((demo.folder / "out" / "demo" / "bundle" / "manifest.json").read_text())["origin"]
+    assert len(origin["calibrate"]) == 1
+    assert len(origin["tune"]) == 3
+    assert not set(origin["calibrate"]) & set(origin["tune"])
+
+
+def test_the_live_events_are_those_of_the_log(demo: Ran) -> None:
+    """20x over the bus against `diagnose`: the same transitions and candidates, each within two samples."""
+    out = demo.folder / "out" / "demo"
+    for name in ("validation-6-fA_du", "validation-7-fA_t"):
+        live = [json.loads(line) for line in (out / f"{name}.events.jsonl").read_text().splitlines()]
+        command = [FAULTLINE, "diagnose", out / "logs" / name, "--bundle", out / "bundle", "--json"]
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+        offline = [json.loads(line) for line in done.stdout.splitlines()]
+        for ours, theirs in zip(offline, live, strict=False):
+            assert ours["transition"] == theirs["transition"]
+            assert ours["diagnoses"] == theirs["diagnoses"]
+            assert abs(ours["tick"] - theirs["tick"]) <= 2
+        assert [e["transition"] for e in live[len(offline) :]] in ([], ["cannot_tell"], ["cannot_tell"] * 2)
+
+
+@pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith(".venv/bin/")])
+def test_every_command_of_the_readme_runs(demo: Ran, command: str) -> None:
+    words, _, comment = command.partition("  # ")
+    arguments = [FAULTLINE, *shlex.split(words)[1:]]
+    done = subprocess.run(arguments, cwd=demo.folder, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == (1 if "exits with 1" in comment else 0), done.stdout + done.stderr
+
+
+def test_the_readmes_make_targets_exist() -> None:
+    targets = [line.split()[1] for line in COMMANDS if line.startswith("make ")]
+    assert targets[:2] == ["demo", "test"]
+    makefile = (ROOT / "Makefile").read_text()
+    assert all(re.search(rf"^{target}:", makefile, flags=re.MULTILINE) for target in targets)
+
+
+def test_the_readme_shows_pictures_and_pages_that_exist() -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert any(link.endswith(".png") for link in links)
+    missing = [link for link in links if not (ROOT / link).exists()]
+    assert missing == []

@@ -1,0 +1,110 @@
+"""The same recording over a bus, in real time and 20 times faster, gives the verdicts of the log."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from service.bundle import load_bundle
+from service.core.events import Event, decode
+from service.logs import open_log
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().splitlines()]
+FAULTLINE = str(Path(sys.executable).with_name("faultline"))
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@contextlib.contextmanager
+def daemon(tmp_path: Path, bus: str, speed: float, out: IO[bytes] | None = None) -> Iterator["subprocess.Popen[bytes]"]:
+    """A running daemon that prints to `out`, stopped at the end as systemd would."""
+    command = [FAULTLINE, "run", "--bundle", str(GOLDEN / "bundle"), "--bus", bus, "--socket", str(tmp_path / "s")]
+    process = subprocess.Popen([*command, "--speed", str(speed), "--source", "golden"], stdout=out)
+    try:
+        for _ in range(200):
+            if (tmp_path / "s").exists() or process.poll() is not None:
+                break
+            time.sleep(0.1)
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(10)
+
+
+@pytest.mark.parametrize("speed", [20.0, 1.0])
+def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> None:
+    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    with (tmp_path / "out").open("wb") as out, daemon(tmp_path, bus, speed, out) as process:
+        watch = subprocess.Popen(
+            [FAULTLINE, "watch", "--socket", str(tmp_path / "s"), "--after", "0", "--json", "--wait", "10"],
+            stdout=subprocess.PIPE,
+        )
+        subprocess.run([FAULTLINE, "replay", str(GOLDEN / "log"), "--bus", bus, "--speed", str(speed)], check=True)
+        time.sleep(1.0)
+    lines, _ = watch.communicate(timeout=10)
+    assert process.returncode == 0
+    assert lines == (tmp_path / "out").read_bytes()  # the subscriber and standard output hear the same
+    live = [decode(line) for line in lines.splitlines()]
+    last = int(open_log(GOLDEN / "log").duration_s / load_bundle(GOLDEN / "bundle").manifest.period_s)
+    during = [event for event in live if event.tick <= last]
+    assert [(e.transition, e.diagnoses) for e in during] == [(e.transition, e.diagnoses) for e in OFFLINE]
+    assert all(abs(ours.tick - theirs.tick) <= 2 for ours, theirs in zip(during, OFFLINE, strict=True))
+    assert [event.id for event in live] == [f"golden-{k}" for k in range(1, len(live) + 1)]
+    assert all(event.wall is not None for event in live)
+    silence: list[Event] = live[len(during) :]  # after the end the bus is silent: no verdict, and no healing
+    assert [event.transition for event in silence] in ([], ["cannot_tell"])
+    assert all(event.diagnoses == OFFLINE[-1].diagnoses for event in silence)
+
+
+def test_a_subscriber_that_comes_late_hears_what_it_missed(tmp_path: Path) -> None:
+    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    with daemon(tmp_path, bus, 20.0):
+        subprocess.run([FAULTLINE, "replay", str(GOLDEN / "log"), "--bus", bus, "--speed", "20"], check=True)
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(tmp_path / "s"))
+            client.sendall(b'{"after": 2}\n')
+            with client.makefile("rb") as stream:
+                line = stream.readline()
+    assert decode(line).seq == 3
+
+
+def test_the_daemon_outlives_a_closed_standard_output(tmp_path: Path) -> None:
+    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    read, write = os.pipe()
+    with os.fdopen(write, "wb") as out, daemon(tmp_path, bus, 20.0, out) as process:
+        os.close(read)
+        subprocess.run([FAULTLINE, "replay", str(GOLDEN / "log"), "--bus", bus, "--speed", "20"], check=True)
+        assert process.poll() is None
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--bus", "socketcan:nocan7"], "nocan7"),
+        (["--bus", "carrier_pigeon:1"], "no bus 'carrier_pigeon:1'"),
+        (["--bundle", "nowhere"], "nowhere/manifest.json: not found"),
+    ],
+)
+def test_what_the_daemon_cannot_use_ends_it_with_one_line(tmp_path: Path, arguments: list[str], words: str) -> None:
+    given = {"--bundle": str(GOLDEN / "bundle"), "--bus": "udp_multicast:239.74.163.2:40000"}
+    given |= {"--socket": str(tmp_path / "s"), arguments[0]: arguments[1]}
+    command = [FAULTLINE, "run", *(word for pair in given.items() for word in pair)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
