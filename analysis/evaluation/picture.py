@@ -4,15 +4,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from analysis.evaluation.judge import Verdict
 from analysis.evaluation.story import Story
 from service.core.events import Event
+from service.core.modes import PARTIAL
 
 BAR = 1e5  # Pa
 MEASURED, PREDICTED, ALARM, ONSET = "#1f4e79", "#e07b00", "#c62828", "#444444"
+SPREADS = 12  # where a residual leaves its row of the picture
 SHOWN = {"y_p_ap": "after the pump", "y_p_du": "dosing unit", "y_p_tp": "before the pump"}
 
 
@@ -52,6 +55,11 @@ def _title(v: Verdict) -> str:
 def _pressures(axes: Axes, story: Story, signals: Sequence[str], verdict: Verdict) -> None:
     """Measured pressures, and what the first test that predicts each of them says."""
     names = [channel.signal for channel in story.bundle.manifest.inputs]
+    shown = story.z[:, [names.index(signal) for signal in signals]] / BAR
+    low, high = shown.min(), shown.max()
+    if low < np.median(shown) / 2:  # building up pressure at the start would flatten all that follows
+        low = np.quantile(shown, 0.1)
+    axes.set_ylim(low - 0.25 * (high - low), high + 0.1 * (high - low))
     for number, signal in enumerate(signals):
         measured = story.z[:, names.index(signal)] / BAR
         shade = (MEASURED, "#5b9bd5")[number]
@@ -83,16 +91,14 @@ def _inputs(axes: Axes, story: Story) -> None:
 
 
 def _residuals(axes: Axes, story: Story) -> None:
-    """Standardised by each test's fault-free spread, shifted so that ten traces can be told apart."""
+    """In parts of each test's fault-free spread, cut off at `SPREADS`, a row a test."""
     detectors = story.bundle.manifest.detectors
     for row, generator in enumerate(story.bundle.manifest.generators):
-        scale = detectors[row].scale[1]
-        trace = (story.r[:, row] / scale).clip(-12, 12)
+        trace = (story.r[:, row] / detectors[row].scale[PARTIAL]).clip(-SPREADS, SPREADS) / (2 * SPREADS)
         trace[~story.usable[:, row]] = float("nan")
-        axes.plot(story.t_s, trace / 12 - row, linewidth=0.6, color="#333333")
-        alarmed = abs(story.sums[:, row]) >= detectors[row].J
-        trace[~alarmed] = float("nan")
-        axes.plot(story.t_s, trace / 12 - row, linewidth=0.8, color=ALARM)
+        axes.plot(story.t_s, trace - row, linewidth=0.6, color="#333333")
+        trace[abs(story.sums[:, row]) < detectors[row].J] = float("nan")
+        axes.plot(story.t_s, trace - row, linewidth=0.8, color=ALARM)
         axes.text(story.t_s[0], -row, f"{generator.test} ", ha="right", va="center", fontsize=8)
     axes.set_yticks([])
     axes.set_ylabel("residuals\n(red: alarm)", labelpad=28)
@@ -111,8 +117,8 @@ def _told(axes: Axes, events: Sequence[Event], origin_s: float, end_s: float) ->
     """The diagnosis as told: a bar for each fault while it is an explanation, dark where it is ranked first."""
     faults: dict[str, int] = {}
     for event, following in zip(events, [*events[1:], None], strict=True):
-        start = origin_s + event.t_s
-        stop = origin_s + following.t_s if following else end_s
+        start = min(origin_s + event.t_s, end_s)
+        stop = min(origin_s + following.t_s, end_s) if following else end_s
         for diagnosis in event.diagnoses:
             for fault in diagnosis.faults or ["unknown"]:
                 row = faults.setdefault(fault, len(faults))
