@@ -4,16 +4,36 @@ import json
 import re
 import shlex
 import subprocess
+import sys
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from demo_run import FAULTLINE, Ran
 
+FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line and not line.startswith("#")]
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A finished demo: the folder it ran in, its exit code and what it printed."""
+
+    folder: Path
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    """One run, in a folder of its own, for every test that looks at what it made."""
+    folder = tmp_path_factory.mktemp("demo")
+    done = subprocess.run([FAULTLINE, "demo"], cwd=folder, capture_output=True, text=True, check=False, timeout=600)
+    return Ran(folder, done.returncode, done.stdout, done.stderr)
 
 
 def test_it_isolates_both_faults_and_says_so(demo: Ran) -> None:

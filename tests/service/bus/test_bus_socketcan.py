@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service import bus_socketcan
-from service.bus import BATCH, BusError, open_bus, socketcan_available
-from service.bus_socketcan import SocketCan, can_filters, unpack
+from service.bus import BusError, open_bus, socketcan, socketcan_available
+from service.bus.base import BATCH
+from service.bus.socketcan import SocketCan, can_filters, unpack
 from service.logs import Frame
 
 EXTENDED = 0x8000_0000
@@ -75,7 +75,7 @@ def test_what_is_no_data_frame_is_skipped_and_counted(ends: tuple[SocketCan, soc
 
 def test_takes_a_bounded_batch(ends: tuple[SocketCan, socket.socket], monkeypatch: pytest.MonkeyPatch) -> None:
     bus, kernel = ends
-    monkeypatch.setattr(bus_socketcan, "BATCH", 5)
+    monkeypatch.setattr(socketcan, "BATCH", 5)
     for _ in range(7):
         kernel.send(classic(1, 0, b""))
     assert [len(bus.receive()) for _ in range(3)] == [5, 2, 0]
@@ -197,7 +197,7 @@ def test_waits_for_room_in_the_sending_queue() -> None:
 
 
 def test_a_bus_that_takes_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_socketcan, "PATIENCE_S", -1.0)
+    monkeypatch.setattr(socketcan, "PATIENCE_S", -1.0)
     bus, _ = scripted(errno.ENOBUFS)
     with pytest.raises(BusError, match="can0: does not take frames: told so"):
         bus.send(Frame(0.0, 1, False, b""))

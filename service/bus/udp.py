@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from service.bus import BATCH, QUEUE, Bus, BusError
+from service.bus.base import BATCH, QUEUE, Bus, BusError
 from service.logs import Frame
 
 HOPS = 0
