@@ -150,10 +150,15 @@ class Demo:
     def _bundle(self) -> None:
         calibrated, tuning, bundle = self._out / "calibrated.toml", self._out / "tuning.json", self._out / "bundle"
         [calibrate] = self._of("calibrate")
+        found = json.loads(self._call("structure", "uds4", "--json"))
+        tests = [test for test in found["tests"] if test.get("residual")]
+        self._step(f"structure: {len(found['mtes'])} tests in the thesis's model, {len(tests)} with integral causality")
+        for test in tests:
+            print(f"   {test['name']} predicts {test['predicts']}, sensitive to {', '.join(test['faults'])}")
         self._step("calibrate: the thesis's four-state model is fitted to one fault-free run")
-        self._show(self._call("calibrate", "uds4", calibrate, "--out", calibrated))
+        self._show(self._call("calibrate", "uds4", calibrate, "--out", calibrated, show=True))
         self._step("tune: thresholds and ranking evidence from other fault-free runs")
-        self._show(self._call("tune", calibrated, *self._of("tune"), "--out", tuning))
+        self._show(self._call("tune", calibrated, *self._of("tune"), "--out", tuning, show=True))
         self._step("export: ten tests with integral causality as one ONNX graph in one bundle")
         dbc = calibrate / "uds.dbc"
         self._show(self._call("export", calibrated, "--tuning", tuning, "--dbc", dbc, "--out", bundle))
@@ -181,7 +186,7 @@ class Demo:
             ]
             try:
                 self._ready(where, daemon)
-                self._call("replay", log, "--bus", bus, "--speed", self._speed)
+                self._call("replay", log, "--bus", bus, "--speed", self._speed, show=True)
                 time.sleep(1.0)  # what was sent last is still on its way
             finally:
                 daemon.send_signal(signal.SIGTERM)
@@ -220,11 +225,15 @@ class Demo:
     def _show(self, text: str) -> None:
         print("\n".join(f"   {line}" for line in text.strip().splitlines()), flush=True)
 
-    def _call(self, *arguments: object, accept: Sequence[int] = (0,)) -> str:
-        """A command's standard output; raises `DemoError` with its last words where it fails."""
-        done = subprocess.run(_command(arguments), capture_output=True, text=True, check=False)
+    def _call(self, *arguments: object, accept: Sequence[int] = (0,), show: bool = False) -> str:
+        """A command's standard output; raises `DemoError` with its last words where it fails.
+
+        With `show` its progress and its errors appear on the terminal as they come.
+        """
+        errors = None if show else subprocess.PIPE
+        done = subprocess.run(_command(arguments), stdout=subprocess.PIPE, stderr=errors, text=True, check=False)
         if done.returncode not in accept:
-            words = done.stderr.strip().splitlines() or ["no message"]
+            words = (done.stderr or "see above").strip().splitlines()
             raise DemoError(f"faultline {' '.join(map(str, arguments))} exited with {done.returncode}: {words[-1]}")
         return done.stdout
 
