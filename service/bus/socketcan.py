@@ -23,6 +23,14 @@ IFF_UP = 1
 
 PATIENCE_S = 1.0  # how long a full sending queue may stay full
 
+_REMEDIES = {
+    errno.ENETDOWN: "ip link set {name} up",
+    errno.EINVAL: "more than 8 bytes need an interface with CAN FD, and 64 is the most",
+    errno.ENODEV: "start again once it is back",
+    errno.ENXIO: "start again once it is back",
+}
+"""What helps where sending failed at once."""
+
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _FD_FLAG = 0x04
@@ -54,6 +62,7 @@ class SocketCan(Bus):
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames; raises `BusError` where none will ever come again."""
         frames: list[Frame] = []
+        went_down = False
         for _ in range(BATCH):
             try:
                 content, extras, _flags, _address = self._socket.recvmsg(_FD.size, 256)
@@ -61,8 +70,9 @@ class SocketCan(Bus):
                 break
             except OSError as error:
                 self._lost(error)
-                break
-            self.link_down = False
+                went_down = True  # told ahead of the frames that came before it
+                continue
+            self.link_down = went_down
             stamp = self._extras(extras)
             frame = unpack(content, self._arrival(stamp))
             if frame is None:
@@ -104,9 +114,8 @@ class SocketCan(Bus):
             except OSError as error:
                 # A full queue shows as ENOBUFS and no poll reports when it has room again.
                 if error.errno not in (errno.EAGAIN, errno.ENOBUFS) or time.monotonic() > end:
-                    raise BusError(
-                        f"{self._name}: does not take frames: {error.strerror}; is anybody on the bus?"
-                    ) from error
+                    remedy = _REMEDIES.get(error.errno or 0, "is anybody on the bus?").format(name=self._name)
+                    raise BusError(f"{self._name}: does not take frames: {error.strerror}; {remedy}") from error
                 time.sleep(0.001)
             else:
                 return
@@ -133,7 +142,7 @@ def can_socket(name: str, identifiers: Iterable[int]) -> socket.socket:
     except OSError as error:
         sock.close()
         raise BusError(
-            f"socketcan:{name}: {error.strerror}; ip link add {name} type vcan && ip link set {name} up, "
+            f"socketcan:{name}: {error.strerror or error}; ip link add {name} type vcan && ip link set {name} up, "
             "or name an interface that is there"
         ) from error
     if not int(flags, 16) & IFF_UP:

@@ -10,8 +10,12 @@ from service.core.manifest import Manifest
 from service.core.ranking import EvidenceWindow, ranked
 from service.core.signals import Vector
 
-RANKING_PERIOD = 5
-"""Ranks are computed anew every so many ticks of an episode."""
+RANKING_PERIOD = 50
+"""Ranks are computed anew at every tick that this divides: seldom, and at the same ticks whatever the episode's first.
+
+A bus delivers the same recording with a little jitter each time; misfits compared at every tick would cross at
+another one each time.
+"""
 
 
 class Decision:
@@ -43,7 +47,7 @@ class Decision:
             self._window.clear()
             self._misfits = {}
         self._window.add(mode, residuals.r, residuals.usable)
-        if (tick - self._episode) % RANKING_PERIOD == 0:
+        if tick % RANKING_PERIOD == 0:
             self._misfits = self._window.misfits()
 
     @property

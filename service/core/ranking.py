@@ -7,7 +7,8 @@ predicts the shift mu_hc; its misfit is
 
 with the fault-free mean b, the long-run covariance per tick V, the allowance a for calibration error and drive-to-drive
 spread, and gamma for the error of the prediction itself. A fault's misfit is that of its best size. Faults whose
-misfits differ by less than `TIE` are not separated by the data and share a rank.
+misfits differ by less than `TIE`, or by less than the part `TIE_PART` of the larger one, share a rank: the data do not
+separate them, or neither explains the data.
 
 The window is fresh because samples from before the onset, pooled with later ones, look like a dose-dependent fault.
 """
@@ -21,7 +22,8 @@ from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
 
 GAMMA = 0.1
-TIE = 9.0
+TIE = 16.0
+TIE_PART = 0.25
 MINIMUM_TICKS = 10
 """A mode counts once this many ticks were seen in it."""
 
@@ -83,7 +85,8 @@ def ranked(candidates: Sequence[tuple[str, ...]], misfits: dict[str, float]) -> 
     if not all(len(candidate) == 1 and candidate[0] in misfits for candidate in candidates):
         return [(candidate, 1) for candidate in candidates]
     q = {candidate: misfits[candidate[0]] for candidate in candidates}
-    rank = {candidate: 1 + sum(other < q[candidate] - TIE for other in q.values()) for candidate in candidates}
+    behind = {candidate: q[candidate] - max(TIE, TIE_PART * q[candidate]) for candidate in candidates}
+    rank = {candidate: 1 + sum(other < behind[candidate] for other in q.values()) for candidate in candidates}
     return sorted(rank.items(), key=lambda item: (item[1], item[0]))
 
 

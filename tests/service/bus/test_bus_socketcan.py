@@ -183,6 +183,16 @@ def test_an_interface_that_goes_down_may_come_back() -> None:
     assert not bus.link_down
 
 
+def test_frames_queued_when_the_interface_went_down_are_taken_and_do_not_hide_it() -> None:
+    """The kernel reports ENETDOWN ahead of the frames that came before it (seen on Linux 6.1 with vcan)."""
+    bus, script = scripted(errno.ENETDOWN, (FRAME, []), (FRAME, []))
+    assert len(bus.receive()) == 2
+    assert bus.link_down
+    script.steps.append((FRAME, []))
+    assert len(bus.receive()) == 1
+    assert not bus.link_down
+
+
 def test_an_interface_that_was_removed_is_an_error() -> None:
     """A socket whose device was deleted never receives again, even when the device is back."""
     bus, _ = scripted(errno.ENODEV)
@@ -200,6 +210,16 @@ def test_a_bus_that_takes_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(socketcan, "PATIENCE_S", -1.0)
     bus, _ = scripted(errno.ENOBUFS)
     with pytest.raises(BusError, match="can0: does not take frames: told so"):
+        bus.send(Frame(0.0, 1, False, b""))
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [(errno.ENETDOWN, "ip link set can0 up"), (errno.EINVAL, "CAN FD"), (errno.ENXIO, "start again")],
+)
+def test_a_frame_refused_at_once_names_the_remedy(number: int, remedy: str) -> None:
+    bus, _ = scripted(number)
+    with pytest.raises(BusError, match=f"can0: does not take frames: told so; .*{remedy}"):
         bus.send(Frame(0.0, 1, False, b""))
 
 
