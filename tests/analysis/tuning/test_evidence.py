@@ -1,0 +1,139 @@
+"""The hypotheses say what the residuals do under a fault; known faults are asked for by sign, size and place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from analysis.graph.bank import Bank, build_bank
+from analysis.model import load_model
+from analysis.tuning.evidence import gather
+from analysis.tuning.thresholds import Seen, tune_detectors
+from service.core.manifest import MODES, Detector, Evidence
+from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from service.core.ranking import EvidenceWindow
+
+Array = npt.NDArray[np.float64]
+
+TICKS = 200
+STEADY = (IDLE, PARTIAL, MAXIMUM)
+LEVELS = {EDGE: (20.0, 0.2), IDLE: (20.0, 0.0), PARTIAL: (24.0, 0.4), MAXIMUM: (28.0, 1.0)}
+
+
+def plant(bank: Bank, seed: int, fault: dict[str, float]) -> Array:
+    """Samples (K, nz) of the model itself with sensor noise; t19, t20 and t21 use no sensor but their own."""
+    names = [test.name for test in bank.tests]
+    whole = bank.only([names.index(name) for name in ("t20", "t19", "t21")])
+    z = np.zeros((TICKS * len(LEVELS), 5))
+    z[:, 3:] = np.repeat(list(LEVELS.values()), TICKS, axis=0)
+    z[:, :3] = -whole.simulate([fault], z, whole.start(np.array([101325.0] * 3 + [0.0, 0.0])))[:, 0]
+    z[:, :3] += np.random.default_rng(seed).normal(0.0, [400.0, 800.0, 1000.0], (len(z), 3))
+    return z
+
+
+def watched(bank: Bank, seed: int, fault: dict[str, float] | None = None) -> Seen:
+    z = plant(bank, seed, fault or {})
+    r = bank.simulate([{}], z, bank.start(z[0]))[:, 0]
+    mode = np.repeat(list(LEVELS), TICKS)
+    mode[np.arange(len(z)) % TICKS < 20] = EDGE
+    usable = np.repeat((np.arange(len(z)) >= 20)[:, None], len(bank.tests), axis=1)
+    return Seen(f"made-{seed}", z, r, usable, mode)
+
+
+@dataclass(frozen=True)
+class Made:
+    bank: Bank
+    detectors: list[Detector]
+    recordings: list[Seen]
+    evidence: Evidence
+
+    def shift(self, fault: str, size: float) -> Array:
+        """(mode, generator)"""
+        [found] = [h for h in self.evidence.hypotheses if (h.fault, h.size) == (fault, size)]
+        return np.array(found.shift)
+
+    def column(self, test: str) -> int:
+        return self.evidence.generators.index(f"{test}.ode")
+
+
+@pytest.fixture(scope="module")
+def made() -> Made:
+    bank = build_bank(load_model("uds4"))
+    recordings = [watched(bank, 1), watched(bank, 2)]
+    detectors = tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)
+    return Made(bank, detectors, recordings, gather(bank, detectors, recordings))
+
+
+def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
+    expected = [(fault.name, size) for fault in made.bank.model.faults.values() for size in fault.sizes]
+    assert [(h.fault, h.size) for h in made.evidence.hypotheses] == expected
+    shape = (len(MODES), len(made.evidence.generators))
+    assert all(np.shape(h.shift) == shape for h in made.evidence.hypotheses)
+    assert np.shape(made.evidence.offset) == np.shape(made.evidence.allowance) == shape
+
+
+def test_a_clogged_filter_leaves_less_pressure_behind_it_the_more_the_worse(made: Made) -> None:
+    """y_p_du of t02, computed from y_p_ap through the filter: measured below predicted."""
+    column = made.column("t02")
+    sizes = made.bank.model.faults["fA_du"].sizes
+    shifts = np.array([made.shift("fA_du", size)[list(STEADY), column] for size in sizes])
+    assert (shifts < 0).all()
+    assert (np.diff(shifts, axis=0) < 0).all()
+
+
+@pytest.mark.parametrize(("fault", "test"), [("fy_p_du", "t02"), ("fy_p_tp", "t08")])
+@pytest.mark.parametrize("which", [0, -1])
+def test_an_offset_sensor_shifts_the_test_that_predicts_it_by_its_offset(
+    made: Made, fault: str, test: str, which: int
+) -> None:
+    size = made.bank.model.faults[fault].sizes[which]
+    np.testing.assert_allclose(made.shift(fault, size)[:, made.column(test)], size, rtol=1e-9)
+
+
+def test_a_test_that_does_not_see_a_fault_does_not_move(made: Made) -> None:
+    for hypothesis in made.evidence.hypotheses:
+        for column, name in enumerate(made.evidence.generators):
+            [generator] = [g for g in made.bank.generators if g.name == name]
+            if hypothesis.fault not in generator.faults:
+                assert np.abs(np.array(hypothesis.shift)[:, column]).max() < 1e-6, (hypothesis.fault, name)
+
+
+def test_the_shift_is_what_the_faulty_vehicle_shows(made: Made) -> None:
+    """The model with the fault, run as a vehicle, against the hypothesis, which has seen no faulty sample."""
+    fault = made.bank.model.faults["fA_du"]
+    faulty = watched(made.bank, 3, {"fA_du": fault.absolute(-0.6, made.bank.model)})
+    column = made.column("t02")
+    [row] = [k for k, g in enumerate(made.bank.generators) if g.name == "t02.ode"]
+    for mode in STEADY:
+        moved = faulty.r[faulty.mode == mode, row].mean() - np.array(made.evidence.offset)[mode, column]
+        np.testing.assert_allclose(moved, made.shift("fA_du", -0.6)[mode, column], rtol=0.15, atol=150.0)
+
+
+@pytest.mark.parametrize("name", ["fA_du", "fA_ori", "fA_t"])
+def test_the_true_fault_fits_best(made: Made, name: str) -> None:
+    fault = made.bank.model.faults[name]
+    faulty = watched(made.bank, 4, {name: fault.absolute(-0.6, made.bank.model)})
+    window = EvidenceWindow(made.evidence, [g.name for g in made.bank.generators])
+    for mode, r, usable in zip(faulty.mode, faulty.r, faulty.usable, strict=True):
+        window.add(int(mode), r, usable)
+    misfits = window.misfits()
+    assert min(misfits, key=lambda fault: misfits[fault]) == name
+
+
+def test_ranking_looks_at_independent_generators_with_proper_covariances(made: Made) -> None:
+    assert made.evidence.generators[0] == "t02.ode"
+    assert 2 <= len(made.evidence.generators) < len(made.bank.generators)
+    for noise in np.array(made.evidence.noise):
+        np.testing.assert_allclose(noise, noise.T)
+        assert np.linalg.eigvalsh(noise).min() > 0
+
+
+def test_the_allowance_is_never_below_its_part_of_the_spread(made: Made) -> None:
+    rows = [[d.generator for d in made.detectors].index(name) for name in made.evidence.generators]
+    scale = np.array([made.detectors[row].scale for row in rows]).T
+    assert (np.array(made.evidence.allowance) >= 0.3 * scale).all()
+
+
+def test_the_same_recordings_give_the_same_evidence(made: Made) -> None:
+    assert gather(made.bank, made.detectors, made.recordings) == made.evidence

@@ -1,0 +1,174 @@
+"""Detectors from made residuals whose centre, spread and lasting bias are known."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from analysis.tuning.thresholds import (
+    ALLOWANCE,
+    LASTING_TICKS,
+    MARGIN,
+    MINIMUM_J,
+    MINIMUM_TICKS,
+    Seen,
+    seen,
+    tune_detectors,
+)
+from service.core.cusum import Cusum
+from service.core.errors import InputError
+from service.core.manifest import MODES, Detector
+from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+
+Array = npt.NDArray[np.float64]
+
+CENTRE = np.array([100.0, -300.0, 50.0, 0.0])  # Pa, by mode
+SPREAD = np.array([200.0, 900.0, 400.0, 2000.0])
+FLOOR = np.array([100.0, 1.0])
+NAMES = ["ta.ode", "tb.ode"]
+
+
+def made(seed: int, ticks: int = 4000) -> Seen:
+    """White residuals of two generators in 100-tick holds of every mode; the second is twice the first."""
+    rng = np.random.default_rng(seed)
+    mode = np.tile(np.repeat([EDGE, IDLE, PARTIAL, MAXIMUM], 100), ticks // 400)
+    r = CENTRE[mode] + SPREAD[mode] * rng.standard_normal(ticks)
+    return Seen(f"made-{seed}", np.zeros((ticks, 5)), np.column_stack([r, 2 * r]), np.ones((ticks, 2), np.bool_), mode)
+
+
+def replaced(run: Seen, r: Array | None = None, usable: npt.NDArray[np.bool_] | None = None) -> Seen:
+    return Seen(run.name, run.z, run.r if r is None else r, run.usable if usable is None else usable, run.mode)
+
+
+def sums(detector: Detector, run: Seen, row: int = 0) -> Array:
+    """The detector's larger sum at every tick of a recording, by the vehicle's own CUSUM."""
+    cusum, reached = Cusum(detector.nu, detector.J), []
+    offset, scale = np.array(detector.offset), np.array(detector.scale)
+    for tick, value in enumerate((run.r[:, row] - offset[run.mode]) / scale[run.mode]):
+        cusum.update(tick, float(value))
+        reached.append(cusum.value)
+    return np.array(reached)
+
+
+RECORDINGS = [made(1), made(2)]
+DETECTORS = tune_detectors(NAMES, RECORDINGS, FLOOR)
+
+
+def test_centre_and_spread_of_every_mode_are_found() -> None:
+    assert [detector.generator for detector in DETECTORS] == NAMES
+    np.testing.assert_allclose(DETECTORS[0].scale, SPREAD, rtol=0.1)
+    assert (np.abs(np.array(DETECTORS[0].offset) - CENTRE) < 0.1 * SPREAD).all()
+    np.testing.assert_allclose(DETECTORS[1].scale, 2 * np.array(DETECTORS[0].scale))
+    np.testing.assert_allclose(DETECTORS[1].offset, 2 * np.array(DETECTORS[0].offset))
+
+
+def test_the_unit_of_a_residual_does_not_matter_to_its_thresholds() -> None:
+    first, second = DETECTORS
+    assert (second.nu, second.J) == pytest.approx((first.nu, first.J), rel=1e-12)
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_the_tuning_data_reach_no_more_than_half_of_the_threshold(row: int) -> None:
+    detector = DETECTORS[row]
+    largest = max(sums(detector, run, row).max() for run in RECORDINGS)
+    assert 0 < largest <= detector.J / MARGIN + 1e-9
+    assert detector.J >= MINIMUM_J
+    assert detector.nu > ALLOWANCE
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_shift_of_several_spreads_alarms_soon_and_a_small_one_never(sign: int) -> None:
+    fresh, detector = made(3), DETECTORS[0]
+    shift = np.zeros_like(fresh.r)
+    shift[2000:, 0] = sign * np.array(detector.scale)[fresh.mode[2000:]]
+    reached = sums(detector, replaced(fresh, r=fresh.r + 4 * shift))
+    alarm = int(np.argmax(reached >= detector.J))
+    assert 2000 < alarm < 2000 + 2 * detector.J / (4 - detector.nu)
+    assert sums(detector, replaced(fresh, r=fresh.r + ALLOWANCE / 2 * shift)).max() < detector.J
+
+
+def test_what_lasts_goes_into_the_drift() -> None:
+    """A bias of three spreads for 15 s in one tuning recording is no fault: nu covers it with the allowance on top."""
+    biased = made(4)
+    r = biased.r.copy()
+    r[1130 : 1130 + LASTING_TICKS, 0] -= 3 * SPREAD[IDLE]
+    hold = biased.mode[1130 : 1130 + LASTING_TICKS]
+    detector = tune_detectors(NAMES, [*RECORDINGS, replaced(biased, r=r)], FLOOR)[0]
+    standard = np.abs(np.mean((r[1130 : 1130 + LASTING_TICKS, 0] - CENTRE[hold]) / SPREAD[hold]))
+    assert detector.nu == pytest.approx(ALLOWANCE + standard, rel=0.2)
+    assert detector.nu > DETECTORS[0].nu + 0.5
+    assert sums(detector, replaced(biased, r=r)).max() <= detector.J / MARGIN + 1e-9
+
+
+def test_a_burst_too_short_to_last_goes_into_the_threshold() -> None:
+    """Three seconds at eight spreads in a tuning recording: J is twice the sum that they reach."""
+    bursting = made(4)
+    r = bursting.r.copy()
+    r[1130:1145, 0] += 8 * SPREAD[bursting.mode[1130:1145]]
+    burst = replaced(bursting, r=r)
+    detector = tune_detectors(NAMES, [*RECORDINGS, burst], FLOOR)[0]
+    assert detector.nu < 3.0
+    np.testing.assert_allclose(detector.J, MARGIN * sums(detector, burst).max())
+    assert detector.J > 3 * MINIMUM_J
+
+
+def test_residuals_quieter_than_the_sensor_have_the_sensors_spread() -> None:
+    still = replaced(made(1), r=np.zeros((4000, 2)))
+    [detector, _] = tune_detectors(NAMES, [still], np.array([80.0, 80.0]))
+    assert detector.scale == [40.0] * len(MODES)
+    assert (detector.offset, detector.nu, detector.J) == ([0.0] * len(MODES), ALLOWANCE, MINIMUM_J)
+
+
+def test_an_outlier_moves_neither_centre_nor_spread() -> None:
+    wild = made(1)
+    r = wild.r.copy()
+    r[::400] = 1e7
+    ours = tune_detectors(NAMES, [replaced(wild, r=r)], FLOOR)[0]
+    theirs = tune_detectors(NAMES, [wild], FLOOR)[0]
+    np.testing.assert_allclose(ours.scale, theirs.scale, rtol=0.1)
+
+
+def test_what_is_not_usable_is_not_looked_at() -> None:
+    run = made(1)
+    usable, r = run.usable.copy(), run.r.copy()
+    usable[500:600, 0] = False
+    r[500:600, 0] = np.nan
+    first, second = tune_detectors(NAMES, [replaced(run, r=r, usable=usable)], FLOOR)
+    assert np.isfinite([*first.offset, *first.scale, first.nu, first.J]).all()
+    assert second == tune_detectors(NAMES, [run], FLOOR)[1]
+
+
+@pytest.mark.parametrize("mode", range(len(MODES)))
+def test_a_missing_mode_is_refused_by_name(mode: int) -> None:
+    run = made(1)
+    visited = np.flatnonzero(run.mode == mode)
+    for kept in (0, MINIMUM_TICKS - 1):
+        usable = run.usable.copy()
+        usable[visited[kept:], 1] = False
+        with pytest.raises(
+            InputError, match=rf"tuning data \(made-1\): tb.ode saw mode '{MODES[mode]}' for {kept} ticks only; add a"
+        ):
+            tune_detectors(NAMES, [replaced(run, usable=usable)], FLOOR)
+
+
+def test_a_mode_may_be_spread_over_recordings() -> None:
+    first, second = made(1), made(2)
+    halves = []
+    for run, mode in ((first, IDLE), (second, MAXIMUM)):
+        halves.append(replaced(run, usable=np.repeat((run.mode != mode)[:, None], 2, axis=1)))
+    assert len(tune_detectors(NAMES, halves, FLOOR)) == 2
+
+
+@pytest.mark.xfail(raises=ValueError, reason="_largest_lasting takes the maximum of nothing")
+def test_a_recording_shorter_than_what_lasts_does_not_break_the_tuning() -> None:
+    """A recording cut off in its warm-up adds a few usable ticks, or none; the others suffice."""
+    stub = made(5)
+    usable = np.zeros_like(stub.usable)
+    usable[: LASTING_TICKS - 10] = True
+    assert tune_detectors(NAMES, [*RECORDINGS, replaced(stub, usable=usable)], FLOOR)[0].J >= MINIMUM_J
+
+
+@pytest.mark.xfail(raises=IndexError, reason="seen gives one-dimensional arrays where no tick has every input usable")
+def test_a_recording_without_a_usable_tick_is_refused() -> None:
+    """Such as a log without the added sensors."""
+    with pytest.raises(InputError, match="production"):
+        tune_detectors(NAMES, [seen("production", [])], FLOOR)
