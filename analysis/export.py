@@ -4,6 +4,7 @@ import argparse
 import hashlib
 import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.model import dump_model, load_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
-from service.bundle import MANIFEST, Golden, decode_manifest, load_bundle, verify_golden
+from service.bundle import MANIFEST, SEAL, Bundle, Golden, decode_manifest, load_bundle, seal, verify_golden
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank
@@ -20,8 +21,7 @@ from service.core.manifest import SCHEMA, Fault, File, Manifest, Origin
 DBC, GRAPH, GOLDEN = "uds.dbc", "ode.onnx", "golden.json"
 
 EXAMPLE = """example:
-  faultline export out/calibrated.toml --tuning out/tuning.json --dbc out/logs/bench-training-s1/uds.dbc --out
-  out/bundle
+  faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
 """
 
 
@@ -42,20 +42,21 @@ def main(argv: list[str]) -> int:
         raise InputError(
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
-    if not options.dbc.is_file():
-        raise InputError(f"{options.dbc}: not found; give the DBC that the recordings were made with")
-    _make_room(options.out, options.force)
-    write_bundle(bank, tuning, options.dbc.read_bytes(), options.out)
-    bundle = load_bundle(options.out)
-    verify_golden(bundle)
+    dbc = _dbc(options.dbc, bank)
+    _check_room(options.out, options.force)
+    files = bundle_files(bank, tuning, dbc, str(options.out))
+    bundle = _put(files, options.out)
     size = sum(file.size for file in bundle.manifest.files.values())
     print(f"wrote {options.out}: {len(bank.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
     return 0
 
 
-def write_bundle(bank: Bank, tuning: Tuning, dbc: bytes, out: Path) -> None:
-    """Writes the folder. The same model, tuning and DBC give the same bytes."""
-    compile_dbc(dbc.decode(), {channel.signal: channel.unit for channel in bank.inputs}, "the DBC")
+def bundle_files(bank: Bank, tuning: Tuning, dbc: bytes, where: str) -> dict[str, bytes]:
+    """The files of the bundle by name; the same model, tuning and DBC give the same bytes.
+
+    Raises:
+        BundleError: the parts contradict each other; `where` is the bundle's name in the message.
+    """
     graph = bank.graph()
     files = {DBC: dbc, GRAPH: graph, GOLDEN: _golden(bank, graph, tuning)}
     manifest = Manifest(
@@ -84,11 +85,20 @@ def write_bundle(bank: Bank, tuning: Tuning, dbc: bytes, out: Path) -> None:
         evidence=tuning.evidence,
     )
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
-    decode_manifest(raw, str(out / MANIFEST))
-    out.mkdir(parents=True)
-    for name, content in files.items():
-        (out / name).write_bytes(content)
-    (out / MANIFEST).write_bytes(raw)
+    decode_manifest(raw, f"{where}: {MANIFEST}")
+    return {**files, MANIFEST: raw, SEAL: seal(raw)}
+
+
+def _dbc(path: Path, bank: Bank) -> bytes:
+    if not path.is_file():
+        raise InputError(f"{path}: not found; give the DBC that the recordings were made with")
+    raw = path.read_bytes()
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a DBC file in UTF-8: {error}; save it as UTF-8") from error
+    compile_dbc(text, {channel.signal: channel.unit for channel in bank.inputs}, str(path))
+    return raw
 
 
 def _golden(bank: Bank, graph: bytes, tuning: Tuning) -> bytes:
@@ -98,7 +108,23 @@ def _golden(bank: Bank, graph: bytes, tuning: Tuning) -> bytes:
     return msgspec.json.encode(Golden(z=tuning.golden_z, r=r))
 
 
-def _make_room(out: Path, force: bool) -> None:
+def _put(files: dict[str, bytes], out: Path) -> Bundle:
+    """Writes the folder, whole or not at all: a bundle that was there is gone only when the new one has proved good."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".faultline-", dir=out.parent) as scratch:
+        new = Path(scratch) / out.name
+        new.mkdir()
+        for name, content in files.items():
+            (new / name).write_bytes(content)
+        bundle = load_bundle(new)
+        verify_golden(bundle)
+        if out.exists():
+            shutil.rmtree(out)
+        new.rename(out)
+    return bundle
+
+
+def _check_room(out: Path, force: bool) -> None:
     """An existing bundle is replaced when asked for; any other folder is left alone."""
     if not out.exists():
         return
@@ -106,4 +132,3 @@ def _make_room(out: Path, force: bool) -> None:
         raise InputError(f"{out}: exists and is no bundle; give another folder")
     if not force:
         raise InputError(f"{out}: exists already; give another folder or --force")
-    shutil.rmtree(out)

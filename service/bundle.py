@@ -1,7 +1,10 @@
-"""Reads a bundle folder, strictly: header, then hashes, then the manifest; nothing is parsed that was not checked.
+"""Reads a bundle folder, strictly: seal, manifest, hashes, content; nothing is parsed whose hash was not checked.
 
-A bundle is `manifest.json` and the files it lists: the graph, the DBC and the golden vectors. Errors name the path of
-the bad value (`generators[2].inputs[0]`).
+A bundle is `manifest.json`, its seal `manifest.sha256`, and the files that the manifest lists: the graph, the DBC and
+the golden vectors; nothing else. Errors name the path of the bad value (`generators[2].inputs[0]`).
+
+Seal and hashes protect against damage in copying and against mixing files of two bundles, not against an attacker: who
+can change the manifest can seal it anew. That takes a signature, which a bundle does not have yet.
 """
 
 import hashlib
@@ -11,19 +14,29 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+import onnxruntime as ort
+from onnxruntime.capi import onnxruntime_pybind11_state
 
+from service.core.consistency import inconsistencies, uneven
 from service.core.decode import DecodeTable, compile_dbc
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank
-from service.core.manifest import SCHEMA, Manifest
+from service.core.manifest import SCHEMA, File, Manifest
 
 T = TypeVar("T")
 
 MANIFEST = "manifest.json"
+SEAL = "manifest.sha256"
 MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
 
 TOLERANCE_PA = 1e-3
 """How far a replayed golden residual may be from the exported one: another processor rounds differently, no more."""
+
+GRAPH_ERRORS: tuple[type[Exception], ...] = (
+    *(e for e in vars(onnxruntime_pybind11_state).values() if isinstance(e, type) and issubclass(e, Exception)),
+    *(RuntimeError, ValueError, IndexError, OverflowError, MemoryError),
+)
+"""What onnxruntime raises: its own exceptions, which have no base in common, and what pybind11 makes of C++'s."""
 
 
 class BundleError(InputError):
@@ -38,9 +51,10 @@ class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Bundle(NamedTuple):
-    """A verified bundle. `id` is the SHA-256 of the manifest's bytes."""
+    """A verified bundle. `id` is the SHA-256 of the manifest's bytes, `where` its folder, for messages."""
 
     id: str
+    where: str
     manifest: Manifest
     graph: bytes
     table: DecodeTable
@@ -51,25 +65,27 @@ class Bundle(NamedTuple):
         return GeneratorBank(self.graph, self.manifest.generators, self.manifest.inputs)
 
 
+def seal(raw: bytes) -> bytes:
+    """The content of `manifest.sha256` for a manifest's bytes, such that `sha256sum -c manifest.sha256` checks it."""
+    return f"{hashlib.sha256(raw).hexdigest()}  {MANIFEST}\n".encode()
+
+
 def load_bundle(folder: Path) -> Bundle:
     """The bundle in `folder`.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
     """
-    raw = _read(folder / MANIFEST, "is this a bundle folder made by `faultline export`?")
-    manifest = decode_manifest(raw, str(folder / MANIFEST))
-    contents = {name: _checked(folder / name, file.sha256, file.size) for name, file in manifest.files.items()}
-    dbc = _listed(manifest.dbc, contents, "dbc", folder)
-    graph = _listed(manifest.graph, contents, "graph", folder)
-    golden = _listed(manifest.golden, contents, "golden", folder)
-    units = {channel.signal: channel.unit for channel in manifest.inputs}
     try:
-        table = compile_dbc(dbc.decode(), units, str(folder / manifest.dbc))
-    except UnicodeDecodeError as error:
-        raise BundleError(f"{folder / manifest.dbc}: not text: {error}; export the bundle again") from error
-    vectors = _decode(golden, Golden, str(folder / manifest.golden))
-    return Bundle(hashlib.sha256(raw).hexdigest(), manifest, graph, table, vectors)
+        raw, manifest, contents = _whole(folder)
+    except OSError as error:
+        place = error.filename or folder
+        raise BundleError(f"{place}: cannot be read: {error.strerror}; check the folder's permissions") from error
+    table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
+    graph = contents[manifest.graph]
+    _check_graph(graph, manifest, str(folder / manifest.graph))
+    golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
+    return Bundle(hashlib.sha256(raw).hexdigest(), str(folder), manifest, graph, table, golden)
 
 
 def decode_manifest(raw: bytes, where: str) -> Manifest:
@@ -77,10 +93,10 @@ def decode_manifest(raw: bytes, where: str) -> Manifest:
     schema = _decode(raw, _Header, where).schema
     if schema != SCHEMA:
         raise BundleError(
-            f"{where}: schema: this is {schema!r}, this faultline runs {SCHEMA!r}; install the matching version"
+            f"{where}: schema: this is {schema[:80]!r}, this faultline runs {SCHEMA!r}; install the matching version"
         )
     manifest = _decode(raw, Manifest, where)
-    for problem in _inconsistencies(manifest):
+    for problem in inconsistencies(manifest):
         raise BundleError(f"{where}: {problem}; export the bundle again")
     return manifest
 
@@ -94,11 +110,17 @@ def verify_golden(bundle: Bundle) -> None:
     bank = bundle.bank()
     usable = np.ones(len(bundle.manifest.inputs), dtype=np.bool_)
     for tick, (z, expected) in enumerate(zip(bundle.golden.z, bundle.golden.r, strict=True)):
-        difference = np.abs(bank.step(np.array(z), usable).r - np.array(expected))
+        try:
+            r = bank.step(np.array(z), usable).r
+        except GRAPH_ERRORS as error:
+            raise BundleError(
+                f"{bundle.where}: golden vector {tick}: {_line(error)}; export the bundle again"
+            ) from error
+        difference = np.abs(r - np.array(expected))
         if not (difference <= TOLERANCE_PA).all():
             name = bundle.manifest.generators[int(np.argmax(difference))].name
             raise BundleError(
-                f"bundle {bundle.manifest.name}: golden vector {tick}: {name} is off by {difference.max():g} Pa; "
+                f"{bundle.where}: golden vector {tick}: {name} is off by {difference.max():g} Pa; "
                 "this machine's onnxruntime computes something else than the exporter's: install the same version"
             )
 
@@ -107,62 +129,115 @@ class _Header(msgspec.Struct):
     schema: str
 
 
-def _read(path: Path, hint: str) -> bytes:
+def _whole(folder: Path) -> tuple[bytes, Manifest, dict[str, bytes]]:
+    """The manifest's bytes, what they say, and the content of every file by name: all there, unchanged, nothing else.
+
+    Raises:
+        BundleError: it is not so.
+        OSError: the folder or a file in it cannot be read.
+    """
+    raw = _read(folder / MANIFEST, "is this a bundle folder made by `faultline export`?")
+    _check_seal(raw, folder)
+    manifest = decode_manifest(raw, str(folder / MANIFEST))
+    _check_unlisted(folder, manifest)
+    return raw, manifest, {name: _checked(folder / name, file) for name, file in manifest.files.items()}
+
+
+def _read(path: Path, remedy: str) -> bytes:
     if not path.is_file():
-        raise BundleError(f"{path}: not found; {hint}")
+        raise BundleError(f"{path}: not found; {remedy}")
     if path.stat().st_size > MAXIMUM_SIZE:
         raise BundleError(f"{path}: larger than {MAXIMUM_SIZE} bytes; this is no faultline bundle")
     return path.read_bytes()
 
 
-def _checked(path: Path, sha256: str, size: int) -> bytes:
+def _check_seal(raw: bytes, folder: Path) -> None:
+    path = folder / SEAL
+    given = _read(path, "it seals the manifest; copy the whole bundle folder, or export the bundle again")
+    if re.fullmatch(rb"[0-9a-f]{64}  manifest\.json\n", given) is None:
+        raise BundleError(f"{path}: not one line of `sha256sum {MANIFEST}`; copy the bundle again from its source")
+    if given != seal(raw):
+        raise BundleError(f"{path}: the bytes of {MANIFEST} differ from it; copy the bundle again from its source")
+
+
+def _check_unlisted(folder: Path, manifest: Manifest) -> None:
+    unlisted = sorted({path.name for path in folder.iterdir()} - {MANIFEST, SEAL, *manifest.files})
+    if unlisted:
+        names = ", ".join(repr(name) for name in unlisted[:5]) + (", ..." if len(unlisted) > 5 else "")
+        raise BundleError(f"{folder}: the manifest does not list {names}; remove what is not part of the bundle")
+
+
+def _checked(path: Path, file: File) -> bytes:
     raw = _read(path, "the manifest lists it; copy the whole bundle folder")
-    if len(raw) != size or hashlib.sha256(raw).hexdigest() != sha256:
+    if len(raw) != file.size or hashlib.sha256(raw).hexdigest() != file.sha256:
         raise BundleError(
             f"{path}: its bytes differ from the manifest's SHA-256; copy the bundle again from its source"
         )
     return raw
 
 
-def _listed(name: str, contents: dict[str, bytes], field: str, folder: Path) -> bytes:
-    if name not in contents:
-        raise BundleError(f"{folder / MANIFEST}: {field}: {name!r} is not in files; export the bundle again")
-    return contents[name]
+def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
+    units = {channel.signal: channel.unit for channel in manifest.inputs}
+    try:
+        return compile_dbc(raw.decode(), units, where)
+    except UnicodeDecodeError as error:
+        raise BundleError(f"{where}: not text: {error}; export the bundle again") from error
+    except InputError as error:
+        raise BundleError(str(error)) from error
+
+
+def _check_graph(raw: bytes, manifest: Manifest, where: str) -> None:
+    """Whether the graph's inputs and outputs are those that the manifest's lists imply: z (B, nz), x (B, nx), ..."""
+    nx, tests = sum(len(generator.states) for generator in manifest.generators), len(manifest.generators)
+    inputs = {"z": len(manifest.inputs), "x": nx}
+    outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 4  # what is wrong is said once, by the exception
+    try:
+        session = ort.InferenceSession(raw, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    except GRAPH_ERRORS as error:
+        raise BundleError(
+            f"{where}: no graph that onnxruntime {ort.__version__} runs: {_line(error)}; export the bundle again"
+        ) from error
+    for kind, wanted, nodes in (("input", inputs, session.get_inputs()), ("output", outputs, session.get_outputs())):
+        if sorted(node.name for node in nodes) != sorted(wanted):
+            names = ", ".join(repr(node.name) for node in nodes)
+            raise BundleError(f"{where}: its {kind}s are {names}, not {', '.join(wanted)}; export the bundle again")
+        for node in nodes:
+            batch, *width = node.shape or [1]
+            if node.type != "tensor(double)" or isinstance(batch, int) or width != [wanted[node.name]]:
+                raise BundleError(
+                    f"{where}: {kind} {node.name} is a {node.type} of shape {node.shape}, the manifest needs "
+                    f"a tensor(double) of shape ['B', {wanted[node.name]}]; export the bundle again"
+                )
+
+
+def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:
+    golden = _decode(raw, Golden, where)
+    if not golden.z or len(golden.z) != len(golden.r):
+        raise BundleError(
+            f"{where}: {len(golden.z)} z and {len(golden.r)} r, not as many, at least one; export the bundle again"
+        )
+    for problem in (
+        *uneven(golden.z, len(manifest.inputs), "z", "inputs"),
+        *uneven(golden.r, len(manifest.generators), "r", "generators"),
+    ):
+        raise BundleError(f"{where}: {problem}; export the bundle again")
+    return golden
 
 
 def _decode(raw: bytes, kind: type[T], where: str) -> T:
     try:
         return msgspec.json.decode(raw, type=kind)
     except msgspec.ValidationError as error:
-        message, _, path = str(error).partition(" - at `$")
-        raise BundleError(f"{where}: {path.rstrip('`').lstrip('.') or 'top level'}: {message}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BundleError(f"{where}: not JSON: {error}; copy the bundle again from its source") from error
+        message, _, path = _line(error).partition(" - at `")
+        place = path.replace("`", "").replace("$.", "")  # from `$.a[0].b`, or `key` in `$.a`
+        raise BundleError(f"{where}: {place or 'top level'}: {message[:200]}; export the bundle again") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BundleError(f"{where}: not JSON: {_line(error)}; copy the bundle again from its source") from error
 
 
-def _inconsistencies(manifest: Manifest) -> list[str]:
-    """What the fields say of each other that cannot be, each with its path."""
-    signals = {channel.signal for channel in manifest.inputs}
-    faults = {fault.name for fault in manifest.faults}
-    names = [generator.name for generator in manifest.generators]
-    found = []
-    for row, generator in enumerate(manifest.generators):
-        found += [f"generators[{row}].inputs: unknown signal {s!r}" for s in generator.inputs if s not in signals]
-        found += [f"generators[{row}].faults: unknown fault {f!r}" for f in generator.faults if f not in faults]
-        for column, state in enumerate(generator.states):
-            unknown = [signal for signal in state.gain if signal not in signals]
-            found += [f"generators[{row}].states[{column}].gain: unknown signal {signal!r}" for signal in unknown]
-    if [detector.generator for detector in manifest.detectors] != names:
-        found.append("detectors: not one for each generator, in the same order")
-    found += [
-        f"evidence.generators: unknown generator {name!r}" for name in manifest.evidence.generators if name not in names
-    ]
-    if manifest.modes.signal not in signals:
-        found.append(f"modes.signal: unknown signal {manifest.modes.signal!r}")
-    overlap = set(manifest.origin.calibrate) & set(manifest.origin.tune)
-    if overlap:
-        found.append(f"origin: data set {min(overlap)[:12]} was used to calibrate and to tune")
-    for name in manifest.files:
-        if re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name) is None:
-            found.append(f"files: {name!r} is not a plain file name")
-    return found
+def _line(error: Exception) -> str:
+    """The error's message in one line."""
+    return " ".join(str(error).split())

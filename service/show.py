@@ -8,8 +8,8 @@ import msgspec
 from service.bundle import Bundle, load_bundle, verify_golden
 
 EXAMPLE = """example:
-  faultline bundle show out/bundle
-  faultline bundle verify out/bundle
+  faultline bundle show bundle
+  faultline bundle verify bundle
 """
 
 
@@ -19,7 +19,7 @@ def main(argv: list[str]) -> int:
         "faultline bundle", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "action", choices=["show", "verify"], help="show: what is in it; verify: hashes and golden vectors"
+        "action", choices=["show", "verify"], help="show: what is in it; verify: seal, hashes and golden vectors"
     )
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--json", action="store_true", help="show: the manifest as JSON")
@@ -28,8 +28,9 @@ def main(argv: list[str]) -> int:
     if options.action == "verify":
         verify_golden(bundle)
         ticks = len(bundle.golden.z)
+        files = len(bundle.manifest.files)
         print(
-            f"{options.bundle}: whole, {len(bundle.manifest.files)} files, {ticks} golden vectors agree; id {bundle.id}"
+            f"{options.bundle}: the seal holds, {files} files are whole, {ticks} golden vectors agree; id {bundle.id}"
         )
     elif options.json:
         print(msgspec.json.encode(bundle.manifest).decode())

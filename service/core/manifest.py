@@ -1,16 +1,32 @@
 """The manifest of a bundle: everything the vehicle knows about its tests, as frozen data.
 
 `service.bundle` reads it from a folder; the core computes with it. Units are SI: Pa, 1/s, 1 for ratios, s.
+
+The types here say what a single value may be, and decoding enforces it; what values must say of each other is in
+`service.core.consistency`.
 """
 
-from typing import Final, Literal
+from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 SCHEMA: Final = "faultline.bundle/1"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
+
+T = TypeVar("T")
+
+Name = Annotated[str, Meta(pattern=r"\A\w[\w.-]*\Z", max_length=80)]
+Text = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]*\Z", max_length=1000)]  # it is printed in one line
+Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Period = Annotated[float, Meta(ge=1e-3)]  # shorter ones would keep the vehicle computing ticks for ever
+Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
+NotEmpty = Annotated[list[T], Meta(min_length=1)]
+PerMode = Annotated[list[T], Meta(min_length=len(MODES), max_length=len(MODES))]
 
 
 class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -20,25 +36,25 @@ class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class File(_Part, frozen=True):
     """A file of the bundle: SHA-256 of its bytes and its size [bytes]."""
 
-    sha256: str
-    size: int
+    sha256: Sha256
+    size: Annotated[int, Meta(ge=0)]
 
 
 class Origin(_Part, frozen=True):
     """What the bundle was made from. The data sets of calibration and tuning (SHA-256 of the logs) are disjoint."""
 
-    model: str
-    model_sha256: str
-    calibrate: list[str]
-    tune: list[str]
+    model: Text
+    model_sha256: Sha256
+    calibrate: list[Sha256]
+    tune: NotEmpty[Sha256]
 
 
 class Input(_Part, frozen=True):
     """A column of `z`: a signal of the DBC in the bundle's unit; `lower` and `upper` bound the operating region."""
 
-    signal: str
-    unit: str
-    maximum_age_s: float
+    signal: Name
+    unit: Text
+    maximum_age_s: Positive
     lower: float
     upper: float
 
@@ -46,9 +62,9 @@ class Input(_Part, frozen=True):
 class State(_Part, frozen=True):
     """A column of `x`; a fresh state is `offset + sum(gain[signal] * z[signal])`."""
 
-    name: str
+    name: Name
     offset: float
-    gain: dict[str, float]
+    gain: dict[Name, float]
 
 
 class Generator(_Part, frozen=True):
@@ -58,13 +74,13 @@ class Generator(_Part, frozen=True):
     order).
     """
 
-    name: str
-    test: str
-    predicts: str
-    inputs: list[str]
+    name: Name
+    test: Name
+    predicts: Name
+    inputs: NotEmpty[Name]
     states: list[State]
-    faults: list[str]
-    warm_up_ticks: int
+    faults: list[Name]
+    warm_up_ticks: Ticks
 
 
 class Modes(_Part, frozen=True):
@@ -74,29 +90,29 @@ class Modes(_Part, frozen=True):
     after an input has moved by more than its entry in `edges` from one tick to the next.
     """
 
-    signal: str
+    signal: Name
     idle_below: float
     maximum_above: float
-    edges: dict[str, float]
-    settle_ticks: int
+    edges: dict[Name, Positive]
+    settle_ticks: Ticks
 
 
 class Detector(_Part, frozen=True):
     """The two-sided CUSUM of one generator on (r - offset) / scale of the mode; drift `nu`, threshold `J`."""
 
-    generator: str
-    offset: list[float]
-    scale: list[float]
-    nu: float
-    J: float
+    generator: Name
+    offset: PerMode[float]
+    scale: PerMode[Positive]
+    nu: NotNegative
+    J: Positive
 
 
 class Fault(_Part, frozen=True):
     """A fault and the component it names."""
 
-    name: str
-    component: str
-    description: str
+    name: Name
+    component: Text
+    description: Text
 
 
 class Hypothesis(_Part, frozen=True):
@@ -105,9 +121,9 @@ class Hypothesis(_Part, frozen=True):
     Predicted by the model from fault-free recordings; no fault recording is needed or used.
     """
 
-    fault: str
+    fault: Name
     size: float
-    shift: list[list[float]]
+    shift: PerMode[list[float]]
 
 
 class Evidence(_Part, frozen=True):
@@ -118,28 +134,28 @@ class Evidence(_Part, frozen=True):
     generator) [Pa] what calibration error and drive-to-drive spread may add.
     """
 
-    generators: list[str]
-    offset: list[list[float]]
-    noise: list[list[list[float]]]
-    allowance: list[list[float]]
+    generators: NotEmpty[Name]
+    offset: PerMode[list[float]]
+    noise: PerMode[list[list[float]]]
+    allowance: PerMode[list[NotNegative]]
     hypotheses: list[Hypothesis]
 
 
 class Manifest(_Part, frozen=True):
-    """One bundle. `files` covers every other file in the folder; `period_s` is the tick Ts."""
+    """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts."""
 
     schema: Literal["faultline.bundle/1"]
-    name: str
+    name: Text
     sensor_set: Literal["production", "instrumented"]
-    period_s: float
-    start_within_s: float
-    dbc: str
-    graph: str
-    golden: str
+    period_s: Period
+    start_within_s: NotNegative
+    dbc: Name
+    graph: Name
+    golden: Name
     files: dict[str, File]
     origin: Origin
-    inputs: list[Input]
-    generators: list[Generator]
+    inputs: NotEmpty[Input]
+    generators: NotEmpty[Generator]
     modes: Modes
     detectors: list[Detector]
     faults: list[Fault]

@@ -1,31 +1,23 @@
-"""Strict loading: nothing changed, unknown, missing or contradictory gets past; errors name the path."""
+"""A bundle folder is whole or refused: nothing changed, missing, added or of another version gets past."""
 
 import hashlib
 import json
-import shutil
-from collections.abc import Callable
+import re
+import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
+from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
 from service import show
-from service.bundle import BundleError, load_bundle, verify_golden
+from service.bundle import BundleError, load_bundle, seal, verify_golden
 
-GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "bundle"
+FILES = ["ode.onnx", "uds.dbc", "golden.json"]
 
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(GOLDEN, tmp_path / "bundle"))
-
-
-def edit(bundle: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Changes the manifest as an exporter could have written it."""
-    path = bundle / "manifest.json"
-    manifest = json.loads(path.read_text())
-    change(manifest)
-    path.write_text(json.dumps(manifest))
+    return copied(tmp_path)
 
 
 def test_the_golden_bundle_loads_and_computes_what_was_exported(bundle: Path) -> None:
@@ -36,79 +28,171 @@ def test_the_golden_bundle_loads_and_computes_what_was_exported(bundle: Path) ->
     assert names == ["t02", "t06", "t08", "t09", "t10", "t12", "t13", "t19", "t20", "t21"]
 
 
-@pytest.mark.parametrize("name", ["ode.onnx", "uds.dbc", "golden.json"])
+def test_the_seal_is_what_sha256sum_writes_and_checks(bundle: Path) -> None:
+    made = subprocess.run(["sha256sum", "manifest.json"], cwd=bundle, capture_output=True, check=True).stdout
+    assert (bundle / "manifest.sha256").read_bytes() == seal((bundle / "manifest.json").read_bytes()) == made
+    subprocess.run(["sha256sum", "--check", "--strict", "manifest.sha256"], cwd=bundle, check=True)
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_a_changed_byte_in_any_file_is_refused(bundle: Path, name: str) -> None:
     content = bytearray((bundle / name).read_bytes())
     content[len(content) // 2] ^= 1
     (bundle / name).write_bytes(content)
-    with pytest.raises(BundleError, match=rf"{name}: its bytes differ from the manifest's SHA-256"):
-        load_bundle(bundle)
+    refused(bundle, rf"{name}: its bytes differ from the manifest's SHA-256; copy the bundle again")
 
 
-@pytest.mark.parametrize("name", ["ode.onnx", "uds.dbc", "golden.json", "manifest.json"])
+def test_a_changed_byte_in_the_manifest_is_refused_though_it_still_makes_sense(bundle: Path) -> None:
+    """The threshold of the first detector begins with a 9: nothing but the seal could tell."""
+    raw = (bundle / "manifest.json").read_bytes()
+    (bundle / "manifest.json").write_bytes(re.sub(rb'"J": \d', b'"J": 9', raw, count=1))
+    assert (bundle / "manifest.json").read_bytes() != raw
+    refused(bundle, r"manifest\.sha256: the bytes of manifest\.json differ from it; copy the bundle again")
+
+
+def test_the_seal_is_looked_at_before_the_manifest_is_parsed(bundle: Path) -> None:
+    (bundle / "manifest.json").write_bytes(b"{")
+    refused(bundle, r"manifest\.sha256: the bytes of manifest\.json differ")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\n",
+        b"a" * 64,
+        b"a" * 63 + b"  manifest.json\n",
+        b"A" * 64 + b"  manifest.json\n",
+        b"a" * 64 + b"  other.json\n",
+        b"a" * 64 + b"  manifest.json\r\n",
+        b"a" * 64 + b"  manifest.json\n" + b"a" * 64 + b"  uds.dbc\n",
+        b"\xff\xfe\x00",
+    ],
+)
+def test_a_malformed_seal_is_refused(bundle: Path, content: bytes) -> None:
+    (bundle / "manifest.sha256").write_bytes(content)
+    refused(bundle, r"manifest\.sha256: not one line of `sha256sum manifest\.json`; copy the bundle again")
+
+
+@pytest.mark.parametrize("name", [*FILES, "manifest.json", "manifest.sha256"])
 def test_a_missing_file_is_named(bundle: Path, name: str) -> None:
     (bundle / name).unlink()
-    with pytest.raises(BundleError, match=f"{name}: not found"):
-        load_bundle(bundle)
+    refused(bundle, f"{name}: not found; ")
+
+
+def test_what_the_manifest_does_not_list_is_refused_by_name(bundle: Path) -> None:
+    (bundle / ".hidden").touch()
+    (bundle / "old").mkdir()
+    refused(bundle, r"the manifest does not list '\.hidden', 'old'; remove what is not part of the bundle")
+
+
+def test_many_files_too_many_are_told_in_one_short_line(bundle: Path) -> None:
+    for number in range(300):
+        (bundle / f"copy {number:03}\nof it").touch()
+    refused(bundle, r"does not list 'copy 000\\nof it', .* 'copy 004\\nof it', \.\.\.; remove")
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused(bundle: Path) -> None:
+    (bundle / "ode.onnx").unlink()
+    (bundle / "ode.onnx").mkdir()
+    refused(bundle, r"ode\.onnx: not found; the manifest lists it")
+
+
+@pytest.mark.parametrize("name", [*FILES, "manifest.json", "manifest.sha256"])
+def test_a_file_of_absurd_size_is_not_even_read(bundle: Path, name: str) -> None:
+    with (bundle / name).open("r+b") as file:
+        file.truncate(100 * 2**30)  # sparse
+    refused(bundle, f"{name}: larger than 67108864 bytes")
+
+
+def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(path: Path) -> bytes:
+        raise OSError(5, "Input/output error", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", broken)
+    refused(bundle, r"manifest\.json: cannot be read: Input/output error; check the folder's permissions")
 
 
 @pytest.mark.parametrize("schema", ["faultline.bundle/2", "faultline.bundle/0", "other/1"])
 def test_an_unknown_version_is_refused_before_anything_else(bundle: Path, schema: str) -> None:
-    def change(manifest: dict[str, Any]) -> None:
-        manifest.update(schema=schema, something_new=1)
-
-    edit(bundle, change)
-    with pytest.raises(BundleError, match=f"schema: this is '{schema}', this faultline runs 'faultline.bundle/1'"):
-        load_bundle(bundle)
+    edit(bundle, lambda manifest: manifest.update(schema=schema, something_new=1))
+    refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/1'")
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    "raw",
+    [b"", b'{"schema": "faultline.bundle/1", ', b'{"a": ' + b"[" * 100_000, b'{"schema": "\\ud800"}', b"\xff\xfe{"],
+)
+def test_a_manifest_that_is_not_json_is_refused(bundle: Path, raw: bytes) -> None:
+    write(bundle, raw)
+    refused(bundle, r"manifest\.json: (not JSON|top level|schema)")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
     [
-        (lambda m: m.update(extra=1), "unknown field `extra`"),
-        (lambda m: m.pop("period_s"), "period_s"),
-        (lambda m: m["generators"][2].update(warm_up_ticks="many"), r"generators\[2\].warm_up_ticks: Expected `int`"),
-        (lambda m: m["inputs"][0].update(unit=5), r"inputs\[0\].unit: Expected `str`"),
-        (lambda m: m["generators"][1]["inputs"].append("y_x"), r"generators\[1\].inputs: unknown signal 'y_x'"),
-        (lambda m: m["generators"][0]["faults"].append("fX"), r"generators\[0\].faults: unknown fault 'fX'"),
-        (lambda m: m["generators"][0]["states"][0]["gain"].update(y_x=1.0), r"states\[0\].gain: unknown signal 'y_x'"),
-        (lambda m: m["detectors"].reverse(), "detectors: not one for each generator"),
-        (lambda m: m["evidence"]["generators"].append("t99"), "evidence.generators: unknown generator 't99'"),
-        (lambda m: m["modes"].update(signal="y_x"), "modes.signal: unknown signal 'y_x'"),
-        (
-            lambda m: m["origin"]["tune"].extend(m["origin"]["calibrate"]),
-            "origin: data set .* used to calibrate and to",
-        ),
-        (lambda m: m.update(graph="other.onnx"), "graph: 'other.onnx' is not in files"),
-        (lambda m: m["files"].update({"../x": {"sha256": "0", "size": 1}}), "files: '../x' is not a plain file name"),
+        (b"\xff\xfe", r"uds\.dbc: not text: "),
+        (b"BO_ 1 A: x", r"uds\.dbc: not a valid DBC file: "),
+        (b'VERSION ""\n\nBS_:\n\nBU_: A\n', r"uds\.dbc: no message carries y_p_tp, y_p_ap"),
     ],
 )
-def test_what_the_manifest_cannot_mean_is_named_by_its_path(
-    bundle: Path, change: Callable[[dict[str, Any]], object], message: str
-) -> None:
-    edit(bundle, change)
-    with pytest.raises(BundleError, match=message) as caught:
-        load_bundle(bundle)
-    assert str(bundle) in str(caught.value)
-    assert "\n" not in str(caught.value)
+def test_a_dbc_that_cannot_feed_the_generators_is_refused(bundle: Path, content: bytes, message: str) -> None:
+    put(bundle, "uds.dbc", content)
+    refused(bundle, message)
 
 
-def test_a_manifest_that_is_not_json_is_refused(bundle: Path) -> None:
-    (bundle / "manifest.json").write_bytes(b'{"schema": "faultline.bundle/1", ')
-    with pytest.raises(BundleError, match="not JSON"):
-        load_bundle(bundle)
+@pytest.mark.parametrize("content", [b"", b"garbage" * 100, (GOLDEN / "ode.onnx").read_bytes()[:10_000]])
+def test_a_graph_that_is_none_is_refused(bundle: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    put(bundle, "ode.onnx", content)
+    refused(bundle, r"ode\.onnx: no graph that onnxruntime .* runs: .*; export the bundle again")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_graph_with_other_outputs_is_refused(bundle: Path) -> None:
+    put(bundle, "ode.onnx", (bundle / "ode.onnx").read_bytes().replace(b"novelty", b"noveltz"))
+    refused(bundle, r"ode\.onnx: its outputs are 'r', .*'noveltz', 'x_next', not r, y_hat, sigma, novelty, x_next; ")
+
+
+def test_a_graph_that_breaks_while_it_runs_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from onnxruntime.capi.onnxruntime_pybind11_state import InvalidArgument
+
+    def broken(*_: object, **__: object) -> None:
+        raise InvalidArgument("[ONNXRuntimeError] : 2 :\nno such shape")
+
+    loaded = load_bundle(bundle)
+    monkeypatch.setattr("service.core.generators.GeneratorBank.step", broken)
+    with pytest.raises(BundleError, match=r"golden vector 0: \[ONNXRuntimeError\] : 2 : no such shape;") as caught:
+        verify_golden(loaded)
+    check_line(bundle, caught.value)
+
+
+@pytest.mark.parametrize(
+    ("z", "r", "message"),
+    [
+        ([], [], "0 z and 0 r, not as many, at least one"),
+        ([[0.0] * 5] * 2, [[0.0] * 10], "2 z and 1 r, not as many"),
+        ([[0.0] * 5, [0.0] * 4], [[0.0] * 10] * 2, r"z\[1\]: has length 4, but there are 5 inputs"),
+        ([[0.0] * 5], [[0.0] * 11], r"r\[0\]: has length 11, but there are 10 generators"),
+        ([[0.0] * 5], [[None] * 10], r"r\[0\]\[0\]: Expected `float`, got `null`"),
+        ({}, [], r"z: Expected `array`, got `object`"),
+    ],
+)
+def test_golden_vectors_of_another_shape_are_refused(bundle: Path, z: object, r: object, message: str) -> None:
+    put(bundle, "golden.json", json.dumps({"z": z, "r": r}).encode())
+    refused(bundle, rf"golden\.json: {message}")
 
 
 def test_golden_vectors_catch_a_machine_that_computes_something_else(bundle: Path) -> None:
     loaded = load_bundle(bundle)
     loaded.golden.r[30][4] += 0.01
-    with pytest.raises(BundleError, match=r"golden vector 30: t10.ode is off by 0.01"):
+    with pytest.raises(BundleError, match=r"golden vector 30: t10.ode is off by 0.01") as caught:
         verify_golden(loaded)
+    check_line(bundle, caught.value)
 
 
 def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert show.main(["verify", str(bundle)]) == 0
-    assert "golden vectors agree" in capsys.readouterr().out
+    assert "the seal holds, 3 files are whole, 150 golden vectors agree" in capsys.readouterr().out
     assert show.main(["show", str(bundle)]) == 0
     out = capsys.readouterr().out
     assert "t21.ode" in out

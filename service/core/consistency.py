@@ -1,0 +1,137 @@
+"""What the parts of a manifest must say of each other; each thing that cannot be is told with the path of its value."""
+
+import re
+from collections.abc import Container, Iterable, Iterator, Sequence, Sized
+
+import numpy as np
+
+from service.core.manifest import MODES, Evidence, Manifest
+from service.core.signals import Vector
+
+FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
+ROUNDING = 1e-9  # of a correlation
+
+
+def inconsistencies(manifest: Manifest) -> Iterator[str]:
+    """The contradictions, one after the other: only the first is sure, as each check relies on those before it."""
+    yield from _files(manifest)
+    yield from _names(manifest)
+    yield from _generators(manifest)
+    yield from _decision(manifest)
+    yield from _evidence(manifest.evidence)
+
+
+def uneven(rows: Sequence[Sized], wanted: int, path: str, what: str) -> Iterator[str]:
+    """Rows that do not have one entry for each of the `wanted` things called `what`.
+
+    >>> list(uneven([[1.0, 2.0], [3.0]], 2, "z", "inputs"))
+    ['z[1]: has length 1, but there are 2 inputs']
+    """
+    for index, row in enumerate(rows):
+        if len(row) != wanted:
+            yield f"{path}[{index}]: has length {len(row)}, but there are {wanted} {what}"
+
+
+def _files(manifest: Manifest) -> Iterator[str]:
+    for name in manifest.files:
+        if FILE_NAME.fullmatch(name) is None:
+            yield f"files: {name[:100]!r} is not a plain file name"
+    for field, name in (("dbc", manifest.dbc), ("graph", manifest.graph), ("golden", manifest.golden)):
+        if name not in manifest.files:
+            yield f"{field}: {name!r} is not in files"
+    overlap = set(manifest.origin.calibrate) & set(manifest.origin.tune)
+    if overlap:
+        yield f"origin: data set {min(overlap)[:12]} was used to calibrate and to tune"
+
+
+def _names(manifest: Manifest) -> Iterator[str]:
+    """One name, one thing: everything after this finds its parts by name."""
+    generators = manifest.generators
+    yield from _repeated([channel.signal for channel in manifest.inputs], "inputs", ".signal")
+    yield from _repeated([generator.name for generator in generators], "generators", ".name")
+    yield from _repeated([generator.test for generator in generators], "generators", ".test")
+    yield from _repeated([fault.name for fault in manifest.faults], "faults", ".name")
+    yield from _repeated(manifest.evidence.generators, "evidence.generators")
+    for row, generator in enumerate(generators):
+        yield from _repeated([state.name for state in generator.states], f"generators[{row}].states", ".name")
+
+
+def _generators(manifest: Manifest) -> Iterator[str]:
+    signals = {channel.signal for channel in manifest.inputs}
+    faults = {fault.name for fault in manifest.faults}
+    for column, channel in enumerate(manifest.inputs):
+        if not channel.lower < channel.upper:
+            yield f"inputs[{column}].lower: {channel.lower:g} is not below upper, {channel.upper:g}"
+    for row, generator in enumerate(manifest.generators):
+        path = f"generators[{row}]"
+        yield from _unknown(generator.inputs, signals, f"{path}.inputs", "signal")
+        yield from _unknown(generator.faults, faults, f"{path}.faults", "fault")
+        yield from _unknown([generator.predicts], signals, f"{path}.predicts", "signal")
+        if generator.predicts not in generator.inputs:
+            yield f"{path}.predicts: {generator.predicts!r} is not one of its inputs"
+        for column, state in enumerate(generator.states):
+            yield from _unknown(state.gain, signals, f"{path}.states[{column}].gain", "signal")
+            for signal in state.gain:
+                if signal not in generator.inputs:  # nobody would look whether its sensor can be used
+                    yield f"{path}.states[{column}].gain: {signal!r} is not one of the generator's inputs"
+
+
+def _decision(manifest: Manifest) -> Iterator[str]:
+    signals = {channel.signal for channel in manifest.inputs}
+    faults = {fault.name for fault in manifest.faults}
+    names = [generator.name for generator in manifest.generators]
+    modes, evidence = manifest.modes, manifest.evidence
+    yield from _unknown([modes.signal], signals, "modes.signal", "signal")
+    yield from _unknown(modes.edges, signals, "modes.edges", "signal")
+    if not modes.idle_below < modes.maximum_above:
+        yield f"modes.idle_below: {modes.idle_below:g} is not below maximum_above, {modes.maximum_above:g}"
+    if [detector.generator for detector in manifest.detectors] != names:
+        yield "detectors: not one for each generator, in the same order"
+    yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
+    for index, hypothesis in enumerate(evidence.hypotheses):
+        yield from _unknown([hypothesis.fault], faults, f"evidence.hypotheses[{index}].fault", "fault")
+
+
+def _evidence(evidence: Evidence) -> Iterator[str]:
+    """The shapes over modes and evidence generators, and noise that can be divided by."""
+    K = len(evidence.generators)
+    what = "evidence generators"
+    yield from uneven(evidence.offset, K, "evidence.offset", what)
+    yield from uneven(evidence.allowance, K, "evidence.allowance", what)
+    yield from uneven(evidence.noise, K, "evidence.noise", what)
+    for mode, rows in enumerate(evidence.noise):
+        yield from uneven(rows, K, f"evidence.noise[{mode}]", what)
+    for index, hypothesis in enumerate(evidence.hypotheses):
+        yield from uneven(hypothesis.shift, K, f"evidence.hypotheses[{index}].shift", what)
+    for mode, rows in enumerate(evidence.noise):
+        if not _is_covariance(np.array(rows)):
+            yield f"evidence.noise[{mode}]: mode {MODES[mode]}: not symmetric and positive definite"
+
+
+def _is_covariance(V: Vector) -> bool:
+    """Whether `V` (K, K) is symmetric and positive definite, judged by its correlations, which have no unit.
+
+    >>> _is_covariance(np.array([[4e8, 1e4], [1e4, 1.0]])), _is_covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    (True, False)
+    """
+    variance = V.diagonal()
+    if not (variance > 0).all():
+        return False
+    spread = np.sqrt(variance)
+    with np.errstate(over="ignore"):
+        correlation = V / spread / spread[:, None]
+    if np.abs(correlation).max() > 1 + ROUNDING or np.abs(correlation - correlation.T).max() > ROUNDING:
+        return False
+    return bool(np.linalg.eigvalsh(correlation)[0] > ROUNDING)
+
+
+def _repeated(names: Sequence[str], path: str, field: str = "") -> Iterator[str]:
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield f"{path}[{index}]{field}: {name!r} is there twice"
+
+
+def _unknown(names: Iterable[str], known: Container[str], path: str, kind: str) -> Iterator[str]:
+    for name in names:
+        if name not in known:
+            yield f"{path}: unknown {kind} {name!r}"

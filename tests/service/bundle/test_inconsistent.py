@@ -1,0 +1,162 @@
+"""A sealed manifest that cannot be meant is refused with the path of the bad value."""
+
+from pathlib import Path
+
+import pytest
+from made_bundle import Change, copied, edit, refused, write
+
+SINGLE_VALUES: list[tuple[Change, str]] = [
+    (lambda m: m.update({"a\nb" * 1000: 1}), "top level: Object contains unknown field `a b"),
+    (lambda m: m.update(extra=1), "top level: Object contains unknown field `extra`"),
+    (lambda m: m.pop("period_s"), "top level: .* `period_s`"),
+    (lambda m: m.update(period_s=0), r"period_s: Expected `float` >= 0\.001"),
+    (lambda m: m.update(period_s=1e-12), r"period_s: Expected `float` >= 0\.001"),
+    (lambda m: m.update(start_within_s=-1), r"start_within_s: Expected `float` >= 0"),
+    (lambda m: m.update(name="a\nb"), "name: Expected `str` matching"),
+    (lambda m: m.update(sensor_set="other"), "sensor_set: Invalid enum value 'other'"),
+    (lambda m: m["files"]["uds.dbc"].update(size=-1), r"files\[\.\.\.\]\.size: Expected `int` >= 0"),
+    (lambda m: m["files"]["uds.dbc"].update(sha256="A" * 64), r"files\[\.\.\.\]\.sha256: Expected `str` matching"),
+    (lambda m: m["origin"].update(model_sha256="0" * 63), r"origin\.model_sha256: Expected `str` matching"),
+    (lambda m: m["origin"]["calibrate"].append("x"), r"origin\.calibrate\[1\]: Expected `str` matching"),
+    (lambda m: m["origin"].update(tune=[]), r"origin\.tune: Expected `array` of length >= 1"),
+    (lambda m: m.update(inputs=[]), "inputs: Expected `array` of length >= 1"),
+    (lambda m: m["inputs"][0].update(unit=5), r"inputs\[0\]\.unit: Expected `str`"),
+    (lambda m: m["inputs"][2].update(maximum_age_s=0), r"inputs\[2\]\.maximum_age_s: Expected `float` > 0"),
+    (lambda m: m["inputs"][0].update(signal="y" * 99), r"inputs\[0\]\.signal: Expected `str` of length <= 80"),
+    (lambda m: m.update(generators=[]), "generators: Expected `array` of length >= 1"),
+    (lambda m: m["generators"][2].update(warm_up_ticks="many"), r"generators\[2\]\.warm_up_ticks: Expected `int`"),
+    (lambda m: m["generators"][2].update(warm_up_ticks=-1), r"generators\[2\]\.warm_up_ticks: Expected `int` >= 0"),
+    (lambda m: m["generators"][2].update(warm_up_ticks=10**30), r"generators\[2\]\.warm_up_ticks: Expected `int` <="),
+    (lambda m: m["generators"][2].update(inputs=[]), r"generators\[2\]\.inputs: Expected `array` of length >= 1"),
+    (lambda m: m["generators"][0]["states"][0]["gain"].update({"": 1}), r"key in generators\[0\]\.states\[0\]\.gain: "),
+    (lambda m: m["modes"].update(settle_ticks=-1), r"modes\.settle_ticks: Expected `int` >= 0"),
+    (lambda m: m["modes"]["edges"].update(n_p=0), r"modes\.edges\[\.\.\.\]: Expected `float` > 0"),
+    (lambda m: m["detectors"][3]["scale"].__setitem__(2, 0), r"detectors\[3\]\.scale\[2\]: Expected `float` > 0"),
+    (lambda m: m["detectors"][3]["scale"].pop(), r"detectors\[3\]\.scale: Expected `array` of length >= 4"),
+    (lambda m: m["detectors"][3]["offset"].append(0), r"detectors\[3\]\.offset: Expected `array` of length <= 4"),
+    (lambda m: m["detectors"][3].update(nu=-0.1), r"detectors\[3\]\.nu: Expected `float` >= 0"),
+    (lambda m: m["detectors"][3].update(J=0), r"detectors\[3\]\.J: Expected `float` > 0"),
+    (lambda m: m["evidence"].update(generators=[]), r"evidence\.generators: Expected `array` of length >= 1"),
+    (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["allowance"][1].__setitem__(2, -1), r"evidence\.allowance\[1\]\[2\]: Expected `float` >="),
+    (
+        lambda m: m["evidence"]["hypotheses"][7]["shift"].pop(),
+        r"evidence\.hypotheses\[7\]\.shift: Expected `array` of length >= 4",
+    ),
+]
+
+TOGETHER: list[tuple[Change, str]] = [
+    (lambda m: m["files"].update({"../x": {"sha256": "0" * 64, "size": 1}}), r"files: '\.\./x' is not a plain file"),
+    (lambda m: m["files"].update({".x": {"sha256": "0" * 64, "size": 1}}), r"files: '\.x' is not a plain file name"),
+    (lambda m: m["files"].update({"x" * 5000: {"sha256": "0" * 64, "size": 1}}), "files: 'xx.*' is not a plain file"),
+    (lambda m: m.update(dbc="other.dbc"), r"dbc: 'other\.dbc' is not in files"),
+    (lambda m: m.update(graph="other.onnx"), r"graph: 'other\.onnx' is not in files"),
+    (lambda m: m.update(golden=""), "golden: Expected `str` matching"),
+    (lambda m: m["origin"]["tune"].extend(m["origin"]["calibrate"]), "origin: data set .* used to calibrate and to"),
+    (lambda m: m["inputs"].append(m["inputs"][1]), r"inputs\[5\]\.signal: 'y_p_ap' is there twice"),
+    (lambda m: m["inputs"][1].update(lower=2e6), r"inputs\[1\]\.lower: 2e\+06 is not below upper, 1\.6e\+06"),
+    (lambda m: m["inputs"][1].update(lower=1.6e6), r"inputs\[1\]\.lower: 1\.6e\+06 is not below upper, 1\.6e\+06"),
+    (lambda m: m["faults"].append(m["faults"][0]), r"faults\[9\]\.name: 'fq_pump' is there twice"),
+    (lambda m: m["generators"][1].update(name="t02.ode"), r"generators\[1\]\.name: 't02\.ode' is there twice"),
+    (lambda m: m["generators"][1].update(test="t02"), r"generators\[1\]\.test: 't02' is there twice"),
+    (lambda m: m["generators"][1]["inputs"].append("y_x"), r"generators\[1\]\.inputs: unknown signal 'y_x'"),
+    (lambda m: m["generators"][1].update(predicts="y_x"), r"generators\[1\]\.predicts: unknown signal 'y_x'"),
+    (
+        lambda m: m["generators"][0].update(predicts="y_p_tp"),
+        r"generators\[0\]\.predicts: 'y_p_tp' is not one of its inputs",
+    ),
+    (lambda m: m["generators"][0]["faults"].append("fX"), r"generators\[0\]\.faults: unknown fault 'fX'"),
+    (
+        lambda m: m["generators"][1]["states"][1].update(name="p_bp"),
+        r"generators\[1\]\.states\[1\]\.name: 'p_bp' is there twice",
+    ),
+    (
+        lambda m: m["generators"][0]["states"][0]["gain"].update(y_x=1.0),
+        r"generators\[0\]\.states\[0\]\.gain: unknown signal 'y_x'",
+    ),
+    (
+        lambda m: m["generators"][0]["states"][0]["gain"].update(y_p_tp=1.0),
+        r"generators\[0\]\.states\[0\]\.gain: 'y_p_tp' is not one of the generator's inputs",
+    ),
+    (lambda m: m["detectors"].reverse(), "detectors: not one for each generator, in the same order"),
+    (lambda m: m["detectors"].pop(), "detectors: not one for each generator, in the same order"),
+    (lambda m: m["modes"].update(signal="y_x"), r"modes\.signal: unknown signal 'y_x'"),
+    (lambda m: m["modes"]["edges"].update(y_x=1.0), r"modes\.edges: unknown signal 'y_x'"),
+    (lambda m: m["modes"].update(idle_below=0.99), r"modes\.idle_below: 0\.99 is not below maximum_above, 0\.98"),
+    (lambda m: m["evidence"]["generators"].append("t99"), r"evidence\.generators: unknown generator 't99'"),
+    (
+        lambda m: m["evidence"]["generators"].append("t02.ode"),
+        r"evidence\.generators\[3\]: 't02\.ode' is there twice",
+    ),
+    (
+        lambda m: m["evidence"]["generators"].append("t06.ode"),
+        r"evidence\.offset\[0\]: has length 3, but there are 4 evidence generators",
+    ),
+    (lambda m: m["evidence"]["offset"][2].pop(), r"evidence\.offset\[2\]: has length 2, but there are 3"),
+    (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 4, but there are 3"),
+    (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 2, but there are 3"),
+    (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 2, but there are 3"),
+    (
+        lambda m: m["evidence"]["hypotheses"][7]["shift"][3].pop(),
+        r"evidence\.hypotheses\[7\]\.shift\[3\]: has length 2, but there are 3 evidence generators",
+    ),
+    (
+        lambda m: m["evidence"]["hypotheses"][7].update(fault="fX"),
+        r"evidence\.hypotheses\[7\]\.fault: unknown fault 'fX'",
+    ),
+]
+
+SINGULAR = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+SKEW = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+HUGE = [[1e-300, 1e300, 0.0], [1e300, 1e-300, 0.0], [0.0, 0.0, 1.0]]
+NEGATIVE = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+NOTHING = [[0.0] * 3] * 3
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    return copied(tmp_path)
+
+
+@pytest.mark.parametrize(("change", "message"), SINGLE_VALUES + TOGETHER)
+def test_what_the_manifest_cannot_mean_is_named_by_its_path(bundle: Path, change: Change, message: str) -> None:
+    edit(bundle, change)
+    refused(bundle, rf"manifest\.json: {message}.*; export the bundle again")
+
+
+@pytest.mark.parametrize("noise", [SINGULAR, SKEW, HUGE, NEGATIVE, NOTHING])
+def test_noise_that_ranking_could_not_divide_by_is_refused(bundle: Path, noise: list[list[float]]) -> None:
+    edit(bundle, lambda m: m["evidence"]["noise"].__setitem__(2, noise))
+    refused(bundle, r"evidence\.noise\[2\]: mode maximum: not symmetric and positive definite")
+
+
+@pytest.mark.parametrize("number", [b"1e999", b"-1e999", b"1" + b"0" * 400])
+def test_a_number_beyond_the_finite_ones_is_refused(bundle: Path, number: bytes) -> None:
+    raw = (bundle / "manifest.json").read_bytes()
+    assert b'"lower": 20000.0' in raw
+    write(bundle, raw.replace(b'"lower": 20000.0', b'"lower": ' + number, 1))
+    refused(bundle, r"inputs\[0\]\.lower: Number out of range")
+
+
+@pytest.mark.parametrize("number", [b"NaN", b"Infinity", b"-Infinity"])
+def test_what_json_does_not_know_is_refused(bundle: Path, number: bytes) -> None:
+    raw = (bundle / "manifest.json").read_bytes()
+    write(bundle, raw.replace(b'"lower": 20000.0', b'"lower": ' + number, 1))
+    refused(bundle, "not JSON: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m["generators"][1]["states"].pop(), r"input x .* \['B', 29\], .* a tensor\(double\) .* \['B', 28\]"),
+        (
+            lambda m: m["inputs"].reverse() or m["inputs"].append({**m["inputs"][0], "signal": "P"}),
+            r"no message carries P",
+        ),
+    ],
+)
+def test_a_manifest_of_another_graph_is_refused(bundle: Path, change: Change, message: str) -> None:
+    edit(bundle, change)
+    refused(bundle, message)
