@@ -14,7 +14,7 @@ from analysis.recordings.observe import observe, open_known
 from service.core.decode import compile_dbc
 
 EXAMPLE = """example:
-  faultline calibrate uds4 out/logs/bench-training-s1 --out out/calibrated.toml
+  faultline calibrate uds4 logs/bench-training-s1 --out calibrated.toml
 """
 
 

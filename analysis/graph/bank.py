@@ -48,7 +48,7 @@ class Bank:
 
     def stacked(self, trials: Sequence[Trial]) -> Stacked:
         """The matrices for each trial, a mapping of parameters and faults that differ from the model's values."""
-        return stack(self.evaluator(trials))
+        return stack(self.evaluator(trials), PERIOD_S)
 
     def graph(self) -> bytes:
         """The ONNX graph of the model's own parameters, faults at zero."""
@@ -60,7 +60,7 @@ class Bank:
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
         lower = np.array([channel.lower for channel in self.inputs])
         region = Region(lower, np.array([channel.upper for channel in self.inputs]), uses)
-        return step_graph(self.stacked([{}]), measured, PERIOD_S, self.sigma, region, parametric=parametric)
+        return step_graph(self.stacked([{}]), measured, self.sigma, region, parametric=parametric)
 
     def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
         """Residuals (K, B, T) of the samples `z` (K, nz) from the states `x0` (nx,), for B trials side by side.

@@ -196,7 +196,7 @@ def _check_rebuilt(
 ) -> None:
     """The network must be the equations, term by term: what was not captured (a product of flows) is refused."""
     u = sp.Matrix([1, *signals])
-    products = sp.Matrix([opening * velocity for opening, velocity in flows])
+    products = sp.Matrix(len(flows), 1, [opening * velocity for opening, velocity in flows])
     rebuilt = network.C * products + network.A * sp.Matrix(states) + network.B * u
     for state, rate, again in zip(network.states, rates, rebuilt, strict=True):
         if sp.expand(rate - again) != 0:

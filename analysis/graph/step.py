@@ -37,9 +37,9 @@ Array = npt.NDArray[np.float64]
 class Stacked:
     """The matrices of all tests side by side, each (B, rows, columns); states padded to N a test.
 
-    With L = T N padded states and u = [1; z]: `into` spreads x over L, `beta`, `mu` (1 + nz, S), `alpha` (L, S), `C`
-    (S, L), `A` (1, L N) and `K` (S, L N) give M, `Z` (L N, S) the impedances, `B` (1 + nz, L), `H` (L, T), `E` (1 +
-    nz, T).
+    With L = T N padded states and u = [1; z]: `into` spreads x over L, `beta`, `mu` (1 + nz, S), `alpha` (L, S), h `C`
+    (S, L), `M0` = I - h A (1, L N) and h `K` (S, L N) give M, -h `Z` (L N, S) the impedances, h `B` (1 + nz, L), `H`
+    (L, T), `E` (1 + nz, T).
     """
 
     into: Array
@@ -47,7 +47,7 @@ class Stacked:
     beta: Array
     mu: Array
     C: Array
-    A: Array
+    M0: Array
     K: Array
     Z: Array
     B: Array
@@ -55,19 +55,24 @@ class Stacked:
     E: Array
 
 
-STACKED = ("alpha", "beta", "mu", "C", "A", "K", "Z", "B", "H", "E")
+STACKED = ("alpha", "beta", "mu", "C", "M0", "K", "Z", "B", "H", "E")
 """The fields of `Stacked` that depend on parameters."""
 
 
-def stack(tests: Sequence[Values]) -> Stacked:
-    """Stacks the tests' values; the padding of a test's states is the identity, which keeps it at zero."""
+def stack(tests: Sequence[Values], period: float) -> Stacked:
+    """Stacks the tests' values for a step of `period` [s].
+
+    The padding of a test's states is the identity, which keeps it at zero. h is multiplied in here, in numpy: as a
+    scalar of the graph onnxruntime folds it into the matrix product beside it, as float32.
+    """
     batch = len(tests[0].A)
     N = max(len(test.states) for test in tests)
     S = sum(test.alpha.shape[1] for test in tests)
     T, L, U = len(tests), len(tests) * N, tests[0].beta.shape[2]
-    shapes = {"alpha": (L, S), "beta": (U, S), "mu": (U, S), "C": (S, L), "A": (1, L * N), "K": (S, L * N)}
+    shapes = {"alpha": (L, S), "beta": (U, S), "mu": (U, S), "C": (S, L), "M0": (1, L * N), "K": (S, L * N)}
     shapes |= {"Z": (L * N, S), "B": (U, L), "H": (L, T), "E": (U, T)}
     out = {name: np.zeros((batch, *shape)) for name, shape in shapes.items()}
+    out["M0"][:, 0] = np.tile(np.eye(N), (T, 1)).ravel()
     into = np.zeros((sum(len(test.states) for test in tests), L))
     first = column = 0
     for t, test in enumerate(tests):
@@ -77,16 +82,16 @@ def stack(tests: Sequence[Values]) -> Stacked:
         out["alpha"][:, rows, flows] = np.swapaxes(test.alpha, 1, 2)
         out["beta"][:, :, flows] = np.swapaxes(test.beta, 1, 2)
         out["mu"][:, :, flows] = np.swapaxes(test.mu, 1, 2)
-        out["C"][:, flows, rows] = np.swapaxes(test.C, 1, 2)
-        out["B"][:, :, rows] = np.swapaxes(test.B, 1, 2)
+        out["C"][:, flows, rows] = period * np.swapaxes(test.C, 1, 2)
+        out["B"][:, :, rows] = period * np.swapaxes(test.B, 1, 2)
         out["H"][:, rows, t] = test.H[:, 0]
         out["E"][:, :, t] = test.E[:, 0]
         for i in range(n):
             for k in range(n):
                 entry = (t * N + i) * N + k
-                out["A"][:, 0, entry] = test.A[:, i, k]
-                out["K"][:, flows, entry] = test.C[:, i, :] * test.alpha[:, :, k]
-                out["Z"][:, entry, flows] = test.alpha[:, :, i] * test.C[:, k, :]
+                out["M0"][:, 0, entry] -= period * test.A[:, i, k]
+                out["K"][:, flows, entry] = period * test.C[:, i, :] * test.alpha[:, :, k]
+                out["Z"][:, entry, flows] = -period * test.alpha[:, :, i] * test.C[:, k, :]
         first, column = first + s, column + n
     return Stacked(into=into, **out)
 
@@ -94,7 +99,6 @@ def stack(tests: Sequence[Values]) -> Stacked:
 def step_graph(
     stacked: Stacked,
     measured: Array,
-    period: float,
     sigma: Array,
     region: "Region",
     *,
@@ -112,21 +116,19 @@ def step_graph(
     matrix = {name: _matrix(w, name, getattr(stacked, name), parametric) for name in STACKED}
     L, T = stacked.alpha.shape[1], measured.shape[1]
     N = L // T
-    h = w.constant(period)
     z3 = w.reshape(z, [-1, 1, nz])
     u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
     old = w("MatMul", w.reshape(x, [-1, 1, nx]), w.constant(stacked.into))
     beta = w("MatMul", u, matrix["beta"])
     opening = w("MatMul", u, matrix["mu"])
-    driven = w("Add", old, w("Mul", h, w("MatMul", u, matrix["B"])))
+    driven = w("Add", old, w("MatMul", u, matrix["B"]))
     new, inverse, g = old, "", ""
     for _ in range(sweeps + 1):
         d = w("Add", w("MatMul", new, matrix["alpha"]), beta)
-        velocity = _thevenin(w, inverse, d, g, opening, matrix["Z"], h, L * N) if inverse else w("Sqrt", w("Abs", d))
+        velocity = _thevenin(w, inverse, d, g, opening, matrix["Z"], L * N) if inverse else w("Sqrt", w("Abs", d))
         g = w("Reciprocal", w("Max", velocity, w.constant(S_MIN)))
-        q = w("Mul", w("Mul", opening, g), h)
-        M = w("Sub", w.constant(np.tile(np.eye(N), (T, 1)).reshape(1, 1, L * N)), w("MatMul", q, matrix["K"]))
-        M = w("Sub", M, w("Mul", h, matrix["A"]))
+        q = w("Mul", opening, g)
+        M = w("Sub", matrix["M0"], w("MatMul", q, matrix["K"]))
         inverse = _inverse(w, w.reshape(M, [-1, T, N, N]), N)
         rhs = w("Add", driven, w("MatMul", w("Mul", q, beta), matrix["C"]))
         new = w.reshape(w("MatMul", inverse, w.reshape(rhs, [-1, T, N, 1])), [-1, 1, L])
@@ -153,10 +155,10 @@ def _matrix(w: Writer, name: str, values: Array, parametric: bool) -> str:
     return w.input(name, ["B", *values.shape[1:]]) if parametric else w.constant(values[0])
 
 
-def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, h: str, entries: int) -> str:
+def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, entries: int) -> str:
     """|s| of every orifice against its own Thevenin equivalent, from the linearised network's inverse."""
     seen = w("MatMul", w.reshape(inverse, [-1, 1, entries]), Z)
-    impedance = w("Mul", w("Mul", seen, opening), w("Sub", w.constant(0.0), h))
+    impedance = w("Mul", seen, opening)
     share = w("Max", w("Sub", w.constant(1.0), w("Mul", g, impedance)), w.constant(1e-12))
     Z0 = w("Div", impedance, share)
     size = w("Abs", w("Div", d, share))

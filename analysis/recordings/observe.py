@@ -19,9 +19,10 @@ MODES = Modes(
     idle_below=0.02,
     maximum_above=0.98,
     edges={"dc_dose": 0.03, "n_p": 4.0},
-    settle_ticks=round(4.0 / PERIOD_S),
+    settle_ticks=round(8.0 / PERIOD_S),
 )
-"""Some seconds after a dose step the hose has settled; pump steps of this size are the pressure ladder's."""
+"""Eight seconds after a dose step the hose has settled (its time constant is some 3.5 s, and the model misses part of
+what it does); pump steps of this size are the pressure ladder's."""
 
 
 def open_known(path: Path, say: Callable[[str], None]) -> Log:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from analysis.graph.bank import Bank, build_bank
 from analysis.model import dump_model, load_model
@@ -11,14 +12,14 @@ from analysis.progress import Progress
 from analysis.recordings.observe import MODES, START_WITHIN_S, observe, open_known
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
-from analysis.tuning.thresholds import seen, tune_detectors
+from analysis.tuning.thresholds import Seen, seen, tune_detectors
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 
 GOLDEN_TICKS = 150
 
 EXAMPLE = """example:
-  faultline tune out/calibrated.toml out/logs/bench-drive-s2 out/logs/bench-drive-s3 --out out/tuning.json
+  faultline tune calibrated.toml logs/bench-drive-s2 logs/bench-drive-s3 --out tuning.json
 """
 
 
@@ -45,7 +46,8 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
     """The tuning of a bank from fault-free recordings.
 
     Raises:
-        InputError: a recording was used for calibration or is named twice, or an operating mode is missing.
+        InputError: a recording was used for calibration or is named twice, its tests could hardly ever tell, or an
+            operating mode is missing.
     """
     calibrated = recordings_of(bank.model)
     units = {channel.signal: channel.unit for channel in bank.inputs}
@@ -70,8 +72,14 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
         sensor_set="instrumented",
         detectors=detectors,
         evidence=gather(bank, detectors, watched),
-        golden_z=watched[0].z[:GOLDEN_TICKS].tolist(),
+        golden_z=_golden(watched[0]),
     )
+
+
+def _golden(s: Seen) -> list[list[float]]:
+    """Samples from where the tests begin to tell: before, the pump stands and a graph has little to compute."""
+    first = int(np.argmax(s.usable.all(axis=1)))
+    return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
 
 
 def _table(tuning: Tuning, out: Path) -> str:

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 MINIMUM_TICKS = 50  # of a mode, over all recordings
 LASTING_TICKS = 75  # 15 s
 ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
-MARGIN = 2.0  # J over the largest sum seen
+MARGIN = 3.0  # J over the largest sum seen
 MINIMUM_J = 15.0
 
 
@@ -37,13 +37,24 @@ class Seen:
 
 
 def seen(name: str, ticks: Sequence[Tick]) -> Seen:
-    """What tuning needs of a recording: the ticks with every input usable."""
+    """What tuning needs of a recording: the ticks with every input usable.
+
+    Raises:
+        InputError: some test could tell for less than 15 s of it.
+    """
     ticks = [tick for tick in ticks if tick.usable.all()]
+    usable = np.array([tick.residuals.usable for tick in ticks])
+    told = int(usable.sum(axis=0).min()) if ticks else 0
+    if told < LASTING_TICKS:
+        raise InputError(
+            f"{name}: some test could tell for {told} ticks only, {LASTING_TICKS} are needed; "
+            "tune on minutes with all signals and the system under pressure"
+        )
     return Seen(
         name=name,
         z=np.array([tick.z for tick in ticks]),
         r=np.array([tick.residuals.r for tick in ticks]),
-        usable=np.array([tick.residuals.usable for tick in ticks]),
+        usable=usable,
         mode=np.array([tick.mode for tick in ticks]),
     )
 

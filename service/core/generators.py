@@ -2,8 +2,9 @@
 
     x_k, r_k, y_hat_k, sigma_k, novelty_k = graph(z_k, x_{k-1})      z: (1, nz)  x: (1, nx)  r ...: (1, T)
 
-A generator whose input may not be used keeps its state for `HELD_TICKS` ticks; after that the state is taken from the
-sensors again and the warm-up starts anew.
+A generator whose input may not be used, or lies outside the operating region, keeps its state for `HELD_TICKS` ticks;
+after that the state is taken from the sensors again and the warm-up starts anew: a state carried through where the
+model does not hold would tell of that for as long as the slowest pressure remembers.
 """
 
 from collections.abc import Sequence
@@ -78,15 +79,13 @@ class GeneratorBank:
         self._restart(fed & (self._missed > HELD_TICKS))
         r, y_hat, sigma, novelty, x_next = (row[0] for row in self._graph(z=self._z[None], x=self._x[None]))
         finite = np.isfinite(r)
-        if not np.isfinite(x_next).all():
-            finite[self._owner[~np.isfinite(x_next)]] = False
-        advanced = fed & finite
+        finite[self._owner[~np.isfinite(x_next)]] = False
+        advanced = fed & finite & (novelty <= NOVELTY_LIMIT)
         self._x = np.where(advanced[self._owner], x_next, self._x)
         self._missed = np.where(advanced, 0, self._missed + 1)
         self._missed[fed & ~finite] = HELD_TICKS + 1
         self._ticks = np.where(advanced, self._ticks + 1, self._ticks)
-        told = advanced & (self._ticks > self._warm_up) & (novelty <= NOVELTY_LIMIT)
-        return Residuals(r, y_hat, sigma, told)
+        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up))
 
     def _restart(self, generators: Mask) -> None:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""

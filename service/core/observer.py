@@ -1,7 +1,8 @@
 """What is seen at every tick: samples, operating mode, residuals; the front half of the monitor.
 
-Tick k is at t_k = k Ts of log time after the first frame with which all signals are known, or after `start_within_s`
-where a signal never appears. Calibration and tuning look through this same object.
+Tick k is at t_k = k Ts of log time after tick 0, which is `PHASE_S` after the first frame with which all signals are
+known, or `start_within_s` after the first frame where a signal never appears. Calibration and tuning look through this
+same object.
 """
 
 from typing import NamedTuple
@@ -13,6 +14,10 @@ from service.core.generators import GeneratorBank, Residuals
 from service.core.modes import ModeTracker
 from service.core.sampling import Sampler
 from service.core.signals import Mask, Vector
+
+PHASE_S = 0.045
+"""How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
+every 100 ms. On the grid, a bus's jitter would decide at every tick whether its newest frame is seen."""
 
 
 class Tick(NamedTuple):
@@ -62,7 +67,7 @@ class Observer:
         for signal, value, quality in self._table.decode(can_id, is_extended, data):
             self._sampler.receive(signal, t, value, quality)
         if self._origin is None and self._sampler.complete:
-            self._origin = t
+            self._origin = t + PHASE_S
         return ticks
 
     def advance(self, t_s: float) -> list[Tick]:

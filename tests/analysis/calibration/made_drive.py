@@ -22,7 +22,7 @@ DBC = (Path(__file__).parents[3] / "dbc" / "uds.dbc").read_bytes()
 ATMOSPHERE = 101325.0
 SPEED = (20.0, 20.0, 24.0, 28.0, 30.0, 22.0)
 DOSE = (0.0, 0.0, 0.4, 1.0, 0.7, 0.0)
-HOLD_TICKS = 125
+HOLD_TICKS = 150
 """A hold gives four blocks of 5 s once its edge has settled; the first is the warm-up."""
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
-from sympy.matrices.exceptions import ShapeError
 
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.graph.network import Evaluator, flow_network
@@ -156,7 +155,6 @@ def test_every_trial_has_its_own_parameters() -> None:
     assert values.B[:, 0, 2].tolist() == [50.0, 50.0, 1.0]
 
 
-@pytest.mark.xfail(raises=ShapeError, reason="flow_network: _check_rebuilt adds (n, 0) to (n, 1) without orifices")
 def test_a_tank_without_an_orifice_steps_as_backward_euler_and_tends_to_the_exact_solution() -> None:
     """p' = k u - A p."""
     bank = build_bank(LINEAR)

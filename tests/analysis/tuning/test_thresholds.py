@@ -16,8 +16,10 @@ from analysis.tuning.thresholds import (
 )
 from service.core.cusum import Cusum
 from service.core.errors import InputError
+from service.core.generators import Residuals
 from service.core.manifest import MODES, Detector
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 
@@ -158,17 +160,17 @@ def test_a_mode_may_be_spread_over_recordings() -> None:
     assert len(tune_detectors(NAMES, halves, FLOOR)) == 2
 
 
-@pytest.mark.xfail(raises=ValueError, reason="_largest_lasting takes the maximum of nothing")
-def test_a_recording_shorter_than_what_lasts_does_not_break_the_tuning() -> None:
-    """A recording cut off in its warm-up adds a few usable ticks, or none; the others suffice."""
-    stub = made(5)
-    usable = np.zeros_like(stub.usable)
-    usable[: LASTING_TICKS - 10] = True
-    assert tune_detectors(NAMES, [*RECORDINGS, replaced(stub, usable=usable)], FLOOR)[0].J >= MINIMUM_J
+def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
+    """Such as one cut off in its warm-up: what would last 15 s, it cannot show."""
+    residuals = Residuals(np.zeros(2), np.zeros(2), np.ones(2), np.ones(2, np.bool_))
+    blind = residuals._replace(usable=np.array([True, False]))
+    ticks = [Tick(k, 0.2 * k, np.zeros(5), np.ones(5, np.bool_), IDLE, residuals) for k in range(LASTING_TICKS - 1)]
+    with pytest.raises(InputError, match=f"cut-off: some test could tell for {LASTING_TICKS - 1} ticks only"):
+        seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)])
+    assert len(seen("whole", [*ticks, ticks[0]]).r) == LASTING_TICKS
 
 
-@pytest.mark.xfail(raises=IndexError, reason="seen gives one-dimensional arrays where no tick has every input usable")
 def test_a_recording_without_a_usable_tick_is_refused() -> None:
     """Such as a log without the added sensors."""
-    with pytest.raises(InputError, match="production"):
-        tune_detectors(NAMES, [seen("production", [])], FLOOR)
+    with pytest.raises(InputError, match="production: some test could tell for 0 ticks only"):
+        seen("production", [])

@@ -1,0 +1,37 @@
+"""What a bus does to a recording, made on purpose: frames late by what a busy machine's scheduler adds."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.bundle import load_bundle
+from service.core.events import decode
+from service.core.monitor import Monitor
+from service.logs import Frame, open_log
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().splitlines()]
+
+USUAL_S, SELDOM_S, SELDOM = 3e-4, 1e-2, 1e-3
+"""Lateness [s, wall] of replayed frames as measured: the usual spread, and the worst of one frame in a thousand."""
+
+
+def late(frames: list[Frame], speed: float, seed: int) -> Iterator[Frame]:
+    """The frames as a bus delivers them: in order, each a little late, `speed` times as late in log time."""
+    rng = np.random.default_rng(seed)
+    wall = np.abs(rng.normal(0.0, USUAL_S, len(frames)))
+    wall += np.where(rng.random(len(frames)) < SELDOM, rng.uniform(0.0, SELDOM_S, len(frames)), 0.0)
+    arrival = np.maximum.accumulate([frame.t for frame in frames] + speed * wall)
+    return (frame._replace(t=float(t - arrival[0])) for frame, t in zip(frames, arrival, strict=True))
+
+
+@pytest.mark.parametrize("speed", [1.0, 20.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_lateness_moves_no_event_by_more_than_two_samples(speed: float, seed: int) -> None:
+    bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
+    monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
+    events = list(monitor.log(late(log.frames, speed, seed)))
+    assert [(e.transition, e.diagnoses) for e in events] == [(e.transition, e.diagnoses) for e in OFFLINE], seed
+    assert all(abs(ours.tick - theirs.tick) <= 2 for ours, theirs in zip(events, OFFLINE, strict=True)), seed
