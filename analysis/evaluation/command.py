@@ -12,18 +12,22 @@ from analysis.evaluation.story import Story, tell
 from analysis.evaluation.truth import load_truth
 from analysis.progress import Progress
 from analysis.recordings.observe import open_known
-from service.bundle import load_bundle
+from service.bundle import Bundle, load_bundle
 from service.core.errors import InputError
 from service.core.events import Event, decode
+from service.logs import Log
 
 EXAMPLE = """example:
-  faultline evaluate out/logs/bench-validation-s7-fA_du --bundle out/bundle \\
-      --truth out/truth/bench-validation-s7-fA_du.toml --picture out/fA_du.png
+  faultline evaluate out/demo/logs/validation-7-fA_t --bundle out/demo/bundle \\
+      --truth out/demo/truth/validation-7-fA_t.toml --picture out/fA_t.png
+
+Times are log time after the first frame, as in the truth; an event's own count from the first tick, some seconds later.
+It exits with 1 where a true fault is not in the isolated set, something alarmed before, or a test could never tell.
 """
 
 
 def main(argv: list[str]) -> int:
-    """Runs the command; returns 0 where the true faults are in the isolated set and nothing alarmed without cause."""
+    """Runs the command; returns 0 where the verdict is good, 1 where not."""
     parser = argparse.ArgumentParser(
         "faultline evaluate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -36,29 +40,33 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     bundle = load_bundle(options.bundle)
     log = open_known(options.recording, partial(print, file=sys.stderr))
+    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.sha256 in [*bundle.manifest.origin.calibrate, *bundle.manifest.origin.tune]:
         raise InputError(
             f"{options.recording}: the bundle was made from this recording; evaluate on one it has not seen"
         )
     truth = load_truth(options.truth, log.id)
+    live = _events(options.events, bundle, log) if options.events else None
     with Progress(f"evaluating {log.id}") as progress:
         story = tell(bundle, log)
-        events = _events(options.events) if options.events else story.events
-        verdict = judge(truth, events, story.origin_s)
+        tests = [generator.test for generator in bundle.manifest.generators]
+        events = story.events if live is None else live
+        verdict = judge(truth, events, tests, story.origin_s, story.end_s)
         if options.picture:
             progress.say("drawing")
-            _draw(story, events, verdict, options.picture)
+            _draw(story, live, verdict, options.picture)
     print(msgspec.json.encode(verdict).decode() if options.json else _sentence(verdict))
-    return 0 if verdict.false_alarms == 0 and verdict.contained == bool(verdict.faults) else 1
+    return 0 if verdict.good else 1
 
 
-def _draw(story: Story, events: list[Event], verdict: Verdict, path: Path) -> None:
+def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:
     from analysis.evaluation.picture import draw  # matplotlib takes a second to import
 
-    draw(story, events, verdict, path)
+    draw(story, live, verdict, path)
 
 
-def _events(path: Path) -> list[Event]:
+def _events(path: Path, bundle: Bundle, log: Log) -> list[Event]:
+    """The events in a file, which must be about this log and from this bundle."""
     if not path.is_file():
         raise InputError(f"{path}: not found; `faultline watch --json` writes events")
     events = []
@@ -67,16 +75,29 @@ def _events(path: Path) -> list[Event]:
             events.append(decode(line))
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise InputError(f"{path}: line {number}: not an event: {error}") from error
+        if events[-1].bundle != bundle.id:
+            raise InputError(
+                f"{path}: line {number}: told by bundle {events[-1].bundle[:12]}, not by {bundle.id[:12]}; "
+                "give the bundle that the service ran"
+            )
+        if (source := events[-1].id.rpartition("-")[0]) != log.id:
+            raise InputError(
+                f"{path}: line {number}: is about {source!r}, not about {log.id!r}; "
+                f"give the events of this recording (faultline run --source {log.id})"
+            )
+    if not events:
+        raise InputError(f"{path}: holds no event, not even that the service started; was it running?")
     return events
 
 
 def _sentence(v: Verdict) -> str:
+    blind = f"; {', '.join(v.blind)} could never tell" if v.blind else ""
     if not v.faults:
-        return f"{v.recording}: fault-free, {v.false_alarms} false alarms"
-    if not v.detected:
-        missed = f"{', '.join(v.faults)} from {v.onset_s:g} s was not detected"
-        return f"{v.recording}: {missed}; {v.false_alarms} false alarms before"
-    return (
-        f"{v.recording}: {', '.join(v.faults)} from {v.onset_s:g} s, detected after {v.delay_s:g} s, "
-        f"isolated {{{', '.join(v.isolated)}}}, first {', '.join(v.first)}; {v.false_alarms} false alarms before"
+        return f"{v.recording}: fault-free, {v.false_alarms} false alarms{blind}"
+    found = (
+        f"detected after {v.delay_s:g} s, isolated {{{', '.join(v.isolated)}}}, first {', '.join(v.first)}"
+        if v.detected
+        else "not detected"
     )
+    fault = f"{', '.join(v.faults)} from {v.onset_s:g} s"
+    return f"{v.recording}: {fault}, {found}; {v.false_alarms} false alarms before{blind}"

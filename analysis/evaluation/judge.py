@@ -1,6 +1,7 @@
-"""Events against the truth: was it found, how fast, how narrowly, and was there peace before."""
+"""Events against the truth: was it found, how fast, how narrowly, was there peace before, and who could tell at all."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import msgspec
 
@@ -11,10 +12,12 @@ from service.core.events import Event
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     """The judgement of one recording.
 
-    `delay_s` runs from the onset to the first event with a diagnosis; `isolated` are the faults of the last diagnosis
-    (of single faults, in rank order) and `first` those of rank 1 alone; `false_alarms` counts the episodes before the
-    onset, or all of them in a fault-free recording. `contained`: every true fault is in `isolated`; `named`: they are
-    `first` alone.
+    `delay_s` runs from the onset to the first event that explains something new. `isolated` are the faults of the
+    diagnoses that stand at the end (of single faults, in rank order) and `first` those of rank 1 alone: what has been
+    healed while the fault was there is not isolated. `contained`: every true fault is in `isolated`; `named`: they are
+    `first` alone. `false_alarms` counts the episodes that began before the onset, or all of them in a fault-free
+    recording; like every event, one that lasts less than two seconds is not told. `could_tell` is the share of the
+    recording in which each test could tell; a recording in which one never could (`blind`) proves nothing of it.
     """
 
     recording: str
@@ -28,28 +31,57 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     named: bool
     tests: list[str]
     false_alarms: int
+    could_tell: dict[str, float]
+    blind: list[str]
+
+    @property
+    def good(self) -> bool:
+        """Whether the true faults, and nothing before them, were found by tests that could all tell."""
+        return self.false_alarms == 0 and not self.blind and self.contained == bool(self.faults)
 
 
-def judge(truth: Truth, events: Sequence[Event], origin_s: float) -> Verdict:
-    """Judges the events of a recording; `origin_s` is the log time of tick 0 [s] after the first frame."""
+def judge(truth: Truth, events: Sequence[Event], tests: Sequence[str], origin_s: float, end_s: float) -> Verdict:
+    """Judges the events of a recording.
+
+    `tests` are the bundle's; `origin_s` and `end_s` are the log times of tick 0 and of the last tick [s] after the
+    first frame. What was told later, of the silence after a replay, is left out.
+    """
+    dated = [(origin_s + event.t_s, event) for event in events if origin_s + event.t_s <= end_s]
     onset = min((fault.onset_s for fault in truth.fault), default=None)
-    times = [origin_s + event.t_s for event in events]
-    after = [e for e, t in zip(events, times, strict=True) if onset is not None and t >= onset and e.diagnoses]
-    started = [t for e, t in zip(events, times, strict=True) if e.transition == "occurred"]
-    last = after[-1] if after else None
+    before = [event for t, event in dated if onset is None or t < onset]
+    after = [(t, event) for t, event in dated if onset is not None and t >= onset]
+    standing = before[-1].diagnoses if before else []
+    news = next((t for t, event in after if event.diagnoses and event.diagnoses != standing), None)
+    last = after[-1][1] if after and news is not None else None
     isolated = [name for d in last.diagnoses for name in d.faults] if last else []
     first = [name for d in last.diagnoses if d.rank == 1 for name in d.faults] if last else []
     true = [fault.name for fault in truth.fault]
+    shares = _shares(dated, tests, origin_s, end_s)
     return Verdict(
         recording=truth.recording,
         faults=true,
         onset_s=onset,
-        detected=bool(after),
-        delay_s=round(origin_s + after[0].t_s - onset, 1) if after and onset is not None else None,
+        detected=news is not None,
+        delay_s=round(news - onset, 1) if news is not None and onset is not None else None,
         isolated=list(dict.fromkeys(isolated)),
         first=list(dict.fromkeys(first)),
         contained=bool(true) and set(true) <= set(isolated),
         named=bool(true) and set(true) == set(first),
         tests=last.alarm if last else [],
-        false_alarms=sum(onset is None or t < onset for t in started),
+        false_alarms=sum(event.transition == "occurred" for event in before),
+        could_tell={test: round(share, 3) for test, share in shares.items()},
+        blind=[test for test, share in shares.items() if share == 0.0],
     )
+
+
+def _shares(
+    dated: Sequence[tuple[float, Event]], tests: Sequence[str], origin_s: float, end_s: float
+) -> dict[str, float]:
+    """The share of the recording in which each test could tell, by the last word on it."""
+    told = dict.fromkeys(tests, 0.0)
+    ends = [*(t for t, _ in dated), end_s]
+    for (_, event), (start, stop) in zip(dated, pairwise(ends), strict=True):
+        for test in told:
+            told[test] += (stop - start) * (test not in event.cannot_tell)
+    whole = max(end_s - origin_s, 1e-9)
+    return {test: seconds / whole for test, seconds in told.items()}

@@ -1,6 +1,7 @@
 """The story of a recording at a glance: pressures, residuals, CUSUM and what was told, over one time axis."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,8 +20,8 @@ SPREADS = 12  # where a residual leaves its row of the picture
 SHOWN = {"y_p_ap": "after the pump", "y_p_du": "dosing unit", "y_p_tp": "before the pump"}
 
 
-def draw(story: Story, events: Sequence[Event], verdict: Verdict, path: Path) -> None:
-    """Writes the picture as a PNG."""
+def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Path) -> None:
+    """Writes the picture as a PNG; `live` are the events of a bus, where those are judged and not the log's own."""
     mpl.use("Agg")
     figure = Figure(figsize=(13, 12), layout="constrained")
     rows = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.4, 1, 2, 2, 1.3])
@@ -29,7 +30,7 @@ def draw(story: Story, events: Sequence[Event], verdict: Verdict, path: Path) ->
     _inputs(rows[2], story)
     _residuals(rows[3], story)
     _sums(rows[4], story)
-    _told(rows[5], events, story.origin_s, float(story.t_s[-1]))
+    _told(rows[5], story, live)
     for axes in rows:
         axes.grid(visible=True, alpha=0.25)
         axes.margins(x=0)
@@ -49,7 +50,8 @@ def _title(v: Verdict) -> str:
         if v.detected
         else "not detected"
     )
-    return f"{v.recording} (simulated): {', '.join(v.faults)} from {v.onset_s:g} s\n{found}"
+    fault = f"{', '.join(v.faults)} from {v.onset_s:g} s"
+    return f"{v.recording} (simulated): {fault}\n{found}; {v.false_alarms} false alarms before"
 
 
 def _pressures(axes: Axes, story: Story, signals: Sequence[str], verdict: Verdict) -> None:
@@ -110,15 +112,17 @@ def _sums(axes: Axes, story: Story) -> None:
         axes.plot(story.t_s, parts, linewidth=1, label=generator.test)
     axes.axhline(1.0, color=ALARM, linestyle=":", linewidth=1.2)
     axes.set_ylabel("CUSUM / J")
-    axes.legend(loc="upper left", ncols=5, fontsize=8)
+    axes.set_ylim(0, 2.6)  # sums end at 2 J; the room above is the legend's
+    axes.legend(loc="upper left", ncols=10, fontsize=8, handlelength=1)
 
 
-def _told(axes: Axes, events: Sequence[Event], origin_s: float, end_s: float) -> None:
+def _told(axes: Axes, story: Story, live: Sequence[Event] | None) -> None:
     """The diagnosis as told: a bar for each fault while it is an explanation, dark where it is ranked first."""
     faults: dict[str, int] = {}
+    events = story.events if live is None else live
     for event, following in zip(events, [*events[1:], None], strict=True):
-        start = min(origin_s + event.t_s, end_s)
-        stop = min(origin_s + following.t_s, end_s) if following else end_s
+        start = min(story.origin_s + event.t_s, story.end_s)
+        stop = min(story.origin_s + following.t_s, story.end_s) if following else story.end_s
         for diagnosis in event.diagnoses:
             for fault in diagnosis.faults or ["unknown"]:
                 row = faults.setdefault(fault, len(faults))
@@ -127,4 +131,13 @@ def _told(axes: Axes, events: Sequence[Event], origin_s: float, end_s: float) ->
                 )
     axes.set_yticks(range(len(faults)), list(faults))
     axes.set_ylim(max(len(faults), 1) - 0.4, -0.6)
-    axes.set_ylabel("explanations\n(dark: rank 1)")
+    where = "offline" if live is None else "over the bus"
+    axes.set_ylabel(f"told {where}\n(dark: rank 1)")
+    if not faults:
+        axes.text(0.5, 0.5, f"no alarm was told {where}", transform=axes.transAxes, ha="center", va="center")
+    ends = [*(min(story.origin_s + event.t_s, story.end_s) for event in events), story.end_s]
+    for event, (start, stop) in zip(events, pairwise(ends), strict=True):
+        blind = len(event.cannot_tell) / len(story.bundle.manifest.generators)
+        axes.axvspan(start, stop, color=ONSET, alpha=0.3 * blind, linewidth=0, zorder=0)
+    words = "grey: tests that cannot tell, the more the darker"
+    axes.text(0.995, 0.04, words, transform=axes.transAxes, ha="right", fontsize=8, color=ONSET)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from service.bundle import Bundle
 from service.core.decision import Decision
+from service.core.errors import InputError
 from service.core.events import Event
 from service.core.monitor import Monitor
 from service.core.observer import Tick
@@ -19,7 +20,7 @@ Array = npt.NDArray[np.float64]
 class Story:
     """K ticks: samples z (K, nz), residuals and predictions (K, T), whether usable (K, T), CUSUM in parts of J (K, T).
 
-    `t_s` (K,) is log time after the first frame, `origin_s` that of tick 0.
+    `t_s` (K,) is log time after the first frame, `origin_s` that of tick 0, `end_s` that of the last one.
     """
 
     bundle: Bundle
@@ -31,10 +32,15 @@ class Story:
     usable: npt.NDArray[np.bool_]
     sums: Array
     origin_s: float
+    end_s: float
 
 
 def tell(bundle: Bundle, log: Log) -> Story:
-    """Runs the log through a fresh monitor, as fast as it goes."""
+    """Runs the log through a fresh monitor, as fast as it goes.
+
+    Raises:
+        InputError: the log is shorter than the wait for its signals.
+    """
     ticks: list[Tick] = []
     sums: list[Array] = []
 
@@ -44,6 +50,8 @@ def tell(bundle: Bundle, log: Log) -> Story:
 
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
     events = list(monitor.log(log.relative()))
+    if not ticks:
+        raise InputError(f"{log.id}: ends before its first tick; evaluate on a longer recording")
     return Story(
         bundle=bundle,
         events=events,
@@ -53,5 +61,6 @@ def tell(bundle: Bundle, log: Log) -> Story:
         y_hat=np.array([tick.residuals.y_hat for tick in ticks]),
         usable=np.array([tick.residuals.usable for tick in ticks]),
         sums=np.array(sums),
-        origin_s=ticks[0].t_s if ticks else 0.0,
+        origin_s=ticks[0].t_s,
+        end_s=ticks[-1].t_s,
     )

@@ -34,6 +34,18 @@ class Log:
         except (OSError, UnicodeDecodeError) as error:
             raise LogError(f"{self.dbc_path}: cannot be read as text: {error}") from error
 
+    def check_dbc(self, sha256: str) -> None:
+        """A recording made with another DBC than the bundle's, of hash `sha256`, must not be decoded with that one.
+
+        Raises:
+            LogError: the recording names another DBC.
+        """
+        if self.dbc_sha256 not in (None, sha256):
+            raise LogError(
+                f"{self.id}: recorded with DBC {self.dbc_sha256[:12]}, the bundle was made for {sha256[:12]}; "
+                "export a bundle for this vehicle's DBC"
+            )
+
     @property
     def duration_s(self) -> float:
         """From the first frame to the last [s]."""

@@ -1,5 +1,6 @@
 """`faultline evaluate` on the golden log, where a filter loses 65 % of its area at 70 s."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -14,7 +15,7 @@ from analysis.evaluation.command import main
 from analysis.evaluation.judge import judge
 from analysis.evaluation.story import Story, tell
 from analysis.evaluation.truth import load_truth
-from service.bundle import load_bundle
+from service.bundle import SEAL, load_bundle, seal
 from service.core.errors import InputError
 from service.core.events import encode
 from service.core.monitor import Monitor
@@ -32,6 +33,12 @@ def lines() -> list[dict[str, Any]]:
     return [json.loads(line) for line in EVENTS.read_text().splitlines()]
 
 
+def peaceful() -> list[dict[str, Any]]:
+    """The golden events up to the first alarm."""
+    events = lines()
+    return events[: [event["transition"] for event in events].index("occurred")]
+
+
 def written(path: Path, events: list[dict[str, Any]]) -> Path:
     path.write_text("".join(json.dumps(event) + "\n" for event in events))
     return path
@@ -47,7 +54,7 @@ def test_the_story_is_the_monitors_with_everything_in_it(story: Story) -> None:
     bundle, log = story.bundle, open_log(LOG)
     alone = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
     assert story.events == list(alone.log(log.relative()))
-    assert [event.transition for event in story.events[:3]] == ["started", "cannot_tell", "occurred"]
+    assert {"started", "cannot_tell", "occurred", "refined"} == {event.transition for event in story.events}
     ticks, tests = story.r.shape
     assert tests == len(story.bundle.manifest.generators)
     assert story.sums.shape == story.usable.shape == story.y_hat.shape == (ticks, tests)
@@ -104,7 +111,9 @@ def test_given_events_are_judged_instead_of_its_own(
     own.write_bytes(b"".join(map(encode, story.events)))
     assert evaluate("--json", "--events", own) == 0
     verdict = json.loads(capsys.readouterr().out)
-    assert verdict == msgspec.to_builtins(judge(load_truth(TRUTH, "golden"), story.events, story.origin_s))
+    tests = [generator.test for generator in story.bundle.manifest.generators]
+    own_verdict = judge(load_truth(TRUTH, "golden"), story.events, tests, story.origin_s, story.end_s)
+    assert verdict == msgspec.to_builtins(own_verdict)
 
     wrong = lines()
     for event in wrong:
@@ -114,16 +123,16 @@ def test_given_events_are_judged_instead_of_its_own(
     verdict = json.loads(capsys.readouterr().out)
     assert (verdict["detected"], verdict["contained"], verdict["isolated"]) == (True, False, ["fA_t"])
 
-    assert evaluate("--events", written(tmp_path / "silent.jsonl", lines()[:2])) == 1
-    assert "fA_du from 70 s was not detected; 0 false alarms before" in capsys.readouterr().out
+    assert evaluate("--events", written(tmp_path / "silent.jsonl", peaceful())) == 1
+    assert "fA_du from 70 s, not detected; 0 false alarms before" in capsys.readouterr().out
 
 
 def test_a_false_alarm_is_a_no_even_where_the_fault_is_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    events = lines()
-    early = {**events[2], "tick": 200, "t_s": 40.0}
-    assert evaluate("--json", "--events", written(tmp_path / "e.jsonl", [*events[:2], early, *events[2:]])) == 1
+    events, before = lines(), peaceful()
+    early = {**events[len(before)], "tick": 300, "t_s": 60.0}
+    assert evaluate("--json", "--events", written(tmp_path / "e.jsonl", [*before, early, *events[len(before) :]])) == 1
     verdict = json.loads(capsys.readouterr().out)
     assert (verdict["false_alarms"], verdict["contained"]) == (1, True)
 
@@ -133,7 +142,7 @@ def test_against_a_fault_free_truth_every_alarm_is_false(tmp_path: Path, capsys:
     truth.write_text('schema = 1\nrecording = "golden"\n')
     assert evaluate(truth=truth) == 1
     assert capsys.readouterr().out == "golden: fault-free, 1 false alarms\n"
-    assert evaluate("--events", written(tmp_path / "quiet.jsonl", lines()[:2]), truth=truth) == 0
+    assert evaluate("--events", written(tmp_path / "quiet.jsonl", peaceful()), truth=truth) == 0
     assert capsys.readouterr().out == "golden: fault-free, 0 false alarms\n"
 
 
@@ -142,9 +151,26 @@ def test_a_recording_that_the_bundle_was_made_from_is_refused(tmp_path: Path, pa
     bundle = Path(shutil.copytree(BUNDLE, tmp_path / "bundle"))
     manifest = json.loads((bundle / "manifest.json").read_text())
     manifest["origin"][part].append(open_log(LOG).sha256)
-    (bundle / "manifest.json").write_text(json.dumps(manifest))
+    raw = json.dumps(manifest).encode()
+    (bundle / "manifest.json").write_bytes(raw)
+    (bundle / SEAL).write_bytes(seal(raw))
     with pytest.raises(InputError, match="the bundle was made from this recording; evaluate on one it has not seen"):
         evaluate(bundle=bundle)
+
+
+def test_a_recording_in_which_no_test_could_tell_is_no_peace(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The sensor box is unplugged: nine tests are blind and the verdict says so, fault-free or not."""
+    log = Path(shutil.copytree(LOG, tmp_path / "log"))
+    lines = (log / "can.log").read_text().splitlines(keepends=True)
+    (log / "can.log").write_text("".join(line for line in lines if " 18FF20F9#" not in line))
+    truth = tmp_path / "truth.toml"
+    truth.write_text('schema = 1\nrecording = "golden"\n')
+    assert main([str(log), "--bundle", str(BUNDLE), "--truth", str(truth)]) == 1
+    assert "fault-free, 0 false alarms; t02, t06, t08, t09, t10, t12, t13, t19, t20 could never tell" in (
+        capsys.readouterr().out
+    )
 
 
 def test_the_truth_of_another_recording_is_refused(tmp_path: Path) -> None:
@@ -159,7 +185,10 @@ def test_the_truth_of_another_recording_is_refused(tmp_path: Path) -> None:
     [
         (None, r"not found; `faultline watch --json` writes events"),
         ("{}\n", "line 1: not an event: Object missing required field"),
-        (EVENTS.read_text() + "half a line {", "line 7: not an event: JSON is malformed"),
+        (EVENTS.read_text() + "half a line {", r"line \d+: not an event: JSON is malformed"),
+        ("", "holds no event, not even that the service started; was it running"),
+        (EVENTS.read_text().replace('"id":"golden-', '"id":"other-'), "is about 'other', not about 'golden'"),
+        (re.sub('"bundle":"[0-9a-f]{12}', '"bundle":"' + 12 * "0", EVENTS.read_text()), "told by bundle 000000000000"),
     ],
 )
 def test_a_file_that_holds_no_events_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
@@ -168,6 +197,16 @@ def test_a_file_that_holds_no_events_is_refused(tmp_path: Path, content: str | N
         path.write_text(content)
     with pytest.raises(InputError, match=message):
         evaluate("--events", path)
+
+
+def test_a_recording_of_another_dbc_is_refused(tmp_path: Path) -> None:
+    log = Path(shutil.copytree(LOG, tmp_path / "log"))
+    (log / "uds.dbc").write_text((log / "uds.dbc").read_text() + "\n")
+    described = (log / "recording.toml").read_text()
+    other = hashlib.sha256((log / "uds.dbc").read_bytes()).hexdigest()
+    (log / "recording.toml").write_text(re.sub(r'dbc_sha256 = "\w+"', f'dbc_sha256 = "{other}"', described))
+    with pytest.raises(InputError, match=f"recorded with DBC {other[:12]}, the bundle was made for"):
+        main([str(log), "--bundle", str(BUNDLE), "--truth", str(TRUTH)])
 
 
 def test_a_bare_log_is_refused() -> None:

@@ -2,14 +2,24 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
 
-from analysis.evaluation.judge import judge
+from analysis.evaluation import judge as judging
+from analysis.evaluation.judge import Verdict
 from analysis.evaluation.truth import TrueFault, Truth
 from service.core.events import SCHEMA, Diagnosis, Event, Transition
 
 ORIGIN_S = 1.5
 ONSET_S = 70.0
+
+
+END_S = 120.0
+TESTS = ["t02", "t06", "t08"]
+
+
+def judge(truth: Truth, events: Sequence[Event], origin_s: float) -> Verdict:
+    return judging.judge(truth, events, TESTS, origin_s, END_S)
 
 
 def truth(*faults: str) -> Truth:
@@ -38,6 +48,10 @@ def event(
 
 
 START = event("started", ORIGIN_S)
+
+
+def blind(told: Event, tests: Sequence[str]) -> Event:
+    return msgspec.structs.replace(told, cannot_tell=list(tests))
 
 
 def test_a_fault_found_late_and_narrowed_down() -> None:
@@ -81,10 +95,40 @@ def test_the_last_diagnosis_counts_not_the_best_one() -> None:
     assert (verdict.isolated, verdict.contained, verdict.tests) == (["fA_p"], False, ["t06"])
 
 
-def test_what_is_healed_afterwards_was_still_told() -> None:
+def test_what_is_healed_while_the_fault_is_there_was_detected_but_is_not_isolated() -> None:
     events = [event("occurred", 75.0, [("fA_t", 1)], ["t08"]), event("healed", 90.0)]
     verdict = judge(truth("fA_t"), events, ORIGIN_S)
-    assert (verdict.detected, verdict.isolated, verdict.delay_s) == (True, ["fA_t"], 5.0)
+    assert (verdict.detected, verdict.isolated, verdict.delay_s) == (True, [], 5.0)
+    assert (verdict.contained, verdict.good) == (False, False)
+
+
+def test_a_false_alarm_that_stands_at_the_onset_is_not_the_detection() -> None:
+    standing = [("fA_du", 1)]
+    events = [START, event("occurred", 60.0, standing, ["t02"]), event("cannot_tell", 80.0, standing, ["t02"])]
+    verdict = judge(truth("fA_du"), events, ORIGIN_S)
+    assert (verdict.false_alarms, verdict.detected, verdict.contained) == (1, False, False)
+    events.append(event("refined", 90.0, [("fA_du", 1), ("fA_t", 1)], ["t02"]))
+    verdict = judge(truth("fA_du"), events, ORIGIN_S)
+    assert (verdict.detected, verdict.delay_s, verdict.contained, verdict.good) == (True, 20.0, True, False)
+
+
+def test_what_is_told_of_the_silence_after_the_recording_does_not_count() -> None:
+    events = [START, event("occurred", END_S + 1.0, [("fA_du", 1)])]
+    assert not judge(truth("fA_du"), events, ORIGIN_S).detected
+
+
+def test_a_test_that_never_could_tell_is_blind_and_spoils_even_peace() -> None:
+    quiet = [blind(START, TESTS), blind(event("cannot_tell", 61.5), ["t08"])]
+    verdict = judge(truth(), quiet, ORIGIN_S)
+    share = round((END_S - 61.5) / (END_S - ORIGIN_S), 3)
+    assert verdict.could_tell == {"t02": share, "t06": share, "t08": 0.0}
+    assert (verdict.false_alarms, verdict.blind, verdict.good) == (0, ["t08"], False)
+    assert judge(truth(), [*quiet, event("cannot_tell", 100.0)], ORIGIN_S).good
+
+
+def test_no_event_at_all_is_blindness_not_peace() -> None:
+    verdict = judge(truth(), [], ORIGIN_S)
+    assert (verdict.false_alarms, verdict.blind, verdict.good) == (0, TESTS, False)
 
 
 @pytest.mark.parametrize("quiet", [[], [START], [START, event("cannot_tell", 80.0)]])
@@ -129,7 +173,7 @@ def test_a_fault_free_recording_in_peace() -> None:
 
 
 def test_every_episode_of_a_fault_free_recording_is_a_false_alarm() -> None:
-    events = [event("occurred", t, [("fA_du", 1)]) for t in (10.0, 100.0, 1000.0)]
+    events = [event("occurred", t, [("fA_du", 1)]) for t in (10.0, 70.0, 110.0)]
     verdict = judge(truth(), events, ORIGIN_S)
     assert (verdict.false_alarms, verdict.detected, verdict.isolated) == (3, False, [])
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service import diagnose
-from service.bundle import load_bundle
+from service.bundle import SEAL, load_bundle, seal
 from service.cli import main
 from service.core.decode import compile_dbc
 from service.core.events import Event, decode, encode
@@ -53,11 +53,33 @@ def test_in_words(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_log_without_fault_ends_with_0(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
     lines = (LOG / "can.log").read_bytes().splitlines(keepends=True)
     quiet = tmp_path / "quiet.log"
-    quiet.write_bytes(b"".join(lines[: len(lines) // 2]))  # 60 of 120 s, before the onset
+    quiet.write_bytes(b"".join(lines[: len(lines) // 2]))  # 60 of 120 s: all tests can tell, the onset is to come
     assert diagnose.main([str(quiet), "--bundle", str(BUNDLE), "--json"]) == 0
     events = [decode(line) for line in capfdbinary.readouterr().out.splitlines()]
-    assert [event.transition for event in events] == ["started", "cannot_tell"]
+    assert [event.transition for event in events] == ["started", "cannot_tell", "cannot_tell"]
+    assert events[-1].cannot_tell == []
     assert events[0].id == "quiet-1"
+
+
+def test_a_log_in_which_no_test_could_tell_is_no_all_clear(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (LOG / "can.log").read_text().splitlines(keepends=True)
+    short, silent = tmp_path / "short.log", tmp_path / "silent.log"
+    short.write_text("".join(lines[: len(lines) // 10]))
+    silent.write_text("".join(line for line in lines if " 18FF20F9#" not in line and " 18FF103D#" not in line))
+    for path in (short, silent):
+        assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--json"]) == 2
+        captured = capsys.readouterr()
+        assert decode(captured.out.splitlines()[0].encode()).transition == "started"
+        assert "no test could ever tell, so nothing is known" in captured.err
+
+
+def test_tests_that_never_could_tell_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (LOG / "can.log").read_text().splitlines(keepends=True)
+    path = tmp_path / "no-box.log"
+    path.write_text("".join(line for line in lines if " 18FF20F9#" not in line))
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--json"]) == 0
+    err = capsys.readouterr().err
+    assert err.endswith("could never tell: t02 t06 t08 t09 t10 t12 t13 t19 t20; this is no all-clear\n")
 
 
 def test_a_log_cut_in_mid_line_is_used_as_far_as_it_goes_and_the_loss_is_said(
@@ -91,7 +113,9 @@ def test_a_bundle_with_a_changed_byte_is_refused(tmp_path: Path, capsys: pytest.
 def test_an_unknown_bundle_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = Path(shutil.copytree(BUNDLE, tmp_path / "bundle"))
     manifest = folder / "manifest.json"
-    manifest.write_text(manifest.read_text().replace("faultline.bundle/1", "faultline.bundle/9"))
+    raw = manifest.read_bytes().replace(b"faultline.bundle/1", b"faultline.bundle/9")
+    manifest.write_bytes(raw)
+    (folder / SEAL).write_bytes(seal(raw))
     assert "schema: this is 'faultline.bundle/9'" in refused([str(LOG), "--bundle", str(folder)], capsys)
 
 

@@ -1,0 +1,168 @@
+"""The daemon's loop with a bus and a clock that do what they are told."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from service.bus import Bus, BusError
+from service.bus.losses import Losses
+from service.core.decode import DecodeTable
+from service.core.events import Event
+from service.core.monitor import Monitor
+from service.daemon import LAG_S, LOSSES_S, Daemon, main
+from service.logs import Frame
+from service.outputs.socket import EventSocket
+
+
+class Clock:
+    """Stands still but for what a bus does to it."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Script(Bus):
+    """A bus that does one step of a script at each call, then is lost; it always looks as if frames waited."""
+
+    def __init__(self, *steps: Callable[["Script"], list[Frame]]) -> None:
+        super().__init__()
+        self.steps = list(steps)
+        self.dropped_frames = 0
+        self._read, self._write = os.pipe()
+        os.write(self._write, b"x")
+
+    def fileno(self) -> int:
+        return self._read
+
+    @property
+    def dropped(self) -> int:
+        return self.dropped_frames
+
+    def receive(self) -> list[Frame]:
+        if not self.steps:
+            raise BusError("told so")
+        return self.steps.pop(0)(self)
+
+    def send(self, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        os.close(self._read)
+        os.close(self._write)
+
+
+class Heard:
+    """A monitor that only notes the log times it is given [s]."""
+
+    next_tick_s = 0.0
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, float]] = []
+
+    def frame(self, t_s: float, _id: int, _extended: bool, _data: bytes) -> list[Event]:
+        self.told.append(("frame", t_s))
+        return []
+
+    def advance(self, t_s: float) -> list[Event]:
+        self.told.append(("clock", t_s))
+        return []
+
+
+Serve = Callable[..., list[tuple[str, float]]]
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    """Runs the script to its end; gives what the monitor was told."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+
+    def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
+        heard, table = Heard(), DecodeTable({})
+        with Script(*steps) as bus, EventSocket(tmp_path / "s") as subscribers:
+            assert isinstance(bus, Script)
+            with pytest.raises(BusError):
+                Daemon(cast(Monitor, heard), bus, subscribers, speed, Losses(bus, table), clock).serve()
+        return heard.told
+
+    yield run
+
+
+def frame(t: float) -> Frame:
+    return Frame(t, 1, True, b"")
+
+
+def test_no_tick_runs_past_a_frame_that_came_while_the_bus_was_read(serve: Serve, clock: Clock) -> None:
+    """A process that is stopped between reading the bus and the clock must not take the pause for silence."""
+
+    def stalled(_bus: Script) -> list[Frame]:
+        clock.now += 1.0
+        return []
+
+    told = serve(lambda _: [frame(100.0)], stalled, lambda _: [frame(100.5)], speed=20.0)
+    assert told == [("frame", 0.0), ("clock", pytest.approx(-LAG_S * 20)), ("frame", 10.0)]
+
+
+def test_the_clock_runs_on_where_the_bus_is_silent(serve: Serve, clock: Clock) -> None:
+    def later(_bus: Script) -> list[Frame]:
+        clock.now += 1.0
+        return []
+
+    told = serve(later, lambda _: [frame(101.0)], later, later)
+    assert told == [("frame", 0.0), ("clock", pytest.approx(-LAG_S)), ("clock", pytest.approx(1.0 - LAG_S))]
+
+
+def test_losses_are_told_once_a_minute_where_there_are_new_ones_and_at_the_end(
+    serve: Serve, clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said: list[int] = []
+
+    def lose(dropped: int, seconds: float) -> Callable[[Script], list[Frame]]:
+        def step(bus: Script) -> list[Frame]:
+            said.append(capsys.readouterr().err.count("dropped by the kernel"))
+            bus.dropped_frames += dropped
+            clock.now += seconds
+            return []
+
+        return step
+
+    minute = LOSSES_S
+    serve(lose(2, minute / 2), lose(1, minute), lose(0, minute), lose(4, 1.0), lose(0, 1.0))
+    assert said == [0, 0, 1, 0, 0]
+    assert "frames dropped by the kernel 7, " in capsys.readouterr().err
+
+
+def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[str]) -> None:
+    serve(lambda _: [frame(100.0)])
+    assert capsys.readouterr().err == ""
+
+
+def test_every_kind_of_loss_is_told() -> None:
+    bus = SimpleNamespace(dropped=1, skipped=2, link_downs=4)
+    losses = Losses(cast(Bus, bus), cast(DecodeTable, SimpleNamespace(short_frames=3)))
+    assert losses.news() == (
+        "since the start: frames dropped by the kernel 1, no data frames 2, shorter than in the DBC 3; "
+        "times the interface went down 4"
+    )
+    assert losses.news() is None
+    bus.link_downs = 5
+    assert "went down 5" in (losses.news() or "")
+
+
+@pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])
+def test_speed_is_a_positive_number(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--bundle", "b", "--bus", "socketcan:vcan0", "--socket", "s", "--speed", speed])
+    assert caught.value.code == 2
+    assert "--speed must be a number above zero" in capsys.readouterr().err
