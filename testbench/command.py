@@ -22,6 +22,7 @@ from testbench.vehicles import VEHICLES, vehicle
 EXAMPLES = """examples:
   faultline rig list
   faultline rig record --cycle training --seed 1 --out recordings --truth truth
+  faultline rig record --cycle drive --seed 2 --out recordings --truth truth
   faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
 """
 

@@ -33,6 +33,18 @@ def test_every_package_folder_is_in_the_package_list() -> None:
     assert folders == set(PROJECT["tool"]["setuptools"]["packages"])
 
 
+@pytest.mark.parametrize(("importer", "may"), [("service.core", set()), ("analysis", {"core", "logs", "bundle"})])
+def test_the_import_contracts_name_every_part_of_the_service(importer: str, may: set[str]) -> None:
+    """They are lists of what is forbidden: a new module of the service must not slip past them."""
+    contracts = PROJECT["tool"]["importlinter"]["contracts"]
+    forbidden = {name for c in contracts if c["source_modules"] == [importer] for name in c["forbidden_modules"]}
+    parts = {
+        path.stem for path in (ROOT / "service").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    missing = {f"service.{part}" for part in parts - may - {"core", "__init__"}} - forbidden
+    assert missing == set()
+
+
 def test_the_wheels_top_level_is_the_four_packages(wheel: Path) -> None:
     names = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {name for name in names if not name.endswith(".dist-info")} == {"service", "analysis", "testbench", "dbc"}
