@@ -6,6 +6,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -14,6 +15,7 @@ import msgspec
 
 from service.bundle import load_bundle, verify_golden
 from service.bus import Bus, open_bus
+from service.bus.losses import Losses
 from service.core.events import Event, encode
 from service.core.monitor import Monitor
 from service.outputs.socket import EventSocket
@@ -26,6 +28,8 @@ LAG_S = 0.02
 """Ticks run this far [s, wall] behind the clock, so that a frame still in the socket's queue is in its own tick."""
 
 IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
+
+LOSSES_S = 60.0  # how often losses are told where there are new ones
 
 
 def main(argv: list[str]) -> int:
@@ -41,22 +45,22 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--speed", type=float, default=1.0, help="how many times real time the bus runs, for replays")
     options = parser.parse_args(argv)
-    if not options.speed > 0:
-        parser.error("--speed must be above zero")
+    if not 0 < options.speed < float("inf"):
+        parser.error("--speed must be a number above zero")
     bundle = load_bundle(options.bundle)
     verify_golden(bundle)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, options.source, bundle.id)
     with open_bus(options.bus, bundle.table.identifiers) as bus, EventSocket(options.socket) as subscribers:
-        print(
-            f"faultline run: ready, bundle {bundle.manifest.name} {bundle.id[:12]}, bus {options.bus}, "
-            f"events on {options.socket}" + (f", {options.speed:g}x" if options.speed != 1 else ""),
-            file=sys.stderr,
-            flush=True,
+        _say(
+            f"ready, bundle {bundle.manifest.name} {bundle.id[:12]}, bus {options.bus}, "
+            f"events on {options.socket}" + (f", {options.speed:g}x" if options.speed != 1 else "")
         )
-        Daemon(monitor, bus, subscribers, options.speed).serve()
-        if bus.dropped:
-            print(f"faultline run: the kernel dropped {bus.dropped} frames", file=sys.stderr)
+        Daemon(monitor, bus, subscribers, options.speed, Losses(bus, bundle.table)).serve()
     return 0
+
+
+def _say(text: str) -> None:
+    print(f"faultline run: {text}", file=sys.stderr, flush=True)
 
 
 class Daemon:
@@ -65,11 +69,22 @@ class Daemon:
     Log time is monotonic time since the first frame, times `speed`.
     """
 
-    def __init__(self, monitor: Monitor, bus: Bus, subscribers: EventSocket, speed: float) -> None:
+    def __init__(
+        self,
+        monitor: Monitor,
+        bus: Bus,
+        subscribers: EventSocket,
+        speed: float,
+        losses: Losses,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._monitor = monitor
         self._bus = bus
         self._subscribers = subscribers
         self._speed = speed
+        self._losses = losses
+        self._losses_due = clock() + LOSSES_S
+        self._clock = clock
         self._start: float | None = None  # monotonic time of the first frame
         self._stopped = False
         self._printing = True
@@ -81,23 +96,29 @@ class Daemon:
         with selectors.DefaultSelector() as selector:
             selector.register(self._bus.fileno(), selectors.EVENT_READ)
             self._subscribers.register(selector)
-            while not self._stopped:
-                ready = selector.select(self._patience())
-                self._listen()
-                self._subscribers.serve(ready)
+            try:
+                while not self._stopped:
+                    ready = selector.select(self._patience())
+                    self._listen()
+                    self._subscribers.serve(ready)
+                    if self._clock() >= self._losses_due:
+                        self._tell_losses()
+            finally:
+                self._tell_losses()
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
         self._stopped = True
 
     def _listen(self) -> None:
         """Takes what the bus has, then lets the clock run as far as the bus has been read."""
+        now = self._clock()  # before the bus is read, because what comes after that has not been read
         frames = self._bus.receive()
         for frame in frames:
             if self._start is None:
                 self._start = frame.t
             self._tell(self._monitor.frame(self._log_time(frame.t), frame.can_id, frame.is_extended, frame.data))
         if not frames and self._start is not None:
-            self._tell(self._monitor.advance(self._log_time(time.monotonic() - LAG_S)))
+            self._tell(self._monitor.advance(self._log_time(now - LAG_S)))
 
     def _log_time(self, monotonic: float) -> float:
         assert self._start is not None
@@ -108,7 +129,12 @@ class Daemon:
         due = self._monitor.next_tick_s
         if due is None or self._start is None:
             return IDLE_S
-        return min(IDLE_S, max(0.0, self._start + due / self._speed + LAG_S - time.monotonic()))
+        return min(IDLE_S, max(0.0, self._start + due / self._speed + LAG_S - self._clock()))
+
+    def _tell_losses(self) -> None:
+        self._losses_due = self._clock() + LOSSES_S
+        if news := self._losses.news():
+            _say(news)
 
     def _tell(self, events: list[Event]) -> None:
         for event in events:
@@ -124,4 +150,4 @@ class Daemon:
                 sys.stdout.buffer.flush()
             except BrokenPipeError:
                 self._printing = False
-                print("faultline run: standard output is closed; events go on over the socket", file=sys.stderr)
+                _say("standard output is closed; events go on over the socket")

@@ -4,24 +4,25 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 from service.bus import open_bus
 from service.logs import Frame, open_log
 
 EXAMPLE = """example:
-  faultline replay out/logs/bench-validation-s3-fA_du --bus socketcan:vcan0 --speed 20
+  faultline replay logs/bench-validation-s3-fA_du --bus socketcan:vcan0 --speed 20
 """
 
 TOLD_EVERY_S = 2.0
 
 
-@dataclass
-class Played:
-    """What was sent: frames, the wall time it took [s] and the latest any frame was [s]."""
+class Played(msgspec.Struct):
+    """What was sent: frames, their log time [s], the wall time it took [s] and the latest any frame was [s, wall]."""
 
     frames: int = 0
+    log_s: float = 0.0
     wall_s: float = 0.0
     worst_s: float = 0.0
 
@@ -34,6 +35,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")
     parser.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     parser.add_argument("--speed", type=float, default=1.0, help="how many times real time (default: 1)")
+    parser.add_argument("--json", action="store_true", help="print at the end what was sent, as one JSON object")
     options = parser.parse_args(argv)
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
@@ -45,9 +47,11 @@ def main(argv: list[str]) -> int:
         told = Told(lambda t: _say(f"{t:.0f} s of {length:.0f} s"), TOLD_EVERY_S * options.speed)
         played = play(log.relative(), bus.send, options.speed, progress=told)
     _say(
-        f"{played.frames} frames of {length:.1f} s in {played.wall_s:.1f} s, "
+        f"{played.frames} frames of {played.log_s:.1f} s in {played.wall_s:.1f} s, "
         f"the latest {1e3 * played.worst_s:.1f} ms behind its time"
     )
+    if options.json:
+        print(msgspec.json.encode(played).decode())
     return 0
 
 
@@ -92,6 +96,7 @@ def play(
             sleep(ahead)
         send(frame)
         played.frames += 1
+        played.log_s = frame.t
         played.worst_s = max(played.worst_s, clock() - due)
         progress(frame.t)
     played.wall_s = clock() - start

@@ -4,6 +4,8 @@ A frame's time is the monotonic time at which it reached the kernel. The kernel'
 it only says how long a frame has waited, and is ignored where that cannot be true.
 """
 
+import socket
+import struct
 import time
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -19,16 +21,23 @@ QUEUE = 4 * 1024 * 1024
 
 OLDEST_S = 5.0  # a longer wait than the queue can hold is a clock that was set
 
+SO_TIMESTAMPNS = 35  # asm-generic/socket.h
+_TIMESPEC = struct.Struct("@ll")
+
 
 class BusError(InputError):
     """A bus that is not there, or that does not take frames."""
 
 
 class Bus(ABC):
-    """Receives without blocking, and sends. `skipped` counts what came but is no data frame."""
+    """Receives without blocking, and sends.
+
+    `skipped` counts what came but is no data frame, `link_downs` how often the interface went down.
+    """
 
     def __init__(self) -> None:
         self.skipped = 0
+        self.link_downs = 0
         self._last = 0.0  # time of the newest frame; frames never go back
 
     @abstractmethod
@@ -65,3 +74,12 @@ class Bus(ABC):
         now, waited = time.monotonic(), time.time() - stamp
         self._last = max(self._last, now - waited if 0.0 <= waited < OLDEST_S else now)
         return self._last
+
+
+def wall_stamp(extras: list[tuple[int, int, bytes]]) -> float:
+    """The kernel's time stamp [s, wall clock] in a datagram's control messages; 0 where there is none."""
+    for level, kind, data in extras:
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            return float(seconds + nanoseconds * 1e-9)
+    return 0.0

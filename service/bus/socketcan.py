@@ -11,11 +11,11 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from service.bus.base import BATCH, QUEUE, Bus, BusError
+from service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
 from service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
-SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
+SO_RXQ_OVFL = 40
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 ERROR_CLASSES = 0x1FFF_FFFF & ~0x80  # all but bus errors, which may come as fast as the bus runs
 PRIORITY_MASK = 0x03FF_FFFF  # J1939: parameter group and source address
@@ -35,12 +35,11 @@ _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _FD_FLAG = 0x04
 _FD_SIZES = frozenset([*range(9), 12, 16, 20, 24, 32, 48, 64])
-_TIMESPEC = struct.Struct("@ll")
 _DROPS = struct.Struct("@I")
 
 
 class SocketCan(Bus):
-    """A raw CAN socket. `link_down` says that the interface went down; the socket works again once it is up."""
+    """A raw CAN socket. It works again once an interface that went down is up."""
 
     def __init__(self, sock: socket.socket, name: str) -> None:
         super().__init__()
@@ -48,7 +47,6 @@ class SocketCan(Bus):
         self._socket = sock
         self._name = name
         self._dropped = 0
-        self.link_down = False
 
     @property
     def dropped(self) -> int:
@@ -62,7 +60,6 @@ class SocketCan(Bus):
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames; raises `BusError` where none will ever come again."""
         frames: list[Frame] = []
-        went_down = False
         for _ in range(BATCH):
             try:
                 content, extras, _flags, _address = self._socket.recvmsg(_FD.size, 256)
@@ -70,11 +67,9 @@ class SocketCan(Bus):
                 break
             except OSError as error:
                 self._lost(error)
-                went_down = True  # told ahead of the frames that came before it
-                continue
-            self.link_down = went_down
-            stamp = self._extras(extras)
-            frame = unpack(content, self._arrival(stamp))
+                continue  # it is told ahead of the frames that came before it
+            self._count_drops(extras)
+            frame = unpack(content, self._arrival(wall_stamp(extras)))
             if frame is None:
                 self.skipped += 1
             else:
@@ -85,18 +80,13 @@ class SocketCan(Bus):
         """ENETDOWN comes once and heals by itself; a socket whose device was removed never receives again."""
         if error.errno != errno.ENETDOWN:
             raise BusError(f"{self._name}: lost: {error.strerror}; start again once it is back") from error
-        self.link_down = True
+        self.link_downs += 1
 
-    def _extras(self, extras: list[tuple[int, int, bytes]]) -> float:
-        """Takes the drop counter, which is cumulative, and returns the time stamp (0 where there is none)."""
-        stamp = 0.0
+    def _count_drops(self, extras: list[tuple[int, int, bytes]]) -> None:
+        """The kernel's counter is cumulative."""
         for level, kind, data in extras:
-            if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack(data)
-                stamp = seconds + nanoseconds * 1e-9
-            elif level == socket.SOL_SOCKET and kind == SO_RXQ_OVFL and len(data) == _DROPS.size:
+            if level == socket.SOL_SOCKET and kind == SO_RXQ_OVFL and len(data) == _DROPS.size:
                 (self._dropped,) = _DROPS.unpack(data)
-        return stamp
 
     def send(self, frame: Frame) -> None:
         """Sends; waits up to a second for room in a full queue."""

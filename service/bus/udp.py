@@ -1,18 +1,43 @@
-"""CAN frames in UDP datagrams that never leave this machine, for where there is no SocketCAN; python-can's format."""
+"""CAN frames in UDP datagrams that never leave this machine, for where there is no SocketCAN.
+
+The group is joined, and sent to, on the loopback interface and there alone, so that no route is needed and none leads
+out; nor does anything come in from another interface. The datagrams are python-can's; its own bus takes the interface
+that the routes say: python-can's tools listen and send here after `ip route add 239.0.0.0/8 dev lo`.
+"""
 
 import os
 import socket
-from contextlib import closing
 from pathlib import Path
+from typing import Annotated
 
 import can
-from can.interfaces.udp_multicast import UdpMulticastBus
+import msgspec
+from can.interfaces.udp_multicast.utils import pack_message
 
-from service.bus.base import BATCH, QUEUE, Bus, BusError
+from service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
 from service.logs import Frame
 
-HOPS = 0
-"""Datagrams with this limit stay on the machine."""
+LOOPBACK = socket.inet_aton("127.0.0.1")
+IP_MULTICAST_ALL = 49  # linux/in.h
+LARGEST = 4096  # bytes of a datagram that are read; a frame takes some 200
+
+
+class _Message(msgspec.Struct):
+    """What a frame is, of the fields that python-can packs.
+
+    Read strictly: python-can's own reader trusts what comes, and makes of a number for data that many bytes of memory.
+    """
+
+    arbitration_id: Annotated[int, msgspec.Meta(ge=0, le=0x1FFF_FFFF)]
+    is_extended_id: bool
+    dlc: int
+    data: bytes
+    is_fd: bool
+    is_remote_frame: bool
+    is_error_frame: bool
+
+
+_decoder = msgspec.msgpack.Decoder(_Message)
 
 
 class UdpMulticast(Bus):
@@ -20,21 +45,20 @@ class UdpMulticast(Bus):
 
     def __init__(self, group: str, port: int) -> None:
         super().__init__()
-        try:
-            self._bus = UdpMulticastBus(group, port, hop_limit=HOPS)
-        except (can.CanError, OSError) as error:
-            reason = error.__cause__ or error
-            raise BusError(
-                f"udp_multicast:{group}:{port}: {reason}; it needs a multicast route: ip route add 239.0.0.0/8 dev lo"
-            ) from error
-        with closing(socket.socket(fileno=os.dup(self._bus.fileno()))) as shared:
-            shared.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE)
         self._name = f"udp_multicast:{group}:{port}"
-        self._inode = str(os.fstat(self._bus.fileno()).st_ino)
+        self._address = (group, port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            _configure(self._socket, self._address)
+        except OSError as error:
+            self._socket.close()
+            remedy = "it needs the loopback interface: ip link set lo up, or another port"
+            raise BusError(f"{self._name}: {error.strerror}; {remedy}") from error
+        self._inode = str(os.fstat(self._socket.fileno()).st_ino)
 
     def fileno(self) -> int:
         """Of the socket."""
-        return int(self._bus.fileno())
+        return self._socket.fileno()
 
     @property
     def dropped(self) -> int:
@@ -50,36 +74,60 @@ class UdpMulticast(Bus):
         frames: list[Frame] = []
         for _ in range(BATCH):
             try:
-                message = self._bus.recv(timeout=0)
-            except can.CanError as error:
-                if isinstance(error.__cause__, OSError):
-                    raise BusError(f"{self._name}: lost: {error.__cause__}") from error
-                self.skipped += 1  # no frame: anybody on this machine may send anything to a UDP port
-                continue
+                content, extras, _flags, _address = self._socket.recvmsg(LARGEST, 256, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
             except OSError as error:
                 raise BusError(f"{self._name}: lost: {error.strerror}") from error
-            if message is None:
-                break
-            if message.is_remote_frame or message.is_error_frame:
+            frame = unpack(content, self._arrival(wall_stamp(extras)))
+            if frame is None:
                 self.skipped += 1
-                continue
-            t = self._arrival(message.timestamp)
-            frames.append(Frame(t, message.arbitration_id, message.is_extended_id, bytes(message.data)))
+            else:
+                frames.append(frame)
         return frames
 
     def send(self, frame: Frame) -> None:
-        """Sends one datagram."""
-        message = can.Message(
-            arbitration_id=frame.can_id,
-            is_extended_id=frame.is_extended,
-            data=frame.data,
-            is_fd=len(frame.data) > 8,
-        )
+        """Sends one datagram; waits for room in a full queue."""
         try:
-            self._bus.send(message)
-        except can.CanError as error:
-            raise BusError(f"{self._name}: does not take frames: {error.__cause__ or error}") from error
+            self._socket.sendto(pack(frame), self._address)
+        except OSError as error:
+            raise BusError(f"{self._name}: does not take frames: {error.strerror}") from error
 
     def close(self) -> None:
         """Closes the socket."""
-        self._bus.shutdown()
+        self._socket.close()
+
+
+def _configure(sock: socket.socket, address: tuple[str, int]) -> None:
+    """Bound to the group, not to any address: so no other host can send to the port directly."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE)
+    sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, LOOPBACK)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+    sock.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)  # nothing by what others joined elsewhere
+    sock.bind(address)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(address[0]) + LOOPBACK)
+
+
+def pack(frame: Frame) -> bytes:
+    """The frame as a datagram."""
+    message = can.Message(
+        arbitration_id=frame.can_id, is_extended_id=frame.is_extended, data=frame.data, is_fd=len(frame.data) > 8
+    )
+    return pack_message(message)
+
+
+def unpack(content: bytes, t: float) -> Frame | None:
+    """The data frame in a datagram; None if none: anybody on this machine may send anything to a UDP port."""
+    try:
+        message = _decoder.decode(content)
+    except (msgspec.MsgspecError, RecursionError):
+        return None
+    size = len(message.data)
+    if message.is_remote_frame or message.is_error_frame or size != message.dlc or size > (64 if message.is_fd else 8):
+        return None
+    if not message.is_extended_id and message.arbitration_id > 0x7FF:
+        return None
+    return Frame(t, message.arbitration_id, message.is_extended_id, message.data)

@@ -89,8 +89,7 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
 
     Raises:
         InputError: the text is no valid DBC, or a wanted signal is absent, ambiguous, multiplexed, a float, or in a
-        unit
-            that cannot be converted to the one wanted.
+            unit that cannot be converted to the one wanted.
     """
     try:
         database = load_string(text, "dbc", strict=True)

@@ -45,13 +45,3 @@ class Sampler:
         """
         fresh = t - self._time <= self._maximum_age
         return self._value.copy(), fresh & (self._quality == Quality.GOOD)
-
-    def qualities(self, t: float) -> dict[str, Quality]:
-        """The quality of every input at log time `t` [s], for reports."""
-        stale = t - self._time > self._maximum_age
-        return {
-            name: Quality.STALE
-            if stale[column] and self._quality[column] == Quality.GOOD
-            else Quality(self._quality[column])
-            for name, column in self._column.items()
-        }

@@ -13,15 +13,14 @@ class Quality(IntEnum):
     """Why a value may or may not be used. Only `GOOD` is a number to compute with.
 
     `NOT_AVAILABLE`, `ERROR` and `RESERVED` are the sender's own words (SAE J1939-71 value ranges); `MISSING` has never
-    been received; `STALE` is older than its input allows.
+    been received. How old a value is, is another question.
     """
 
     GOOD = 0
     MISSING = 1
-    STALE = 2
-    NOT_AVAILABLE = 3
-    ERROR = 4
-    RESERVED = 5
+    NOT_AVAILABLE = 2
+    ERROR = 3
+    RESERVED = 4
 
 
 def j1939_quality(raw: int, length: int) -> Quality:

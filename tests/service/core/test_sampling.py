@@ -17,7 +17,6 @@ def test_a_value_is_usable_until_its_maximum_age() -> None:
         assert values[0] == 3.0
         assert mask.tolist() == [usable, False]
     assert np.isnan(sampler.sample(5.0)[0][1])
-    assert sampler.qualities(6.01) == {"a": Quality.STALE, "b": Quality.MISSING}
 
 
 def test_not_available_is_never_a_number_and_does_not_erase_the_last_one() -> None:
@@ -27,7 +26,6 @@ def test_not_available_is_never_a_number_and_does_not_erase_the_last_one() -> No
     values, usable = sampler.sample(0.1)
     assert values[0] == 3.0
     assert not usable[0]
-    assert sampler.qualities(0.1)["a"] is Quality.NOT_AVAILABLE
     sampler.receive("a", 0.2, 4.0, Quality.GOOD)
     assert sampler.sample(0.2)[1][0]
 

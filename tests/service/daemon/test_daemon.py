@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -84,7 +84,7 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serve:
     """Runs the script to its end; gives what the monitor was told."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
@@ -96,7 +96,7 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iter
                 Daemon(cast(Monitor, heard), bus, subscribers, speed, Losses(bus, table), clock).serve()
         return heard.told
 
-    yield run
+    return run
 
 
 def frame(t: float) -> Frame:

@@ -1,5 +1,6 @@
 """A replay keeps every frame's time on the clock it is given."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,7 @@ def test_frames_go_out_at_their_times() -> None:
     sent, played = _play([0.0, 0.5, 2.0], 1.0)
     assert sent == pytest.approx([0.0, 0.5, 2.0])
     assert played.frames == 3
+    assert played.log_s == 2.0
     assert played.worst_s == pytest.approx(0.0, abs=1e-9)
     assert played.wall_s == pytest.approx(2.0)
 
@@ -94,10 +96,29 @@ def test_plays_a_log_and_says_what_was_lost(
     log.write_text("(100.0) can0 123#01\nnonsense\n(100.5) can0 18FF103D#02\n(100.9) can0 12")
     assert main([str(log), "--bus", "x:y", "--speed", "1000"]) == 0
     assert bus.sent == [Frame(0.0, 0x123, False, b"\x01"), Frame(0.5, 0x18FF103D, True, b"\x02")]
-    said = capsys.readouterr().err
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    said = captured.err
     assert "faultline replay: 2 frames read, 1 lines could not be read (line 2:" in said
     assert "the last line is cut off" in said
     assert "faultline replay: 2 frames of 0.5 s in " in said
+
+
+def test_what_was_sent_as_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(replay, "open_bus", lambda _: Fake())
+    log = tmp_path / "can.log"
+    log.write_text("(100.0) can0 123#01\n(100.5) can0 123#02\n")
+    assert main([str(log), "--bus", "x:y", "--speed", "1000", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("\n") == 1
+    played = json.loads(captured.out)
+    assert list(played) == ["frames", "log_s", "wall_s", "worst_s"]
+    assert (played["frames"], played["log_s"]) == (2, 0.5)
+    assert played["wall_s"] > 0
+    assert played["worst_s"] >= 0
+    assert "2 frames of 0.5 s in " in captured.err
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
@@ -105,7 +126,9 @@ def test_speed_is_a_positive_number(speed: str, capsys: pytest.CaptureFixture[st
     with pytest.raises(SystemExit) as caught:
         main(["x.log", "--bus", "socketcan:vcan0", "--speed", speed])
     assert caught.value.code == 2
-    assert "--speed" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "--speed" in said
+    assert "must be a number above zero" in said or speed == "fast"
 
 
 def test_a_missing_log_or_bus_is_bad_input(tmp_path: Path) -> None:
