@@ -11,11 +11,12 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
+from testbench.promise import RECORDINGS, Recording, Verdict, problems, sentence
+
 EXAMPLE = """example:
-  faultline demo --out out
+  faultline demo --out out/demo
 
 It needs no root and no network. It exits with 1 unless both faults are isolated as the structure of the model promises.
 """
@@ -23,66 +24,13 @@ It needs no root and no network. It exits with 1 unless both faults are isolated
 SPEED = 20
 MULTICAST = "udp_multicast:239.74.163.2"  # stays on this machine: its hop limit is 0
 PROBE_S = 0.2
+READY_S = 20.0
+MARKER = ".faultline-demo"
+"""A file by which the demo knows a folder of its own, the only kind it replaces."""
 
-
-@dataclass(frozen=True)
-class Verdict:
-    """What `evaluate --json` says of a recording."""
-
-    recording: str
-    faults: list[str]
-    onset_s: float | None
-    detected: bool
-    delay_s: float | None
-    isolated: list[str]
-    first: list[str]
-    contained: bool
-    named: bool
-    tests: list[str]
-    false_alarms: int
-
-
-@dataclass(frozen=True)
-class Recording:
-    """One run of the rig: what for, and the arguments of `rig record`."""
-
-    purpose: str
-    cycle: str
-    seed: int
-    duration: float
-    fault: str = ""
-    size: float = 0.0
-
-    @property
-    def name(self) -> str:
-        """Its id."""
-        return f"{self.cycle}-{self.seed}" + (f"-{self.fault}" if self.fault else "")
-
-    @property
-    def arguments(self) -> list[str]:
-        """Those of `rig record`, without the folders."""
-        given = ["--id", self.name, "--cycle", self.cycle, "--seed", str(self.seed), "--duration", str(self.duration)]
-        return [*given, "--fault", self.fault, "--size", str(self.size), "--onset", "150"] if self.fault else given
-
-
-RECORDINGS = (
-    Recording("calibrate", "training", 1, 480),
-    Recording("tune", "drive", 2, 420),
-    Recording("tune", "drive", 3, 420),
-    Recording("tune", "training", 4, 420),
-    Recording("evaluate", "validation", 5, 420),
-    Recording("evaluate", "validation", 6, 420, "fA_du", 0.65),
-    Recording("evaluate", "validation", 7, 420, "fA_t", 0.65),
-)
-
-ALLOWED = {
-    "fA_du": {"fA_du", "fy_p_du", "fy_p_ap"},
-    "fA_t": {"fA_t", "fA_p", "fq_pump", "fy_p_tp"},
-}
-"""What integral-causality tests can leave at most as explanation of each fault (thesis fig. 5.5b and the test set)."""
-
-FIRST = {"fA_du"}
-"""Faults that must be ranked first, and alone, by sign, size and pattern."""
+TRIES = 3
+LATEST_S = 0.5
+"""Log time [s] that a replayed frame may be late: a machine too busy for the speed shows its own stalls, not faults."""
 
 
 class DemoError(Exception):
@@ -94,13 +42,19 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(
         "faultline demo", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="where everything goes (replaced)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/demo"), help="where everything goes; an earlier demo's is replaced"
+    )
     parser.add_argument("--speed", type=float, default=SPEED, help="replay this many times faster than real time")
     options = parser.parse_args(argv)
+    if not 0 < options.speed < float("inf"):
+        parser.error("--speed must be a number above zero")
     if options.out.exists():
-        if not (options.out / "truth").is_dir():
-            parser.error(f"{options.out} exists and is no demo's folder; name another with --out")
+        if not (options.out / MARKER).is_file():
+            parser.error(f"{options.out} exists and is no demo's folder; name another with --out, or remove it")
         shutil.rmtree(options.out)
+    options.out.mkdir(parents=True)
+    (options.out / MARKER).touch()
     started = time.monotonic()
     try:
         good = Demo(options.out, options.speed).run()
@@ -172,28 +126,45 @@ class Demo:
         return bus
 
     def _live(self, recording: Recording, bus: str) -> Verdict:
-        """The daemon listens, a subscriber watches, a recording is replayed; then the events meet the truth."""
+        """The recording over the bus, again and slower where this machine was too busy to keep its time."""
         log = self._logs[recording]
-        events, where = self._out / f"{log.name}.events.jsonl", self._out / "events.sock"
-        minutes = recording.duration / 60
-        self._step(f"live: {log.name}, {minutes:g} min at {self._speed:g}x; `watch` prints the alarms as they come")
+        speed = self._speed
+        for _ in range(TRIES):
+            minutes = recording.duration / 60
+            self._step(f"live: {log.name}, {minutes:g} min at {speed:g}x; `watch` prints the alarms as they come")
+            late = self._play(log, bus, speed)
+            if late <= LATEST_S:
+                return self._judge(recording, self._out / f"{log.name}.events.jsonl")
+            print(f"   not counted: this machine was too busy, a frame came {late:.1f} s of log time late")
+            speed /= 2
+        raise DemoError(
+            f"{log.name}: a frame was more than {LATEST_S:g} s of log time late {TRIES} times; stop what else runs here"
+        )
+
+    def _play(self, log: Path, bus: str, speed: float) -> float:
+        """The daemon listens, subscribers watch, the log is replayed; the log time [s] its latest frame was late."""
+        where = self._out / "events.sock"
         run = ("run", "--bundle", self._out / "bundle", "--bus", bus, "--socket", where, "--source", log.name)
-        with events.open("wb") as told, (self._out / "daemon.log").open("ab") as log_file:
-            daemon = self._spawn(*run, "--speed", self._speed, stdout=subprocess.DEVNULL, stderr=log_file)
-            watchers = [
-                self._spawn("watch", "--socket", where, "--wait", 20, "--after", 0, "--bundle", self._out / "bundle"),
-                self._spawn("watch", "--socket", where, "--wait", 20, "--after", 0, "--json", stdout=told),
+        watch = ("watch", "--socket", where, "--wait", READY_S, "--after", 0)
+        words = self._out / f"{log.name}.daemon.log"
+        with (self._out / f"{log.name}.events.jsonl").open("wb") as told, words.open("wb") as errors:
+            daemon = self._spawn(*run, "--speed", speed, stdout=subprocess.DEVNULL, stderr=errors)
+            started = [
+                daemon,
+                self._spawn(*watch, "--bundle", self._out / "bundle"),
+                self._spawn(*watch, "--json", stdout=told),
             ]
             try:
-                self._ready(where, daemon)
-                self._call("replay", log, "--bus", bus, "--speed", self._speed, show=True)
+                self._ready(where, daemon, words)
+                played = json.loads(self._call("replay", log, "--bus", bus, "--speed", speed, "--json", show=True))
                 time.sleep(1.0)  # what was sent last is still on its way
             finally:
                 daemon.send_signal(signal.SIGTERM)
-                daemon.wait(10)
-                for watcher in watchers:
-                    watcher.wait(10)
-        return self._judge(recording, events)
+                codes = [_end(process) for process in started]
+        if any(codes):
+            raise DemoError(f"daemon and subscribers exited with {codes}, not with 0; see {words}")
+        self._show("\n".join(words.read_text().splitlines()[1:]))  # the first line says that it was ready
+        return float(played["worst_s"]) * speed
 
     def _judge(self, recording: Recording, events: Path | None) -> Verdict:
         log = self._logs[recording]
@@ -207,11 +178,9 @@ class Demo:
         self._step("summary, against truth.toml")
         good = True
         for verdict in verdicts:
-            problems = _problems(verdict)
-            good = good and not problems
-            print(
-                f"   {_sentence(verdict)}: {'NOT as promised, ' + '; '.join(problems) if problems else 'as promised'}"
-            )
+            wrong = problems(verdict)
+            good = good and not wrong
+            print(f"   {sentence(verdict)}: {'NOT as promised, ' + '; '.join(wrong) if wrong else 'as promised'}")
         for picture in sorted(self._out.glob("*.png")):
             print(f"   picture: {picture}")
         return good
@@ -223,7 +192,8 @@ class Demo:
         print(f"[{time.monotonic() - self._start:5.1f} s] {text}", flush=True)
 
     def _show(self, text: str) -> None:
-        print("\n".join(f"   {line}" for line in text.strip().splitlines()), flush=True)
+        for line in text.strip().splitlines():
+            print(f"   {line}", flush=True)
 
     def _call(self, *arguments: object, accept: Sequence[int] = (0,), show: bool = False) -> str:
         """A command's standard output; raises `DemoError` with its last words where it fails.
@@ -240,39 +210,24 @@ class Demo:
     def _spawn(self, *arguments: object, **options: object) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(_command(arguments), **options)  # type: ignore[call-overload, no-any-return]
 
-    def _ready(self, where: Path, daemon: "subprocess.Popen[bytes]") -> None:
-        for _ in range(100):
+    def _ready(self, where: Path, daemon: "subprocess.Popen[bytes]", words: Path) -> None:
+        for _ in range(round(READY_S / PROBE_S)):
             if where.exists():
                 time.sleep(3 * PROBE_S)  # the watchers connect
                 return
             if daemon.poll() is not None:
-                raise DemoError(f"the daemon ended with {daemon.returncode}; see {self._out / 'daemon.log'}")
+                raise DemoError(f"the daemon ended with {daemon.returncode}: {words.read_text().strip()}")
             time.sleep(PROBE_S)
-        raise DemoError("the daemon was not ready in 20 s")
+        raise DemoError(f"the daemon was not ready in {READY_S:g} s")
 
 
-def _sentence(v: Verdict) -> str:
-    if not v.faults:
-        return f"fault-free: {v.false_alarms} false alarms"
-    return (
-        f"{v.faults[0]} from {v.onset_s:g} s: detected after {v.delay_s} s, isolated {{{', '.join(v.isolated)}}}, "
-        f"first {', '.join(v.first)}, {v.false_alarms} false alarms before"
-    )
-
-
-def _problems(v: Verdict) -> list[str]:
-    """What is not as the demo promises."""
-    problems = [f"{v.false_alarms} false alarms"] if v.false_alarms else []
-    if not v.faults:
-        return problems
-    [fault] = v.faults
-    if not v.detected:
-        problems.append("not detected")
-    elif fault not in v.isolated or not set(v.isolated) <= ALLOWED[fault]:
-        problems.append(f"the isolated set should hold {fault} and at most {', '.join(sorted(ALLOWED[fault]))}")
-    elif fault in FIRST and v.first != [fault]:
-        problems.append(f"{fault} should be ranked first, alone")
-    return problems
+def _end(process: "subprocess.Popen[bytes]") -> int:
+    """The exit code of a process that should be at its end."""
+    try:
+        return process.wait(10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
 
 
 def _command(arguments: Iterable[object]) -> list[str]:
