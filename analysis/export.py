@@ -13,12 +13,13 @@ from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.model import dump_model, load_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
 from service.bundle import MANIFEST, SEAL, Bundle, Golden, decode_manifest, load_bundle, seal, verify_golden
+from service.core.consistency import FILE_NAME
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank
 from service.core.manifest import SCHEMA, Fault, File, Manifest, Origin
 
-DBC, GRAPH, GOLDEN = "uds.dbc", "ode.onnx", "golden.json"
+GRAPH, GOLDEN = "ode.onnx", "golden.json"
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
@@ -44,28 +45,28 @@ def main(argv: list[str]) -> int:
         )
     dbc = _dbc(options.dbc, bank)
     _check_room(options.out, options.force)
-    files = bundle_files(bank, tuning, dbc, str(options.out))
+    files = bundle_files(bank, tuning, options.dbc.name, dbc, str(options.out))
     bundle = _put(files, options.out)
     size = sum(file.size for file in bundle.manifest.files.values())
     print(f"wrote {options.out}: {len(bank.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
     return 0
 
 
-def bundle_files(bank: Bank, tuning: Tuning, dbc: bytes, where: str) -> dict[str, bytes]:
+def bundle_files(bank: Bank, tuning: Tuning, dbc_name: str, dbc: bytes, where: str) -> dict[str, bytes]:
     """The files of the bundle by name; the same model, tuning and DBC give the same bytes.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
     graph = bank.graph()
-    files = {DBC: dbc, GRAPH: graph, GOLDEN: _golden(bank, graph, tuning)}
+    files = {dbc_name: dbc, GRAPH: graph, GOLDEN: _golden(bank, graph, tuning)}
     manifest = Manifest(
         schema=SCHEMA,
         name=bank.model.name,
         sensor_set="instrumented",
         period_s=PERIOD_S,
         start_within_s=tuning.start_within_s,
-        dbc=DBC,
+        dbc=dbc_name,
         graph=GRAPH,
         golden=GOLDEN,
         files={name: File(sha256=hashlib.sha256(raw).hexdigest(), size=len(raw)) for name, raw in files.items()},
@@ -92,6 +93,10 @@ def bundle_files(bank: Bank, tuning: Tuning, dbc: bytes, where: str) -> dict[str
 def _dbc(path: Path, bank: Bank) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: not found; give the DBC that the recordings were made with")
+    if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, GOLDEN, MANIFEST, SEAL):
+        raise InputError(
+            f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
+        )
     raw = path.read_bytes()
     try:
         text = raw.decode()

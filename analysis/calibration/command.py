@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 
 from analysis.calibration.fit import Fit, fit
-from analysis.graph.bank import build_bank
-from analysis.model import Model, dump_model, load_model
+from analysis.graph.bank import Bank, build_bank
+from analysis.model import dump_model, load_model
 from analysis.progress import Progress
 from analysis.recordings.observe import observe, open_known
 from service.core.decode import compile_dbc
@@ -38,18 +38,17 @@ def main(argv: list[str]) -> int:
     text = dump_model(model.with_parameters(result.values, entry))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(text)
-    print(msgspec.json.encode(result).decode() if options.json else _table(model, result, options.out, text))
+    print(msgspec.json.encode(result).decode() if options.json else _table(bank, result, options.out, text))
     return 0
 
 
-def _table(model: Model, result: Fit, out: Path, text: str) -> str:
+def _table(bank: Bank, result: Fit, out: Path, text: str) -> str:
     lines = [f"{'parameter':<10}{'datasheet':>14}{'calibrated':>14}{'spread':>9}  unit"]
     for name, value in result.values.items():
-        parameter = model.parameters[name]
+        parameter = bank.model.parameters[name]
         lines.append(f"{name:<10}{parameter.value:>14.4g}{value:>14.4g}{result.spread[name]:>8.1%}  {parameter.unit}")
-    lines.append(
-        "residual (RMS of 5 s means): " + ", ".join(f"{t} {v / 100:.1f}" for t, v in result.rms.items()) + " mbar"
-    )
+    units = dict(zip((test.name for test in bank.tests), bank.units, strict=True))
+    lines.append("residual (RMS of 5 s means): " + ", ".join(f"{t} {v:.3g} {units[t]}" for t, v in result.rms.items()))
     lines.append(
         f"wrote {out} (sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]}), from {result.blocks} steady blocks"
     )

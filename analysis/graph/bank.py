@@ -18,7 +18,6 @@ from service.core.manifest import Generator, Input, State
 
 PERIOD_S = 0.2
 MAXIMUM_AGE_S = 1.0  # five periods of the controller's values: a frame or two may be lost, a sensor may not
-WARM_UP_S = 20.0  # the slowest pressure forgets its start with some 3.5 s
 
 Array = npt.NDArray[np.float64]
 Trial = Mapping[str, float]
@@ -39,6 +38,11 @@ class Bank:
     def evaluator(self) -> Evaluator:
         """The networks' matrices as functions of parameters and faults."""
         return Evaluator(self.networks, self.model)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of every test's residual: that of the signal it predicts."""
+        return tuple(self.model.known[test.predicts].unit for test in self.tests)
 
     def only(self, rows: Sequence[int]) -> "Bank":
         """The bank of these tests alone."""
@@ -113,7 +117,7 @@ def _generator(model: Model, test: Test) -> Generator:
         inputs=list(test.known),
         states=[_state(model, test, name) for name in test.states],
         faults=list(test.faults),
-        warm_up_ticks=round(WARM_UP_S / PERIOD_S),
+        warm_up_ticks=round(model.warm_up_s / PERIOD_S),
     )
 
 

@@ -3,7 +3,7 @@
 from analysis.model.errors import ModelError
 from analysis.model.expression import sgsqrt
 from analysis.model.file import load_model, parse_model
-from analysis.model.model import Differential, Equation, Fault, Known, Model, Parameter, Unknown
+from analysis.model.model import Differential, Equation, Fault, Known, Model, OperatingModes, Parameter, Unknown
 from analysis.model.write import dump_model
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Known",
     "Model",
     "ModelError",
+    "OperatingModes",
     "Parameter",
     "Unknown",
     "dump_model",

@@ -2,17 +2,21 @@
 
     schema = 1
     name = "uds4"
+    warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
     [known.y_p_tp]           unit, description, min, max, noise
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior, source  (min, max and prior may be absent)
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
     [[differential]]         name, state, derivative
+    [modes]                  signal, idle_below, maximum_above, settle_s, edges = {n_p = 4.0}
+      (no table: one mode; no idle_below: no idle mode; no maximum_above: no maximum; no edges and settle_s: no edge)
     [[provenance]]           any keys: what calibration did
 
 Strict: an unknown key, an undeclared name or a wrong type is an error that names its place.
 """
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +26,18 @@ import sympy as sp
 from analysis.model.check import check_model, check_name, check_names
 from analysis.model.errors import ModelError
 from analysis.model.expression import parse_expression
-from analysis.model.model import Differential, Equation, Fault, Known, Model, Parameter, Unknown, check_bounds
+from analysis.model.model import (
+    WARM_UP_S,
+    Differential,
+    Equation,
+    Fault,
+    Known,
+    Model,
+    OperatingModes,
+    Parameter,
+    Unknown,
+    check_bounds,
+)
 from analysis.model.tables import Table
 
 SCHEMA = 1
@@ -80,10 +95,58 @@ def parse_model(text: str, where: str) -> Model:
         equations={equation.name: equation for equation in read},
         differentials=tuple(_differential(table) for table in top.tables("differential")),
         provenance=tuple(table.rest() for table in top.tables("provenance")),
+        modes=_modes(top.table("modes"), known),
+        warm_up_s=_warm_up(top),
     )
     top.done()
     check_model(model, [equation.name for equation in read], where)
     return model
+
+
+def _warm_up(top: Table) -> float:
+    seconds = top.optional_number("warm_up_s")
+    if seconds is not None and seconds < 0:
+        raise top.fail("warm_up_s", f"{seconds:g} s is no time; give zero or more")
+    return WARM_UP_S if seconds is None else seconds
+
+
+def _modes(table: Table | None, known: Mapping[str, Known]) -> OperatingModes | None:
+    if table is None:
+        return None
+    edges = _edges(table.table("edges"), known)
+    settle = table.optional_number("settle_s")
+    modes = OperatingModes(
+        signal=table.text("signal"),
+        idle_below=table.optional_number("idle_below"),
+        maximum_above=table.optional_number("maximum_above"),
+        edges=edges,
+        settle_s=settle or 0.0,
+    )
+    table.done()
+    if modes.signal not in known:
+        raise table.fail("signal", f"{modes.signal} is no known signal; those are {', '.join(known)}")
+    lower = -math.inf if modes.idle_below is None else modes.idle_below
+    if modes.maximum_above is not None and not lower < modes.maximum_above:
+        raise table.fail("maximum_above", f"{modes.maximum_above:g} is not above idle_below, {lower:g}")
+    if bool(modes.edges) != (modes.settle_s > 0):
+        raise table.fail("settle_s", "edges and a positive settle_s go together; give both or neither")
+    return modes
+
+
+def _edges(table: Table | None, known: Mapping[str, Known]) -> dict[str, float]:
+    """The sizes of steps by signal, in the file's order."""
+    if table is None:
+        return {}
+    written = table.rest()
+    sizes = Table(written, table.place)
+    for name in written:
+        if name not in known:
+            raise sizes.fail(name, f"is no known signal; those are {', '.join(known)}")
+    edges = {name: sizes.number(name) for name in written}
+    for name, size in edges.items():
+        if size <= 0:
+            raise sizes.fail(name, f"a step of {size:g} is none; give a positive one")
+    return edges
 
 
 def _known(table: Table) -> Known:

@@ -87,6 +87,26 @@ class Equation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OperatingModes:
+    """How the operating mode follows from the signals: what residuals look like depends on it.
+
+    The mode is idle below `idle_below` and maximum above `maximum_above` of the known `signal`, in its unit; a limit
+    that is None means that the system has no such mode. It is *edge* for `settle_s` [s] after a signal of `edges` has
+    moved by more than its entry from one sample to the next; no `edges`, no such mode. Otherwise it is partial.
+    """
+
+    signal: str
+    idle_below: float | None
+    maximum_above: float | None
+    edges: Mapping[str, float]
+    settle_s: float
+
+
+WARM_UP_S = 20.0
+"""The warm-up of a model that states none [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Differential:
     """d/dt `state` = `derivative`, both unknowns."""
 
@@ -99,7 +119,8 @@ class Differential:
 class Model:
     """A system. The mappings go from names and keep the file's order; symbols are `sympy.Symbol(name)`, no assumptions.
 
-    `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making.
+    `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making. Where `modes`
+    is None there is one mode only. After `warm_up_s` [s] the slowest state has forgotten where it was assumed to start.
     """
 
     name: str
@@ -111,6 +132,8 @@ class Model:
     equations: Mapping[str, Equation]
     differentials: tuple[Differential, ...]
     provenance: tuple[Mapping[str, object], ...]
+    modes: OperatingModes | None = None
+    warm_up_s: float = WARM_UP_S
 
     @property
     def faults(self) -> dict[str, Fault]:

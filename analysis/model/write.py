@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from analysis.model.errors import ModelError
 from analysis.model.file import SCHEMA
-from analysis.model.model import Equation, Model
+from analysis.model.model import Equation, Model, OperatingModes
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -19,7 +19,7 @@ def dump_model(model: Model) -> str:
         ModelError: the provenance holds something that TOML cannot.
     """
     head: dict[str, object] = {"schema": SCHEMA, "name": model.name}
-    head |= {"description": model.description, "source": model.source}
+    head |= {"description": model.description, "source": model.source, "warm_up_s": model.warm_up_s}
     blocks = [_pairs(head)]
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
@@ -30,10 +30,16 @@ def dump_model(model: Model) -> str:
     for name, p in model.parameters.items():
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
         blocks.append(f"[parameter.{name}]\n" + _pairs({**fields, "prior": p.prior, "source": p.source}))
+    if model.modes is not None:
+        blocks.append("[modes]\n" + _pairs(_modes(model.modes)))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
     blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
     blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
     return "\n".join(blocks)
+
+
+def _modes(modes: OperatingModes) -> dict[str, object]:
+    return {**vars(modes), **({} if modes.edges else {"edges": None, "settle_s": None})}
 
 
 def _equation(equation: Equation) -> dict[str, object]:

@@ -4,25 +4,15 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from analysis.graph.bank import PERIOD_S, Bank
+from analysis.recordings.modes import modes_of
 from service.core.decode import DecodeTable
 from service.core.generators import GeneratorBank
-from service.core.manifest import Modes
 from service.core.modes import ModeTracker
 from service.core.observer import Observer, Tick
 from service.core.sampling import Sampler
 from service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0
-
-MODES = Modes(
-    signal="dc_dose",
-    idle_below=0.02,
-    maximum_above=0.98,
-    edges={"dc_dose": 0.03, "n_p": 4.0},
-    settle_ticks=round(8.0 / PERIOD_S),
-)
-"""Eight seconds after a dose step the hose has settled (its time constant is some 3.5 s, and the model misses part of
-what it does); pump steps of this size are the pressure ladder's."""
 
 
 def open_known(path: Path, say: Callable[[str], None]) -> Log:
@@ -42,7 +32,7 @@ def open_known(path: Path, say: Callable[[str], None]) -> Log:
 def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:
     """Every tick of a log, up to its last frame."""
     generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
-    modes = ModeTracker(MODES, bank.inputs)
+    modes = ModeTracker(modes_of(bank.model), bank.inputs)
     observer = Observer(table, Sampler(bank.inputs), modes, generators, PERIOD_S, START_WITHIN_S)
     ticks: list[Tick] = []
     t_s = None

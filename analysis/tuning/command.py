@@ -9,7 +9,8 @@ import numpy as np
 from analysis.graph.bank import Bank, build_bank
 from analysis.model import dump_model, load_model
 from analysis.progress import Progress
-from analysis.recordings.observe import MODES, START_WITHIN_S, observe, open_known
+from analysis.recordings.modes import modes_of, stand_ins
+from analysis.recordings.observe import START_WITHIN_S, observe, open_known
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
 from analysis.tuning.thresholds import Seen, seen, tune_detectors
@@ -38,7 +39,7 @@ def main(argv: list[str]) -> int:
         tuning = tune(bank, options.recording, progress)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_bytes(msgspec.json.encode(tuning))
-    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(tuning, options.out))
+    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(bank, tuning, options.out))
     return 0
 
 
@@ -61,17 +62,18 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
         table = compile_dbc(log.dbc, units, str(path))
         watched.append(seen(log.id, observe(bank, table, log.relative())))
         digests.append(log.sha256)
-    detectors = tune_detectors([g.name for g in bank.generators], watched, bank.sigma)
+    described = stand_ins(bank.model)
+    detectors = tune_detectors([g.name for g in bank.generators], watched, bank.sigma, described)
     progress.say("fault hypotheses")
     return Tuning(
         schema=SCHEMA,
         model_sha256=model_digest(dump_model(bank.model)),
         recordings=digests,
-        modes=MODES,
+        modes=modes_of(bank.model),
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
         detectors=detectors,
-        evidence=gather(bank, detectors, watched),
+        evidence=gather(bank, detectors, watched, described),
         golden_z=_golden(watched[0]),
     )
 
@@ -82,11 +84,11 @@ def _golden(s: Seen) -> list[list[float]]:
     return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
 
 
-def _table(tuning: Tuning, out: Path) -> str:
-    lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge [mbar]"]
+def _table(bank: Bank, tuning: Tuning, out: Path) -> str:
+    lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge"]
     lines += [
-        f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s / 100:.1f}" for s in d.scale)
-        for d in tuning.detectors
+        f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {unit}"
+        for d, unit in zip(tuning.detectors, bank.units, strict=True)
     ]
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from analysis.graph.bank import Bank
 from analysis.graph.independence import independent
-from analysis.tuning.thresholds import Seen
+from analysis.tuning.thresholds import OWN, Seen
 from service.core.manifest import MODES, Detector, Evidence, Hypothesis
 from service.core.modes import EDGE
 
@@ -22,15 +22,17 @@ BLOCK_TICKS = 25
 ALLOWANCE = 0.3  # of the mode's spread: calibration error and drive-to-drive spread that a few recordings cannot show
 
 
-def gather(bank: Bank, detectors: Sequence[Detector], recordings: Sequence[Seen]) -> Evidence:
-    """The evidence of a bundle."""
+def gather(
+    bank: Bank, detectors: Sequence[Detector], recordings: Sequence[Seen], stand_ins: Sequence[int] = OWN
+) -> Evidence:
+    """The evidence of a bundle; mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`."""
     standard = [_standard(s, detectors) for s in recordings]
     rows = independent(np.concatenate(standard))
     offset = np.array([detectors[row].offset for row in rows]).T  # (C, K)
     scale = np.array([detectors[row].scale for row in rows]).T
     noise = np.zeros((len(MODES), len(rows), len(rows)))
     stray = np.zeros_like(offset)
-    for mode in range(len(MODES)):
+    for mode in set(stand_ins):
         blocks = np.concatenate([_block_means(s, mode, rows) for s in recordings]) - offset[mode]
         noise[mode] = BLOCK_TICKS * np.atleast_2d(np.cov(blocks.T)) if len(blocks) > len(rows) else 0.0
         noise[mode] += np.diag(scale[mode] ** 2)
@@ -39,9 +41,9 @@ def gather(bank: Bank, detectors: Sequence[Detector], recordings: Sequence[Seen]
     return Evidence(
         generators=[detectors[row].generator for row in rows],
         offset=offset.tolist(),
-        noise=noise.tolist(),
-        allowance=np.hypot(stray, ALLOWANCE * scale).tolist(),
-        hypotheses=_hypotheses(bank.only(rows), recordings),
+        noise=noise[list(stand_ins)].tolist(),
+        allowance=np.hypot(stray, ALLOWANCE * scale)[list(stand_ins)].tolist(),
+        hypotheses=_hypotheses(bank.only(rows), recordings, stand_ins),
     )
 
 
@@ -68,7 +70,7 @@ def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
     return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
 
 
-def _hypotheses(bank: Bank, recordings: Sequence[Seen]) -> list[Hypothesis]:
+def _hypotheses(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Hypothesis]:
     named = [(fault, size) for fault in bank.model.faults.values() for size in fault.sizes]
     trials = [{}, *({fault.name: fault.absolute(size, bank.model)} for fault, size in named)]
     total = np.zeros((len(MODES), len(named), len(bank.tests)))
@@ -77,9 +79,9 @@ def _hypotheses(bank: Bank, recordings: Sequence[Seen]) -> list[Hypothesis]:
         r = bank.simulate(trials, s.z, bank.start(s.z[0]))  # (K, 1 + H, rows)
         shift = r[:, :1] - r[:, 1:]  # y_hat with the fault - y_hat without: what r = y - y_hat moves by
         usable = s.usable.all(axis=1)
-        for mode in range(len(MODES)):
+        for mode in set(stand_ins):
             inside = usable & (s.mode == mode)
             total[mode] += shift[inside].sum(axis=0)
             count[mode] += inside.sum()
-    mean = total / count[:, None, None]
+    mean = total[list(stand_ins)] / count[list(stand_ins), None, None]
     return [Hypothesis(fault=f.name, size=size, shift=mean[:, k].tolist()) for k, (f, size) in enumerate(named)]

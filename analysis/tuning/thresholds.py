@@ -23,6 +23,7 @@ LASTING_TICKS = 75  # 15 s
 ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
 MARGIN = 3.0  # J over the largest sum seen
 MINIMUM_J = 15.0
+OWN = tuple(range(len(MODES)))  # every mode is described by its own ticks
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def seen(name: str, ticks: Sequence[Tick]) -> Seen:
     if told < LASTING_TICKS:
         raise InputError(
             f"{name}: some test could tell for {told} ticks only, {LASTING_TICKS} are needed; "
-            "tune on minutes with all signals and the system under pressure"
+            "tune on minutes with all signals, within their operating ranges"
         )
     return Seen(
         name=name,
@@ -59,22 +60,26 @@ def seen(name: str, ticks: Sequence[Tick]) -> Seen:
     )
 
 
-def tune_detectors(generators: Sequence[str], recordings: Sequence[Seen], floor: Array) -> list[Detector]:
+def tune_detectors(
+    generators: Sequence[str], recordings: Sequence[Seen], floor: Array, stand_ins: Sequence[int] = OWN
+) -> list[Detector]:
     """A detector for each generator; `floor` (T,) is the spread that the sensors alone give.
+
+    Mode m is described by the ticks of mode `stand_ins[m]` (see `analysis.recordings.modes`).
 
     Raises:
         InputError: an operating mode was hardly visited: its residuals are unknown, and unknown is not zero.
     """
-    return [_detector(name, row, recordings, float(floor[row])) for row, name in enumerate(generators)]
+    return [_detector(name, row, recordings, float(floor[row]), stand_ins) for row, name in enumerate(generators)]
 
 
-def _detector(name: str, row: int, recordings: Sequence[Seen], floor: float) -> Detector:
+def _detector(name: str, row: int, recordings: Sequence[Seen], floor: float, stand_ins: Sequence[int]) -> Detector:
     offset, scale = [], []
-    for mode, mode_name in enumerate(MODES):
+    for mode in stand_ins:
         r = np.concatenate([s.r[s.usable[:, row] & (s.mode == mode), row] for s in recordings])
         if len(r) < MINIMUM_TICKS:
             raise InputError(
-                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {mode_name!r} "
+                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[mode]!r} "
                 f"for {len(r)} ticks only; add a fault-free recording that stays in it"
             )
         centre = float(np.median(r))

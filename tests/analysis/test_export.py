@@ -12,7 +12,8 @@ import pytest
 from analysis.export import main
 from analysis.graph.bank import build_bank
 from analysis.model import dump_model, load_model
-from analysis.recordings.observe import MODES, START_WITHIN_S
+from analysis.recordings.modes import modes_of
+from analysis.recordings.observe import START_WITHIN_S
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from service.bundle import BundleError, load_bundle, verify_golden
 from service.core.errors import InputError
@@ -43,7 +44,7 @@ def made(tmp_path: Path) -> Made:
         schema=SCHEMA,
         model_sha256=model_digest(text),
         recordings=[TUNED],
-        modes=MODES,
+        modes=modes_of(load_model("uds4")),
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
         detectors=golden.manifest.detectors,
@@ -179,6 +180,22 @@ def test_a_refused_replacement_leaves_the_old_bundle(made: Made, tmp_path: Path)
         made.export(out, "--force", dbc=other)
     assert out.is_dir()
     assert contents(out) == before
+
+
+@pytest.mark.parametrize("name", ["our truck.dbc", "golden.json", ".dbc", "manifest.json"])
+def test_a_dbc_whose_name_has_no_place_in_a_bundle_is_refused(made: Made, tmp_path: Path, name: str) -> None:
+    other = tmp_path / name
+    other.write_bytes(DBC.read_bytes())
+    with pytest.raises(InputError, match="cannot keep its name in a bundle; rename it"):
+        made.export(tmp_path / "bundle", dbc=other)
+
+
+def test_the_dbc_keeps_its_own_name(made: Made, tmp_path: Path) -> None:
+    other = tmp_path / "truck-7.dbc"
+    other.write_bytes(DBC.read_bytes())
+    assert made.export(tmp_path / "bundle", dbc=other) == 0
+    assert load_bundle(tmp_path / "bundle").manifest.dbc == "truck-7.dbc"
+    assert "uds.dbc" not in contents(tmp_path / "bundle")
 
 
 @pytest.mark.parametrize("missing", ["tuning.json", "other.dbc", "calibrated.toml"])

@@ -8,7 +8,8 @@ from cantools.database.can import Database
 
 import dbc
 
-FILES = sorted(Path(dbc.__file__).parent.glob("*.dbc"))
+SHIPPED = sorted(Path(dbc.__file__).parent.glob("*.dbc"))
+FILES = [*SHIPPED, Path(__file__).parents[1] / "analysis" / "another_system" / "tanks.dbc"]
 
 
 def _load(path: Path) -> Database:
@@ -18,7 +19,7 @@ def _load(path: Path) -> Database:
 
 
 def test_there_is_a_dbc() -> None:
-    assert [path.name for path in FILES] == ["uds.dbc"]
+    assert [path.name for path in SHIPPED] == ["uds.dbc"]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
@@ -44,7 +45,7 @@ def test_signals_have_unit_range_comment_and_the_range_that_j1939_allows(path: P
 
 
 def test_both_families_and_the_models_names_are_there() -> None:
-    database = _load(FILES[0])
+    database = _load(SHIPPED[0])
     groups = {(message.frame_id >> 8) & 0x3FFFF for message in database.messages}
     assert {61475, 61476, 61691, 64828, 65110} <= groups
     assert sum(0xFF00 <= group <= 0xFFFF for group in groups) == 2
@@ -54,7 +55,7 @@ def test_both_families_and_the_models_names_are_there() -> None:
 
 def test_real_frames_of_public_logs_decode_to_what_their_trucks_measured() -> None:
     """Frames of real trucks, as published with open J1939 tools: 60 % and 26 degC in the tank; nothing dosed."""
-    database = _load(FILES[0])
+    database = _load(SHIPPED[0])
     tank = database.decode_message("AT1T1I1", bytes.fromhex("9642FFFF1F1F00FF"))
     assert tank == {"def_tank_volume": 60.0, "def_tank_temperature": 26}
     dosing = database.decode_message("A1SCRDSI1", bytes.fromhex("0000F0FFFF00FFFF"))

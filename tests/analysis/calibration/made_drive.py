@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from analysis.graph.bank import PERIOD_S, Bank
 from analysis.model import Model
-from analysis.recordings.observe import MODES
+from analysis.recordings.modes import modes_of
 from service.core.generators import GeneratorBank
 from service.core.modes import ModeTracker
 from service.core.observer import Tick
@@ -41,7 +41,8 @@ def samples(bank: Bank, trial: Mapping[str, float], seed: int) -> Array:
 
 def ticks(bank: Bank, z: Array) -> list[Tick]:
     """The samples as the vehicle's observer sees them."""
-    generators, modes = GeneratorBank(bank.graph(), bank.generators, bank.inputs), ModeTracker(MODES, bank.inputs)
+    generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
+    modes = ModeTracker(modes_of(bank.model), bank.inputs)
     usable = np.ones(len(bank.inputs), dtype=np.bool_)
     return [
         Tick(k, PERIOD_S * k, sample, usable, modes.update(sample, usable), generators.step(sample, usable))

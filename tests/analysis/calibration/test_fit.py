@@ -58,7 +58,7 @@ def test_changed_parameters_are_found_from_independent_tests(vehicle: Bank, bank
 
 
 def test_a_short_recording_is_refused(bank: Bank, nominal: list[Tick]) -> None:
-    with pytest.raises(InputError, match=r"^my log: only \d+ steady blocks of 5 s; record some minutes, pump running"):
+    with pytest.raises(InputError, match=r"^my log: only \d+ steady blocks of 5 s; record some minutes within"):
         fit(bank, nominal[:400], "my log", silent)
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 import sympy as sp
 
-from analysis.model import ModelError, load_model, parse_model
+from analysis.model import ModelError, OperatingModes, dump_model, load_model, parse_model
 
 GOOD = """
 schema = 1
 name = "tank"
+warm_up_s = 30
 
 [known.y]
 unit = "m"
@@ -35,6 +36,13 @@ prior = 0.3
 [parameter.h0]
 unit = "m"
 value = 1
+
+[modes]
+signal = "y"
+idle_below = 0.5
+maximum_above = 1.5
+settle_s = 4.0
+edges = {y = 0.25}
 
 [[equation]]
 name = "e1"
@@ -68,7 +76,22 @@ def test_a_file_becomes_a_model() -> None:
     assert list(model.faults) == ["fk", "fy"]
     assert [model.faults["fk"].absolute(s, model) for s in model.faults["fk"].sizes] == [-0.25]
     assert model.faults["fy"].absolute(0.1, model) == 0.1
+    assert model.warm_up_s == 30.0
+    assert model.modes == OperatingModes(signal="y", idle_below=0.5, maximum_above=1.5, edges={"y": 0.25}, settle_s=4.0)
     assert model.provenance == ({"command": "calibrate", "recordings": ["abc"]},)
+
+
+@pytest.mark.parametrize(
+    "gone", ["", "idle_below = 0.5\n", "maximum_above = 1.5\n", "settle_s = 4.0\nedges = {y = 0.25}\n"]
+)
+def test_modes_and_warm_up_are_optional_and_survive_being_written(gone: str) -> None:
+    text = GOOD.replace(gone, "")
+    model = parse_model(text, "m")
+    assert parse_model(dump_model(model), "m") == model
+    bare = parse_model(GOOD.replace(GOOD[GOOD.index("[modes]") : GOOD.index("[[equation]]")], ""), "m")
+    assert bare.modes is None
+    assert parse_model(dump_model(bare), "m") == bare
+    assert parse_model(GOOD.replace("warm_up_s = 30\n", ""), "m").warm_up_s == 20.0
 
 
 def test_the_file_s_order_is_kept() -> None:
@@ -230,6 +253,15 @@ WRONG = [
         change('"h0"]', '"abs(y)"]'),
         "m.toml: unknown.h.initial[1]: `abs(y)` is not affine in known",
     ),
+    ("warm-up no time", change("warm_up_s = 30", "warm_up_s = -1"), "m.toml: warm_up_s: -1 s is no time; give zero"),
+    ("mode signal unknown", change('signal = "y"', 'signal = "h"'), "m.toml: modes.signal: h is no known signal; "),
+    ("mode limits crossed", change("above = 1.5", "above = 0.5"), "m.toml: modes.maximum_above: 0.5 is not above idle"),
+    ("edge of no signal", change("{y = 0.25}", "{h = 1}"), "m.toml: modes.edges.h: is no known signal; those are y"),
+    ("edge no number", change("{y = 0.25}", "{y = '1'}"), "m.toml: modes.edges.y: must be a finite number"),
+    ("edge no step", change("{y = 0.25}", "{y = 0}"), "m.toml: modes.edges.y: a step of 0 is none; give"),
+    ("edges that never settle", change("settle_s = 4.0", ""), "m.toml: modes.settle_s: edges and a positive"),
+    ("settling without edges", change("edges = {y = 0.25}", ""), "m.toml: modes.settle_s: edges and a positive settle"),
+    ("unknown key in modes", change("settle_s", "settle"), "m.toml: modes.settle: unknown key; allowed here "),
     ("start over a signal", change('"h0"]', '"1/y"]'), "m.toml: unknown.h.initial[1]: `1/y` is not affine in known"),
 ]
 

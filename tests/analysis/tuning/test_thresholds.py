@@ -152,6 +152,17 @@ def test_a_missing_mode_is_refused_by_name(mode: int) -> None:
             tune_detectors(NAMES, [replaced(run, usable=usable)], FLOOR)
 
 
+def test_a_mode_that_the_system_has_not_is_described_by_its_stand_in() -> None:
+    """Without a stand-in the same recording is refused; with it only what it stands for must have been seen."""
+    run = made(1)
+    inside = replaced(run, usable=np.repeat(((run.mode == PARTIAL) | (run.mode == EDGE))[:, None], 2, axis=1))
+    with pytest.raises(InputError, match="saw mode 'idle' for 0 ticks only"):
+        tune_detectors(NAMES, [inside], FLOOR)
+    for detector in tune_detectors(NAMES, [inside], FLOOR, [PARTIAL, PARTIAL, PARTIAL, EDGE]):
+        for values in (detector.offset, detector.scale):
+            assert values[IDLE] == values[MAXIMUM] == values[PARTIAL] != values[EDGE]
+
+
 def test_a_mode_may_be_spread_over_recordings() -> None:
     first, second = made(1), made(2)
     halves = []
