@@ -1,0 +1,184 @@
+"""What is wrong with a model that loads: units that do not fit, parts that nothing uses, faults that nothing detects.
+
+An *error* makes the model mean something else than it says; a *warning* is a part that has no effect or gives no test.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import sympy as sp
+
+from analysis.model.check import check_model
+from analysis.model.errors import ModelError
+from analysis.model.model import Model
+from analysis.model.units import SECOND, Dimension, Dimensions, MismatchError, parse_unit
+from analysis.structure.decomposition import dulmage_mendelsohn
+from analysis.structure.matching import Matching
+from analysis.structure.structure import Structure, structure_of
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong: where, and what with its remedy."""
+
+    severity: Literal["error", "warning"]
+    place: str
+    message: str
+
+
+def lint(model: Model) -> list[Finding]:
+    """All findings of a model: its parts, its units, and the structure they make; errors first.
+
+    A model made in Python may break what a file is checked for when it loads; the first such thing is then the only
+    finding.
+    """
+    undeclared = list(_undeclared(model))
+    try:
+        check_model(model, [*model.equations], model.name)
+    except ModelError as error:
+        return [*undeclared, Finding("error", model.name, str(error).removeprefix(f"{model.name}: "))]
+    if undeclared:
+        return undeclared
+    elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
+    structural = [finding for finding in lint_structure(structure_of(model)) if finding.place not in elsewhere]
+    return sorted([*_units(model), *_unused_parts(model), *structural], key=lambda finding: finding.severity)
+
+
+def lint_structure(structure: Structure) -> list[Finding]:
+    """The findings that need no formulas: unused variables, constraints without effect, missing redundancy."""
+    return [
+        Finding("warning", place, message)
+        for part in (_unused_variables, _constraints, _under_determined, _without_test)
+        for place, message in part(structure)
+    ]
+
+
+def _undeclared(model: Model) -> Iterator[Finding]:
+    declared = {*model.known, *model.unknown, *model.parameters}
+    for name, equation in model.equations.items():
+        strange = sorted({symbol.name for symbol in equation.expression.free_symbols} - declared)
+        if strange:
+            problem = f"{_some(strange)} declared neither as known, unknown nor parameter"
+            yield Finding("error", f"equation.{name}", f"{problem}; declare what is meant, or correct the formula")
+
+
+def _unused_parts(model: Model) -> Iterator[Finding]:
+    formulas = [model.expression(name, with_fault=True) for name in model.equations]
+    formulas += [expression for unknown in model.unknown.values() for expression in unknown.initial]
+    used = {symbol.name for formula in formulas for symbol in formula.free_symbols}
+    used |= {fault.relative_to for fault in model.faults.values() if fault.relative_to is not None}
+    for name, parameter in model.parameters.items():
+        if name not in used:
+            yield Finding("warning", f"parameter.{name}", "is in no formula; use it or remove it")
+        if not parameter.source.strip():
+            yield Finding("warning", f"parameter.{name}.source", "is empty; say where the value comes from")
+
+
+def _signals_elsewhere(model: Model) -> set[str]:
+    """Known signals that something else than an equation uses: initial values, operating modes."""
+    initial = [expression for unknown in model.unknown.values() for expression in unknown.initial]
+    found = {symbol.name for expression in initial for symbol in expression.free_symbols}
+    return found if model.modes is None else found | {model.modes.signal, *model.modes.edges}
+
+
+def _unused_variables(structure: Structure) -> Iterator[tuple[str, str]]:
+    for kind, names, used in (
+        ("unknown", structure.unknowns, structure.unknowns_in(structure.equations)),
+        ("known", structure.known, structure.known_in(structure.equations)),
+    ):
+        for name in names:
+            if name not in used:
+                yield f"{kind}.{name}", "is in no equation; use it or remove it"
+
+
+def _constraints(structure: Structure) -> Iterator[tuple[str, str]]:
+    """Differential constraints without effect, and names that read like a derivative but have no constraint."""
+    elsewhere = set(structure.unknowns_in(name for name in structure.equations if name not in structure.differentials))
+    for name, d in structure.differentials.items():
+        if d.derivative not in elsewhere:
+            problem = f"{d.derivative} is in no other equation, so nothing says how {d.state} changes"
+            yield f"differential.{name}", f"{problem}; add the equation for {d.derivative}, or remove the constraint"
+        if d.state not in elsewhere:
+            yield f"differential.{name}", f"{d.state} is in no other equation, so its value has no effect; remove both"
+    joined = {name for d in structure.differentials.values() for name in (d.state, d.derivative)}
+    for name in structure.unknowns:
+        if name.startswith("d") and name[1:] in structure.unknowns and name not in joined:
+            problem = f"no differential constraint makes it the derivative of {name[1:]}"
+            yield f"unknown.{name}", f"{problem}; add one, or give it a name that does not read like a derivative"
+
+
+def _under_determined(structure: Structure) -> Iterator[tuple[str, str]]:
+    under = dulmage_mendelsohn(structure).under
+    unknowns = [name for name in under.unknowns if name in structure.unknowns_in(structure.equations)]
+    if unknowns:
+        missing = len(unknowns) - len(under.equations)
+        problem = f"{_some(unknowns)} cannot be computed: the equations that have them are {missing} too few"
+        yield "unknown", f"{problem}; add equations, or sensors of them"
+
+
+def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
+    """Faults in no redundant part, and the sensors that would change that."""
+    parts = dulmage_mendelsohn(structure)
+    rows = structure.unknown_rows
+    if not parts.over.equations:
+        # A sensor is redundant where what it measures can be computed already: in M0, as M+ is empty.
+        just = {name for component in parts.just for name in component.unknowns}
+        helpful = [name for name in structure.unknowns if name in just]
+        remedy = (
+            f"a sensor of {_some(helpful, 'or')} would give some" if helpful else "add equations or several sensors"
+        )
+        yield "equation", f"no redundancy, so no test and no detectable fault; {remedy}"
+        return
+    with_sensor = {x: Matching([*rows, 1 << i]).over_determined() for i, x in enumerate(structure.unknowns)}
+    for fault in structure.faults:
+        row = structure.fault_rows[fault]
+        if structure.equations[row] in parts.over.equations:
+            continue
+        helpful = [x for x, over in with_sensor.items() if row in over]
+        remedy = f"a sensor of {_some(helpful, 'or')} would give one" if helpful else "no single sensor would give one"
+        yield f"fault.{fault}", f"is not detectable: no test contains {structure.equations[row]}; {remedy}"
+
+
+def _some(names: Sequence[str], last: str = "and") -> str:
+    """A list in words, shortened after eight."""
+    shown = [*names] if len(names) <= 8 else [*names[:7], f"{len(names) - 7} more"]
+    return f" {last} ".join([", ".join(shown[:-1]), shown[-1]]) if len(shown) > 1 else shown[0]
+
+
+def _units(model: Model) -> Iterator[Finding]:
+    """Units that cannot be read or are not coherent, and formulas whose units do not fit."""
+    units = [("known", name, known.unit) for name, known in model.known.items()]
+    units += [("unknown", name, unknown.unit) for name, unknown in model.unknown.items()]
+    units += [("parameter", name, parameter.unit) for name, parameter in model.parameters.items()]
+    dimensions: dict[str, Dimension] = {}
+    written: dict[Dimension, str] = {}  # the model's own words for a dimension
+    for kind, name, unit in units:
+        try:
+            size, dimensions[name] = parse_unit(unit)
+        except ValueError as error:
+            yield Finding("warning", f"{kind}.{name}.unit", f"{error}; what has {name} in it is not checked")
+            continue
+        if size == 1:
+            written.setdefault(dimensions[name], unit)
+        else:
+            problem = f"1 {unit} is {float(size):g} of the SI unit, and formulas convert nothing"
+            yield Finding("warning", f"{kind}.{name}.unit", f"{problem}; give {name} in SI units")
+    for place, left, right in _balances(model):
+        try:
+            Dimensions(dimensions, written).agree([left, right])
+        except MismatchError as error:
+            yield Finding("error", place, f"{error}; correct the formula or a unit")
+
+
+def _balances(model: Model) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
+    """Everything that must have equal units, with its place."""
+    for name, equation in model.equations.items():
+        yield f"equation.{name}", equation.expression, sp.S.Zero
+        if equation.fault is not None:
+            yield f"equation.{name}.fault.enters", sp.Symbol(equation.fault.enters), equation.fault.replacement
+    for name, unknown in model.unknown.items():
+        for k, expression in enumerate(unknown.initial):
+            yield f"unknown.{name}.initial[{k}]", sp.Symbol(name), expression
+    for d in model.differentials:
+        yield f"differential.{d.name}", sp.Symbol(d.state), sp.Symbol(d.derivative) * SECOND
