@@ -104,7 +104,7 @@ class Demo:
     def _bundle(self) -> None:
         calibrated, tuning, bundle = self._out / "calibrated.toml", self._out / "tuning.json", self._out / "bundle"
         [calibrate] = self._of("calibrate")
-        found = json.loads(self._call("structure", "uds4", "--json"))
+        found = json.loads(self._call("structure", "uds4", "--json", "-"))
         tests = [test for test in found["tests"] if test.get("residual")]
         self._step(f"structure: {len(found['mtes'])} tests in the thesis's model, {len(tests)} with integral causality")
         for test in tests:

@@ -11,7 +11,7 @@ import sympy as sp
 from analysis.graph.network import Evaluator, Network, flow_network
 from analysis.graph.step import STACKED, Region, Stacked, stack, step_graph
 from analysis.model import Model
-from analysis.structure import Test, integral_tests
+from analysis.structure import Test, find_tests
 from service.core.errors import InputError
 from service.core.generators import Graph
 from service.core.manifest import Generator, Input, State
@@ -93,10 +93,13 @@ def build_bank(model: Model) -> Bank:
     Raises:
         InputError: the model has no such test, or one that the implicit step cannot solve.
     """
-    tests = integral_tests(model)
+    found = find_tests(model)
+    tests = tuple(test for test in found if isinstance(test, Test))
     if not tests:
+        reasons = list(dict.fromkeys(f"{test.name}: {test.obstacle}" for test in found)) or ["there is no redundancy"]
         raise InputError(
-            f"{model.name}: no test has integral causality; add a sensor (`faultline structure` shows the tests)"
+            f"{model.name}: no test can be run ({reasons[0]}); "
+            "add a sensor or write the equation in another form (`faultline structure --tests` has all reasons)"
         )
     names = list(model.known)
     inputs = tuple(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from analysis.model import Model
-from analysis.structure.structure import structure_of
+from analysis.structure.structure import Structure, structure_of
 from analysis.structure.supports import Test
 
 
@@ -28,7 +28,7 @@ class Computation:
     output: Arguments
 
 
-def arguments(model: Model, test: Test) -> Computation:
+def arguments(model: Model | Structure, test: Test) -> Computation:
     """The arguments of every function of a test of this model."""
     structure = structure_of(model)
     reach: dict[str, frozenset[str]] = {state: frozenset([state]) for state in test.states}
@@ -46,5 +46,6 @@ def arguments(model: Model, test: Test) -> Computation:
             tuple(name for name in test.states if name in names), tuple(name for name in test.known if name in names)
         )
 
-    rates = {d.state: sorted_out(reach[d.derivative]) for d in model.differentials if d.state in test.states}
+    constraints = structure.differentials.values()
+    rates = {d.state: sorted_out(reach[d.derivative]) for d in constraints if d.state in test.states}
     return Computation(rates, sorted_out(reached(test.residual, test.predicts)))

@@ -1,79 +1,115 @@
-"""Show the structural analysis of a model: tests, fault signatures, isolability."""
+"""Show the structural analysis of a model: tests, fault signatures, isolability, sensors."""
 
 import argparse
 import json
+import sys
+from pathlib import Path
+from typing import get_args
 
 from analysis.model import Model, load_model
-from analysis.structure.arguments import arguments
-from analysis.structure.causality import residual_causality
-from analysis.structure.isolability import detectable, isolability
+from analysis.structure.diagnosability import Interpretation
+from analysis.structure.document import document
+from analysis.structure.explain import why
+from analysis.structure.matrix import read_structure
 from analysis.structure.report import report
-from analysis.structure.structure import over_determined, redundancy, structure_of
-from analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
+from analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors
+from analysis.structure.structure import Structure, structure_of
+from analysis.structure.supports import find_tests
+from service.core.errors import InputError
 
-EXAMPLE = """example:
+EXAMPLE = """examples:
   faultline structure uds4 --tests
+  faultline structure uds4 --without y_p_tp y_p_ap --json analysis.json
+  faultline structure uds4 --why fA_t fA_p --causality integral
+  faultline structure model.json --figures figures    (a structural model in matrix form: X, F, Z, names)
+
+It exits with 1 where the model has no test, or where --why asks for two faults that cannot be told apart.
 """
 
 
 def main(argv: list[str]) -> int:
-    """Runs the command; returns its exit code: 1 if the model has no test."""
+    """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
         "faultline structure", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("model", help="a model file, or the name of a shipped model")
+    parser.add_argument("model", help="a model file, a structural model (.json), or the name of a shipped model")
+    parser.add_argument("--sensors", nargs="+", default=[], metavar="UNKNOWN", help="analyse with sensors of these")
+    parser.add_argument("--without", nargs="+", default=[], metavar="SIGNAL", help="analyse without these sensors")
+    parser.add_argument(
+        "--positions", nargs="+", default=[], metavar="UNKNOWN[=COST]", help="where sensors could be placed"
+    )
     parser.add_argument("--tests", action="store_true", help="also print how every test is computed")
-    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    parser.add_argument("--why", nargs=2, metavar=("FAULT", "OTHER"), help="whether and why they can be told apart")
+    parser.add_argument(
+        "--causality", choices=get_args(Interpretation), default="integral", help="which --why is about"
+    )
+    parser.add_argument(
+        "--json", metavar="FILE", help="write everything as JSON (-: to standard output, and only that)"
+    )
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the pictures into this folder")
     options = parser.parse_args(argv)
-    model = load_model(options.model)
-    print(json.dumps(as_json(model), indent=1) if options.json else report(model, computations=options.tests))
+    model = _changed(open_model(options.model), options.without, options.sensors)
+    if options.why:
+        fault, other = options.why
+        explanation = why(structure_of(model), fault, other, options.causality)
+        print(explanation.text)
+        return 0 if explanation.isolable else 1
+    positions = _positions(options.positions, structure_of(model))
+    if options.json == "-":
+        print(json.dumps(document(model, positions), indent=1))
+    else:
+        print(report(model, computations=options.tests, positions=positions))
+        if options.json:
+            _write(Path(options.json), json.dumps(document(model, positions), indent=1) + "\n")
+    if options.figures:
+        from analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
+
+        written = draw_all(model, options.figures)
+        print(f"wrote {len(written)} pictures to {options.figures}", file=sys.stderr)
     return 0 if find_tests(model) else 1
 
 
-def as_json(model: Model) -> dict[str, object]:
-    """The analysis as data: names only, lists in the model's order, no fault in its own list."""
-    structure = structure_of(model)
-    tests = find_tests(model)
-    runnable = [test for test in tests if isinstance(test, Test)]
-    return {
-        "model": model.name,
-        "equations": structure.equations,
-        "unknowns": structure.unknowns,
-        "knowns": structure.known,
-        "faults": structure.faults,
-        "redundancy": redundancy(structure, over_determined(structure)),
-        "over_determined": over_determined(structure),
-        "mso": mso_sets(structure),
-        "mtes": mtes_sets(structure),
-        "tests": [_test(model, test) for test in tests],
-        "detectability": {
-            "mixed": detectable(tests, structure.faults),
-            "runnable": detectable(runnable, structure.faults),
-        },
-        "isolability": {
-            "mixed": isolability(tests, structure.faults),
-            "runnable": isolability(runnable, structure.faults),
-        },
-    }
+def open_model(path: str) -> Model | Structure:
+    """The model in a file, a structural one where its name ends in .json, or the shipped model of that name.
+
+    Raises:
+        ModelError: there is none, or it is no valid model.
+    """
+    if not path.endswith(".json"):
+        return load_model(path)
+    try:
+        text = Path(path).read_bytes().decode()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give a model file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
+    return read_structure(text, path)
 
 
-def _test(model: Model, test: Support) -> dict[str, object]:
-    structure = structure_of(model)
-    single = redundancy(structure, test.equations) == 1
-    found: dict[str, object] = {
-        "name": test.name,
-        "equations": test.equations,
-        "faults": test.faults,
-        "knowns": test.known,
-        "states": test.states,
-        "causality": residual_causality(structure, test.equations) if single else None,
-        "obstacle": test.obstacle,
-    }
-    if isinstance(test, Test):
-        computation = arguments(model, test)
-        found |= {"residual": test.residual, "predicts": test.predicts, "sequence": test.sequence}
-        found["arguments"] = {
-            "g": {state: vars(a) for state, a in computation.rates.items()},
-            "h": vars(computation.output),
-        }
-    return found
+def _changed(model: Model | Structure, without: list[str], sensors: list[str]) -> Model | Structure:
+    """With other sensors only the structure is left: a new sensor has no formula."""
+    if not without and not sensors:
+        return model
+    structure = drop_sensors(structure_of(model), without)
+    return add_sensors(structure, sensors, faulty=True)
+
+
+def _positions(words: list[str], structure: Structure) -> dict[str, float]:
+    """Names with their costs, 1 where none is said."""
+    costs = {}
+    for word in words:
+        name, _, cost = word.partition("=")
+        try:
+            costs[name] = float(cost or 1)
+        except ValueError as error:
+            raise InputError(f"--positions {word}: {cost!r} is no cost; write it like p_tp=2.5") from error
+    check_unknowns(structure, costs)
+    return costs
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; give another file") from error

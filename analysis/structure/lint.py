@@ -130,6 +130,8 @@ def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
         )
         yield "equation", f"no redundancy, so no test and no detectable fault; {remedy}"
         return
+    if not structure.faults:
+        yield "fault", "there is none, so no test is sensitive to a fault; let faults enter the equations they change"
     with_sensor = {x: Matching([*rows, 1 << i]).over_determined() for i, x in enumerate(structure.unknowns)}
     for fault in structure.faults:
         row = structure.fault_rows[fault]

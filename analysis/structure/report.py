@@ -1,56 +1,73 @@
 """The structural analysis of a model as text to read."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from analysis.model import Model
 from analysis.structure.arguments import Arguments, arguments
 from analysis.structure.causality import residual_causality
-from analysis.structure.isolability import detectable, isolability, signature_matrix
+from analysis.structure.decomposition import dulmage_mendelsohn
+from analysis.structure.diagnosability import detectability, isolability_of
+from analysis.structure.document import CAUSALITIES, MANY_POSITIONS, selected, sensor_sets
+from analysis.structure.isolability import signature_matrix
+from analysis.structure.lint import lint, lint_structure
 from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
 from analysis.structure.supports import Support, Test, find_tests, mso_sets
 
+SHOWN = 5
+"""How many of many equally good sets are printed."""
 
-def report(model: Model, *, computations: bool) -> str:
-    """Counts, tests, fault signatures and isolability; with `computations` also how every test is computed."""
+
+def report(
+    model: Model | Structure, *, computations: bool = False, positions: Mapping[str, float] | None = None
+) -> str:
+    """What an engineer reads first: counts, parts, tests, fault signatures, isolability, sensors, findings.
+
+    With `computations` also how every test is computed; `positions` are where sensors could be placed.
+    """
     structure = structure_of(model)
     tests = find_tests(model)
-    if not tests:
-        return "\n".join([*_counts(model, structure, tests), _missing(structure)])
-    runnable = [test for test in tests if isinstance(test, Test)]
-    parts = [
-        _counts(model, structure, tests),
-        _test_table(structure, tests),
-        ["Fault signatures (X: the test is sensitive to the fault)", *_signatures(tests, structure.faults)],
-        ["Isolability with all tests (any causality)", *_isolability(tests, structure.faults)],
-        ["Isolability with the tests that can be run", *_isolability(runnable, structure.faults)],
-    ]
+    parts = [_counts(model, structure, tests), _classes(structure)]
+    if tests:
+        parts += [
+            _test_table(structure, tests),
+            ["Fault signatures (X: the test is sensitive to the fault)", *_signatures(tests, structure.faults)],
+            *_isolability(structure),
+            _selections(tests, structure),
+            _placements(structure, positions),
+        ]
     if computations:
-        parts.extend(_computation(model, test) for test in runnable)
+        parts.extend(_computation(structure, test, model) for test in tests if isinstance(test, Test))
         parts.append(_obstacles(tests))
+    parts.append(_findings(model, structure))
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
-def _counts(model: Model, structure: Structure, tests: Sequence[Support]) -> list[str]:
-    algebraic, differential = len(model.equations), len(model.differentials)
+def _counts(model: Model | Structure, structure: Structure, tests: Sequence[Support]) -> list[str]:
+    differential = len(structure.differentials)
     part = over_determined(structure)
     runnable = sum(isinstance(test, Test) for test in tests)
+    form = "(integral causality, no algebraic loop)"
     return [
-        f"{model.name}: {model.description}",
-        f"{algebraic + differential} equations ({algebraic} algebraic, {differential} differential), "
-        f"{len(structure.unknowns)} unknowns, {len(structure.known)} known signals, {len(structure.faults)} faults",
+        f"{model.name}: {model.description}" if isinstance(model, Model) else "a structural model, without formulas",
+        f"{len(structure.equations)} equations ({len(structure.equations) - differential} algebraic, "
+        f"{differential} differential), {len(structure.unknowns)} unknowns, {len(structure.known)} known signals, "
+        f"{len(structure.faults)} faults",
         f"redundancy {redundancy(structure, part)}; {len(part)} equations in the over-determined part",
-        f"{len(mso_sets(structure))} MSO sets, {len(tests)} tests (MTES), {runnable} of them can be run "
-        "(integral causality, no algebraic loop)",
+        f"{len(mso_sets(structure))} MSO sets, {len(tests)} tests (MTES), {runnable} of them can be run {form}",
     ]
 
 
-def _missing(structure: Structure) -> str:
-    if not over_determined(structure):
-        return (
-            "no redundancy: every equation is needed to compute the unknowns; a sensor of one of them would give some"
-        )
-    return "no test is sensitive to a fault: the redundant equations contain none"
+def _classes(structure: Structure) -> list[str]:
+    """The classes of equations that no test separates."""
+    together = [found for found in dulmage_mendelsohn(structure).classes if len(found.equations) > 1]
+    if not together:
+        return []
+    rows = [
+        (_ranges(found.equations, structure.equations), ", ".join(found.unknowns), ", ".join(found.faults))
+        for found in together
+    ]
+    return ["Equations that no test separates", *_columns([("equations", "private unknowns", "faults"), *rows])]
 
 
 def _test_table(structure: Structure, tests: Sequence[Support]) -> list[str]:
@@ -77,19 +94,57 @@ def _signatures(tests: Sequence[Support], faults: Sequence[str]) -> list[str]:
     return _columns([("", *faults), *((test.name, *row) for test, row in zip(tests, marks, strict=True))])
 
 
-def _isolability(tests: Sequence[Support], faults: Sequence[str]) -> list[str]:
-    found = detectable(tests, faults)
-    rows = []
-    for fault, others in isolability(tests, faults).items():
-        verdict = f"not isolable from {', '.join(others)}" if others else "isolable from every other fault"
-        rows.append((fault, verdict if fault in found else "not detectable"))
-    return _columns(rows)
+def _isolability(structure: Structure) -> list[list[str]]:
+    """A table for every result, the causalities that give the same together."""
+    tables: dict[tuple[str, ...], list[str]] = {}
+    for causality in CAUSALITIES:
+        found = detectability(structure, causality)
+        rows = []
+        for fault, others in isolability_of(structure, causality).items():
+            verdict = f"not isolable from {', '.join(others)}" if others else "isolable from every other fault"
+            rows.append((fault, verdict if fault in found else "not detectable"))
+        tables.setdefault(tuple(_columns(rows)) if rows else (), []).append(causality)
+    return [[f"Isolability, {' and '.join(names)} causality", *table] for table, names in tables.items() if table]
 
 
-def _computation(model: Model, test: Test) -> list[str]:
+def _selections(tests: Sequence[Support], structure: Structure) -> list[str]:
+    chosen = selected(tests, structure)
+    if not chosen:
+        return []
+    kind = "tests that can be run" if any(isinstance(test, Test) for test in tests) else "tests"
+    return [
+        f"Smallest sets of {kind} that tell apart what all of them do: {len(chosen)}",
+        *(f"  {', '.join(names)}" for names in chosen[:SHOWN]),
+        *_more(len(chosen)),
+    ]
+
+
+def _placements(structure: Structure, positions: Mapping[str, float] | None) -> list[str]:
+    sets = sensor_sets(structure, "integral", positions)
+    if sets is None:
+        return [f"More than {MANY_POSITIONS} positions for further sensors: name those that are possible, --positions"]
+    if sets == [()]:
+        return ["No further sensor would improve isolability with integral causality"]
+    return [
+        f"Minimal sets of further sensors for the best isolability with integral causality: {len(sets)}",
+        *(f"  {', '.join(names)}" for names in sets[:SHOWN]),
+        *_more(len(sets)),
+    ]
+
+
+def _more(count: int) -> list[str]:
+    return [f"  and {count - SHOWN} more (--json has all)"] if count > SHOWN else []
+
+
+def _findings(model: Model | Structure, structure: Structure) -> list[str]:
+    found = lint(model) if isinstance(model, Model) else lint_structure(structure)
+    return ["Findings", *(f"  {f.severity}: {f.place}: {f.message}" for f in found)] if found else []
+
+
+def _computation(structure: Structure, test: Test, model: Model | Structure) -> list[str]:
     """The sequence and the arguments of a test."""
     found = arguments(model, test)
-    derivatives = {d.state: d.derivative for d in model.differentials}
+    derivatives = {d.state: d.derivative for d in structure.differentials.values()}
     steps = ", ".join(f"{variable} ({equation})" for equation, variable in test.sequence)
     rates = [f"  {derivatives[state]} = g({_listed(a)})" for state, a in found.rates.items()]
     return [

@@ -53,12 +53,14 @@ class Structure:
         return tuple(name for name in self.unknowns if name in states)
 
 
-def structure_of(model: Model) -> Structure:
-    """The structure of a model.
+def structure_of(model: Model | Structure) -> Structure:
+    """The structure of a model, which may be given as one already.
 
     Equations are sorted by name (e2 before e10), because the numbers of the tests follow from this order: a model file
     whose parts are rearranged keeps its numbers.
     """
+    if isinstance(model, Structure):
+        return model
     contents = {name: {s.name for s in e.expression.free_symbols} for name, e in model.equations.items()}
     contents |= {d.name: {d.state, d.derivative} for d in model.differentials}
     equations = tuple(sorted(contents, key=_natural))

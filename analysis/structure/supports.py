@@ -58,20 +58,23 @@ def mtes_sets(structure: Structure) -> list[tuple[str, ...]]:
     return [structure.names(rows) for rows in minimal_sets(structure.unknown_rows, faulty)]
 
 
-def find_tests(model: Model) -> tuple[Support, ...]:
-    """All minimal test equation supports, numbered from 1; those that can be run are `Test` objects."""
+def find_tests(model: Model | Structure) -> tuple[Support, ...]:
+    """All minimal test equation supports, numbered from 1; those that can be run are `Test` objects.
+
+    A structure has no formulas: whether its equations have one solution only is then left open.
+    """
     structure = structure_of(model)
     return tuple(
         _support(model, structure, number, equations) for number, equations in enumerate(mtes_sets(structure), start=1)
     )
 
 
-def integral_tests(model: Model) -> tuple[Test, ...]:
+def integral_tests(model: Model | Structure) -> tuple[Test, ...]:
     """The tests that need no differentiation and no algebraic loop, with the numbers that `find_tests` gives them."""
     return tuple(test for test in find_tests(model) if isinstance(test, Test))
 
 
-def _support(model: Model, structure: Structure, number: int, equations: tuple[str, ...]) -> Support:
+def _support(model: Model | Structure, structure: Structure, number: int, equations: tuple[str, ...]) -> Support:
     """A test if any minimal set within has one; with redundancy one there is only the support itself."""
     obstacle = None
     for chosen in _within(structure, equations):
@@ -102,7 +105,7 @@ def _describe(structure: Structure, number: int, equations: tuple[str, ...], obs
     )
 
 
-def _test(model: Model, structure: Structure, number: int, equations: tuple[str, ...]) -> Test | str:
+def _test(model: Model | Structure, structure: Structure, number: int, equations: tuple[str, ...]) -> Test | str:
     """The test of an MSO set with the first residual equation that permits one, or why there is none."""
     forward = integral_residuals(structure, equations)
     if not forward:
@@ -113,22 +116,38 @@ def _test(model: Model, structure: Structure, number: int, equations: tuple[str,
         if signal is None:
             continue
         order = solving_order(structure, equations, residual)
-        loop = next((component for component in order if len(component) > 1), None)
-        if loop is None:
+        hindered = _hindered(model, order)
+        if hindered is None:
             sequence = tuple(component[0] for component in order)
             support = _describe(structure, number, equations, obstacle=None)
             return Test(**vars(support), residual=residual, predicts=signal, sequence=sequence)
-        obstacle = (
-            f"with residual {residual}, {', '.join(e for e, _ in loop)} are an algebraic loop "
-            f"of {', '.join(v for _, v in loop)}"
-        )
+        obstacle = f"with residual {residual}, {hindered}"
     return obstacle
 
 
-def _predicted(model: Model, structure: Structure, equation: str) -> str | None:
-    """The signal of a sensor equation: the only one in it, with a constant factor."""
+def _hindered(model: Model | Structure, order: list[list[tuple[str, str]]]) -> str | None:
+    """What stands against solving the equations in this order, each for its variable and with one solution only."""
+    for component in order:
+        if len(component) > 1:
+            return f"{', '.join(e for e, _ in component)} are an algebraic loop of {', '.join(v for _, v in component)}"
+        [(equation, variable)] = component
+        if isinstance(model, Model) and not _has_one_solution(model, equation, variable):
+            return f"{equation} cannot be solved for {variable} with one solution only"
+    return None
+
+
+def _has_one_solution(model: Model, equation: str, variable: str) -> bool:
+    """Whether the equation is linear in the variable: then it has one solution, with anything else it may have more."""
+    slope = sp.diff(model.expression(equation, with_fault=True), sp.Symbol(variable))
+    return bool(slope != 0 and not slope.has(sp.Symbol(variable)))
+
+
+def _predicted(model: Model | Structure, structure: Structure, equation: str) -> str | None:
+    """The signal of a sensor equation: the only one in it, with a constant factor; without formula, of one unknown."""
     signals = structure.known_in([equation])
     if len(signals) != 1:
         return None
+    if isinstance(model, Structure):
+        return signals[0] if len(structure.unknowns_in([equation])) == 1 else None
     slope = sp.diff(model.expression(equation, with_fault=False), sp.Symbol(signals[0]))
     return signals[0] if slope.is_number and slope != 0 else None

@@ -7,7 +7,6 @@ import pytest
 import sympy as sp
 
 from analysis.graph.bank import PERIOD_S, build_bank
-from analysis.graph.network import flow_network
 from analysis.model import dump_model, load_model, parse_model
 from analysis.model.file import shipped_models
 from analysis.structure import detectable, find_tests, integral_tests, isolability, mso_sets, structure_of
@@ -88,12 +87,15 @@ def test_a_square_with_two_roots_is_refused_and_none_is_taken() -> None:
     numbers = {name: p.value for name, p in UDS1.parameters.items()}
     roots = sp.solve(UDS1.expression("e06", with_fault=False).subs({**numbers, "p_tp": 99325.0}), flow)
     assert sorted(math.copysign(1, root) for root in roots) == [-1, 1]
-    with pytest.raises(InputError, match=r"^uds1: t01: e06: cannot be solved for q_pump with one solution only"):
+    with pytest.raises(InputError, match=r"^uds1: no test can be run \(t01: .*, e06 cannot be solved for"):
         build_bank(UDS1)
 
 
-@pytest.mark.parametrize("number", [test.number for test in integral_tests(UDS1)])
-def test_every_test_of_the_one_state_model_needs_such_a_root(number: int) -> None:
-    [test] = [test for test in integral_tests(UDS1) if test.number == number]
-    with pytest.raises(InputError, match="cannot be solved for q_pump with one solution only"):
-        flow_network(UDS1, test, list(UDS1.known))
+def test_every_test_of_the_one_state_model_needs_such_a_root_or_a_loop() -> None:
+    obstacles = [test.obstacle or "" for test in find_tests(UDS1)]
+    roots = [obstacle for obstacle in obstacles if "cannot be solved for q_pump with one solution only" in obstacle]
+    loops = [obstacle for obstacle in obstacles if "are an algebraic loop of q_pump, eta_volp, " in obstacle]
+    assert (len(roots), len(loops), len(obstacles)) == (5, 10, 15)
+    assert integral_tests(UDS1) == ()
+    # Without formulas the squares cannot be seen: the same structure has eight tests.
+    assert len(integral_tests(structure_of(UDS1))) == 8

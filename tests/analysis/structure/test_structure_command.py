@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.model import ModelError
+from analysis.model import ModelError, load_model
+from analysis.structure import structure_of
 from analysis.structure.command import main
+from service.core.errors import InputError
 
 NO_REDUNDANCY = """
 schema = 1
@@ -46,17 +48,112 @@ def test_tests_adds_how_they_are_computed(capsys: pytest.CaptureFixture[str]) ->
     assert "t01, t03, t04, t05, t07, t11, t14, t15, t16, t17, t18: cannot be run: no residual equation has" in out
 
 
-def test_json_says_the_same(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_the_report_names_what_no_test_separates_the_smallest_selections_and_the_sensors(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["uds4", "--positions", "q_ori", "q_dos=3", "p_bp"]) == 0
+    out = capsys.readouterr().out
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert "e03-e04,e11,e15 q_ori, q_dos, dp_du fA_ori, fA_dos" in lines
+    assert "Isolability, mixed and derivative causality" in lines
+    assert "Smallest sets of tests that can be run that tell apart what all of them do: 4" in lines
+    assert "t02, t08, t10, t12, t21" in lines
+    assert "q_ori, q_dos, p_bp" in lines
+
+
+def test_json_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["uds4", "--json", "-"]) == 0
+    printed = capsys.readouterr().out
+    assert main(["uds4", "--json", str(tmp_path / "new" / "uds4.json")]) == 0
+    assert (tmp_path / "new" / "uds4.json").read_text() == printed
+    assert "26 MSO sets" in capsys.readouterr().out
+    found = json.loads(printed)
     assert found["redundancy"] == 3
     assert len(found["mso"]) == 26
     assert [t["equations"] for t in found["tests"]] == found["mtes"]
     assert found["tests"][1]["residual"] == "e16"
     assert found["tests"][1]["arguments"]["g"]["p_du"] == {"states": ["p_du"], "known": ["y_p_ap", "dc_dose"]}
+    assert {"equation": "e16", "causality": "integral", "states": ["p_du"], "predicts": "y_p_du"} in (
+        found["tests"][1]["residuals"]
+    )
     assert found["tests"][0]["obstacle"] == "no residual equation has integral causality"
+    assert found["isolability"]["mixed"] == found["isolability"]["derivative"]
     assert found["isolability"]["mixed"]["fA_ori"] == ["fA_dos"]
-    assert found["isolability"]["runnable"]["fA_ori"] == ["fA_dos", "fA_du"]
+    assert found["isolability"]["integral"]["fA_ori"] == ["fA_dos", "fA_du"]
+    assert found["detectability"]["integral"] == found["faults"]
+    assert [c["equations"] for c in found["dm"]["classes"]][:2] == [["e01", "e02"], ["e03", "e04", "e11", "e15"]]
+    rest = {"q_pump", "q_filt_p", "q_filt_du", "p_tp", "p_bp", "p_ap", "p_du"}
+    assert set(found["dm"]["rest_unknowns"]) == rest
+    assert ["t02", "t06", "t08", "t20", "t21"] in found["selected_tests"]
+    assert sorted(map(sorted, found["sensor_sets"]["mixed"])) == [["q_dos"], ["q_ori"]]
+    assert found["lint"] == []
+
+
+def test_a_structural_model_in_matrix_form_is_analysed_like_its_formulas(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["uds4", "--json", "-"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    s = structure_of(load_model("uds4"))
+    X = [[row >> x & 1 for x in range(len(s.unknowns))] for row in s.unknown_rows]
+    for row, name in enumerate(s.equations):
+        if name in s.differentials:
+            X[row][s.unknowns.index(s.differentials[name].state)] = 2
+            X[row][s.unknowns.index(s.differentials[name].derivative)] = 3
+    F = [[int(s.fault_rows[fault] == row) for fault in s.faults] for row in range(len(s.equations))]
+    Z = [[row >> z & 1 for z in range(len(s.known))] for row in s.known_rows]
+    names = {"equations": s.equations, "unknowns": s.unknowns, "faults": s.faults, "knowns": s.known}
+    path = tmp_path / "matrix.json"
+    path.write_text(json.dumps({"X": X, "F": F, "Z": Z, "names": names}))
+    assert main([str(path), "--json", "-"]) == 0
+    assert {**json.loads(capsys.readouterr().out), "model": "uds4"} == whole
+
+
+def test_sensors_are_taken_away_and_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Thesis fig. 5.2: without the two added sensors every fault is detectable and none isolable."""
+    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--json", "-"]) == 0
+    bare = json.loads(capsys.readouterr().out)
+    assert (bare["redundancy"], len(bare["mso"])) == (1, 1)
+    assert all(set(others) == {*bare["faults"]} - {fault} for fault, others in bare["isolability"]["mixed"].items())
+    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--sensors", "p_tp", "p_ap", "--json", "-"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert len(again["mso"]) == 26
+    assert again["isolability"]["mixed"]["fA_ori"] == ["fA_dos"]
+
+
+@pytest.mark.parametrize(
+    ("causality", "code", "words"),
+    [
+        ("integral", 1, "fA_t is not isolable from fA_p with integral causality: every test that contains e05"),
+        ("derivative", 0, "fA_t is isolable from fA_p"),
+    ],
+)
+def test_why(causality: str, code: int, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["uds4", "--why", "fA_t", "fA_p", "--causality", causality]) == code
+    assert words in capsys.readouterr().out
+
+
+def test_the_figures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rc", "--figures", str(tmp_path / "f")]) == 0
+    names = {path.name for path in (tmp_path / "f").iterdir()}
+    kinds = ("structure", "decomposition", "isolability", "signatures", "graph-t01")
+    assert names == {f"{kind}.{ending}" for kind in kinds for ending in ("svg", "png")}
+    assert "wrote 10 pictures" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["uds4", "--sensors", "p_xx"], "p_xx: no unknown, so no sensor can measure it"),
+        (["uds4", "--without", "dc_dose"], "dc_dose: no known signal with a sensor equation"),
+        (["uds4", "--positions", "p_tp=much"], "--positions p_tp=much: 'much' is no cost"),
+        (["uds4", "--why", "fA_t", "fX"], "fX: no fault of the model"),
+        (["nowhere.json"], r"nowhere\.json: cannot be read: No such file or directory"),
+    ],
+)
+def test_what_is_not_there_is_named(arguments: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        main(arguments)
 
 
 def test_a_model_without_redundancy_says_so_and_the_answer_is_no(
@@ -65,7 +162,7 @@ def test_a_model_without_redundancy_says_so_and_the_answer_is_no(
     path = tmp_path / "bare.toml"
     path.write_text(NO_REDUNDANCY)
     assert main([str(path)]) == 1
-    assert "no redundancy: every equation is needed" in capsys.readouterr().out
+    assert "no redundancy, so no test and no detectable fault; a sensor of a would give some" in capsys.readouterr().out
 
 
 def test_redundancy_without_a_fault_is_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

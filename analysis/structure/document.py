@@ -1,0 +1,125 @@
+"""The whole structural analysis as data: names only, lists in the model's order, no fault in its own list."""
+
+from collections.abc import Mapping, Sequence
+from typing import get_args
+
+from analysis.model import Model
+from analysis.structure.arguments import arguments
+from analysis.structure.causality import residual_causality
+from analysis.structure.decomposition import Part, dulmage_mendelsohn
+from analysis.structure.diagnosability import Interpretation, detectability, isolability_of
+from analysis.structure.index import low_index, observable
+from analysis.structure.isolability import signature_matrix
+from analysis.structure.lint import lint, lint_structure
+from analysis.structure.placement import place_sensors
+from analysis.structure.selection import select_tests
+from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
+from analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
+
+CAUSALITIES: tuple[Interpretation, ...] = get_args(Interpretation)
+
+MANY_POSITIONS = 40
+MANY_TESTS = 64
+"""Beyond these, listing every minimal sensor set, or every smallest selection of tests, may take minutes."""
+
+
+def document(model: Model | Structure, positions: Mapping[str, float] | None = None) -> dict[str, object]:
+    """The analysis. `positions` are the unknowns that sensors could measure, with their costs (see `sensor_sets`).
+
+    `sensor_sets` and `selected_tests` are None where there are too many candidates to list every optimum.
+    """
+    structure = structure_of(model)
+    tests = find_tests(model)
+    parts = dulmage_mendelsohn(structure)
+    return {
+        "model": model.name if isinstance(model, Model) else None,
+        "equations": structure.equations,
+        "unknowns": structure.unknowns,
+        "knowns": structure.known,
+        "faults": structure.faults,
+        "structural_rank": parts.rank,
+        "redundancy": redundancy(structure, over_determined(structure)),
+        "low_index": low_index(structure),
+        "observable": observable(structure),
+        "lint": [vars(finding) for finding in (lint(model) if isinstance(model, Model) else lint_structure(structure))],
+        "dm": {
+            "under": _part(parts.under),
+            "just": [_part(component) for component in parts.just],
+            "over": _part(parts.over),
+            "classes": [_part(found) for found in parts.classes],
+            "rest_unknowns": parts.shared,
+        },
+        "mso": mso_sets(structure),
+        "mtes": mtes_sets(structure),
+        "tests": [_test(model, structure, test) for test in tests],
+        "detectability": {causality: detectability(structure, causality) for causality in CAUSALITIES},
+        "isolability": {causality: isolability_of(structure, causality) for causality in CAUSALITIES},
+        "sensor_sets": {causality: sensor_sets(structure, causality, positions) for causality in CAUSALITIES},
+        "selected_tests": selected(tests, structure),
+    }
+
+
+def selected(tests: Sequence[Support], structure: Structure) -> list[list[str]] | None:
+    """The smallest sets of tests that tell apart what all tests that can be run do; of all tests if none can be."""
+    runnable: list[Support] = [test for test in tests if isinstance(test, Test)]
+    usable = runnable or list(tests)
+    if len(usable) > MANY_TESTS:
+        return None
+    chosen = select_tests(signature_matrix(usable, structure.faults), structure.faults)
+    return [[usable[row].name for row in rows] for rows in chosen]
+
+
+def sensor_sets(
+    structure: Structure, causality: Interpretation, positions: Mapping[str, float] | None
+) -> list[tuple[str, ...]] | None:
+    """The minimal sets of further sensors for the best isolability, cheap ones first; None for too many positions.
+
+    Unless positions are given with their costs, every unknown is one but the derivatives, which no sensor measures.
+    """
+    derivatives = {d.derivative for d in structure.differentials.values()}
+    costs = positions or {name: 1.0 for name in structure.unknowns if name not in derivatives}
+    if len(costs) > MANY_POSITIONS:
+        return None
+    return [found.sensors for found in place_sensors(structure, [*costs], causality, costs=costs)]
+
+
+def _part(part: Part) -> dict[str, tuple[str, ...]]:
+    return {"equations": part.equations, "unknowns": part.unknowns, "faults": part.faults}
+
+
+def _test(model: Model | Structure, structure: Structure, test: Support) -> dict[str, object]:
+    found: dict[str, object] = {
+        "name": test.name,
+        "equations": test.equations,
+        "faults": test.faults,
+        "knowns": test.known,
+        "states": test.states,
+        "redundancy": redundancy(structure, test.equations),
+        "residuals": residuals(structure, test),
+        "obstacle": test.obstacle,
+    }
+    if isinstance(test, Test):
+        computation = arguments(model, test)
+        found |= {"residual": test.residual, "predicts": test.predicts, "sequence": test.sequence}
+        found["arguments"] = {
+            "g": {state: vars(a) for state, a in computation.rates.items()},
+            "h": vars(computation.output),
+        }
+    return found
+
+
+def residuals(structure: Structure, test: Support) -> list[dict[str, object]]:
+    """Every equation of a test as its residual: what it predicts if it is a sensor's, and which states are integrated.
+
+    None unless the test's redundancy is one: otherwise its equations are several minimal sets. `states` is None for
+    mixed causality, where it depends on how the loop is broken.
+    """
+    if redundancy(structure, test.equations) != 1:
+        return []
+    found: list[dict[str, object]] = []
+    for equation, causality in residual_causality(structure, test.equations).items():
+        known, unknown = structure.known_in([equation]), structure.unknowns_in([equation])
+        states = {"integral": test.states, "mixed": None}.get(causality, ())
+        predicts = known[0] if len(known) == len(unknown) == 1 else None
+        found.append({"equation": equation, "causality": causality, "states": states, "predicts": predicts})
+    return found
