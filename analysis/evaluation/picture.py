@@ -14,23 +14,32 @@ from analysis.evaluation.story import Story
 from service.core.events import Event
 from service.core.modes import PARTIAL
 
-BAR = 1e5  # Pa
-MEASURED, PREDICTED, ALARM, ONSET = "#1f4e79", "#e07b00", "#c62828", "#444444"
+UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}
+"""What a signal is drawn in, by its unit: how much one is, and its name."""
+
+MEASURED, PREDICTED = ("#1f4e79", "#5b9bd5", "#12355b"), ("#e07b00", "#f4b183", "#8a4b00")
+ALARM, ONSET, INPUTS = "#c62828", "#444444", ("#6a4c93", "#2e7d32")
 SPREADS = 12  # where a residual leaves its row of the picture
-SHOWN = {"y_p_ap": "after the pump", "y_p_du": "dosing unit", "y_p_tp": "before the pump"}
+APART = 3.0
+"""Signals whose medians are this many times apart are drawn in different panels."""
 
 
 def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Path) -> None:
     """Writes the picture as a PNG; `live` are the events of a bus, where those are judged and not the log's own."""
     mpl.use("Agg")
-    figure = Figure(figsize=(13, 12), layout="constrained")
-    rows = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.4, 1, 2, 2, 1.3])
-    _pressures(rows[0], story, ["y_p_ap", "y_p_du"], verdict)
-    _pressures(rows[1], story, ["y_p_tp"], verdict)
-    _inputs(rows[2], story)
-    _residuals(rows[3], story)
-    _sums(rows[4], story)
-    _told(rows[5], story, live)
+    together = _together(story)
+    heights = [*(2 if len(columns) > 1 else 1.4 for columns in together), 1, 2, 2, 1.3]
+    figure = Figure(figsize=(13, 1.24 * sum(heights)), layout="constrained")
+    rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    for axes, columns in zip(rows, together, strict=False):
+        _signals(axes, story, columns)
+    if verdict.onset_s is not None:
+        place = (verdict.onset_s, rows[0].get_ylim()[0])
+        rows[0].annotate("fault begins", place, xytext=(4, 6), textcoords="offset points", color=ONSET)
+    _inputs(rows[-4], story)
+    _residuals(rows[-3], story)
+    _sums(rows[-2], story)
+    _told(rows[-1], story, live)
     for axes in rows:
         axes.grid(visible=True, alpha=0.25)
         axes.margins(x=0)
@@ -54,42 +63,53 @@ def _title(v: Verdict) -> str:
     return f"{v.recording} (simulated): {fault}\n{found}; {v.false_alarms} false alarms before"
 
 
-def _pressures(axes: Axes, story: Story, signals: Sequence[str], verdict: Verdict) -> None:
-    """Measured pressures, and what the first test that predicts each of them says."""
-    names = [channel.signal for channel in story.bundle.manifest.inputs]
-    shown = story.z[:, [names.index(signal) for signal in signals]] / BAR
-    low, high = shown.min(), shown.max()
-    if low < np.median(shown) / 2:  # building up pressure at the start would flatten all that follows
-        low = np.quantile(shown, 0.1)
+def _together(story: Story) -> list[list[int]]:
+    """The columns of z that tests predict, largest signals first, in panels of those of like size and unit."""
+    inputs = story.bundle.manifest.inputs
+    predicted = {generator.predicts for generator in story.bundle.manifest.generators}
+    columns = [column for column, channel in enumerate(inputs) if channel.signal in predicted]
+    middle = np.nanmedian(np.abs(story.z), axis=0)
+    panels: list[list[int]] = []
+    for column in sorted(columns, key=lambda column: (inputs[column].unit, -middle[column])):
+        first = panels[-1][0] if panels else None
+        like = first is not None and inputs[first].unit == inputs[column].unit
+        if first is None or not like or middle[first] > APART * middle[column]:
+            panels.append([])
+        panels[-1].append(column)
+    return [sorted(panel) for panel in panels]
+
+
+def _signals(axes: Axes, story: Story, columns: Sequence[int]) -> None:
+    """Measured signals, and what the first test that predicts each of them says."""
+    inputs, generators = story.bundle.manifest.inputs, story.bundle.manifest.generators
+    one, unit = UNITS.get(inputs[columns[0]].unit, (1.0, inputs[columns[0]].unit))
+    shown = story.z[:, columns] / one
+    low, high = np.nanmin(shown), np.nanmax(shown)
+    if low < np.nanmedian(shown) / 2:  # building up pressure at the start would flatten all that follows
+        low = np.nanquantile(shown, 0.1)
     axes.set_ylim(low - 0.25 * (high - low), high + 0.1 * (high - low))
-    for number, signal in enumerate(signals):
-        measured = story.z[:, names.index(signal)] / BAR
-        shade = (MEASURED, "#5b9bd5")[number]
-        axes.plot(story.t_s, measured, color=shade, linewidth=0.8, label=f"{signal} measured, {SHOWN[signal]}")
-        row = next((k for k, g in enumerate(story.bundle.manifest.generators) if g.predicts == signal), None)
-        if row is not None:
-            test = story.bundle.manifest.generators[row].test
-            shade = (PREDICTED, "#f4b183")[number]
-            axes.plot(story.t_s, story.y_hat[:, row] / BAR, color=shade, linewidth=0.8, label=f"predicted by {test}")
-    axes.set_ylabel("pressure [bar]")
-    if verdict.onset_s is not None and signals[0] == "y_p_ap":
-        axes.annotate(
-            "fault begins",
-            (verdict.onset_s, axes.get_ylim()[0]),
-            xytext=(4, 6),
-            textcoords="offset points",
-            color=ONSET,
-        )
-    axes.legend(loc="lower right", ncols=2, fontsize=8)
+    for number, column in enumerate(columns):
+        signal, shade = inputs[column].signal, number % len(MEASURED)
+        axes.plot(story.t_s, story.z[:, column] / one, color=MEASURED[shade], linewidth=0.8, label=f"{signal} measured")
+        row = next(k for k, generator in enumerate(generators) if generator.predicts == signal)
+        label = f"predicted by {generators[row].test}"
+        axes.plot(story.t_s, story.y_hat[:, row] / one, color=PREDICTED[shade], linewidth=0.8, label=label)
+    axes.set_ylabel(f"[{unit}]")
+    axes.legend(loc="lower right", ncols=len(columns), fontsize=8)
 
 
 def _inputs(axes: Axes, story: Story) -> None:
-    names = [channel.signal for channel in story.bundle.manifest.inputs]
-    axes.plot(story.t_s, 100 * story.z[:, names.index("dc_dose")], color="#6a4c93", linewidth=0.9)
-    axes.set_ylabel("dose [%]")
-    speed = axes.twinx()
-    speed.plot(story.t_s, story.z[:, names.index("n_p")], color="#2e7d32", linewidth=0.7)
-    speed.set_ylabel("pump [rev/s]", color="#2e7d32")
+    """The signal that the operating mode follows, and another one that no test predicts."""
+    manifest = story.bundle.manifest
+    predicted = {generator.predicts for generator in manifest.generators}
+    names = [channel.signal for channel in manifest.inputs]
+    others = [name for name in names if name not in predicted and name != manifest.modes.signal]
+    for number, name in enumerate([manifest.modes.signal, *others[:1]]):
+        column = names.index(name)
+        one, unit = UNITS.get(manifest.inputs[column].unit, (1.0, manifest.inputs[column].unit))
+        side = axes if number == 0 else axes.twinx()
+        side.plot(story.t_s, story.z[:, column] / one, color=INPUTS[number], linewidth=0.9 - 0.2 * number)
+        side.set_ylabel(f"{name} [{unit}]", color=INPUTS[number])
 
 
 def _residuals(axes: Axes, story: Story) -> None:

@@ -249,6 +249,7 @@ def test_constraints_without_effect_are_told() -> None:
 
 def test_unused_unknowns_and_under_determined_ones_are_told_apart() -> None:
     found = places({"e": ["a", "b", "c"], "y1": ["v"], "y2": ["v"]}, unknowns=["a", "b", "c", "v", "unused"])
+    assert found.pop("fault").startswith("there is none, so no test is sensitive to a fault")
     assert found == {
         "unknown.unused": "is in no equation; use it or remove it",
         "unknown": "a, b and c cannot be computed: the equations that have them are 2 too few; "
