@@ -1,0 +1,20 @@
+"""Residual generators as code to read: computation sequences with their causality, as Python and as C99."""
+
+from analysis.codegen.build import residual_program
+from analysis.codegen.c99 import c99_sources
+from analysis.codegen.identifiers import class_name
+from analysis.codegen.program import Program
+from analysis.codegen.python import python_source
+from analysis.codegen.sequence import Component, ComputationSequence, computation_graph, computation_sequence
+
+__all__ = [
+    "Component",
+    "ComputationSequence",
+    "Program",
+    "c99_sources",
+    "class_name",
+    "computation_graph",
+    "computation_sequence",
+    "python_source",
+    "residual_program",
+]

@@ -1,0 +1,85 @@
+"""The network of some states of a model: what the implicit step needs where other parts are computed around it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import sympy as sp
+
+from analysis.graph.network import Evaluator, Values, flow_network
+from analysis.model import Differential, Equation, Known, Model, Unknown, sgsqrt
+from analysis.structure import Test
+
+Solved = tuple[str, str, sp.Expr]
+"""An equation, the variable it is solved for, and the solution."""
+
+_SENSOR = "the output"
+
+
+def names_in(expression: sp.Expr) -> set[str]:
+    """The names of an expression's symbols."""
+    return {symbol.name for symbol in expression.free_symbols}
+
+
+def independent(explicit: Sequence[Solved], states: set[str]) -> list[Solved]:
+    """Those that no state enters, directly or through others."""
+    dependent = set(states)
+    for _, variable, value in explicit:
+        if names_in(value) & dependent:
+            dependent.add(variable)
+    return [solved for solved in explicit if solved[1] not in dependent]
+
+
+def state_network(
+    model: Model,
+    constraints: Sequence[Differential],
+    explicit: Sequence[Solved],
+    signals: Sequence[str],
+    place: str,
+) -> tuple[Values, list[str]]:
+    """The network of some states, as a small model of its own, and which equations its orifices are.
+
+    Its equations are the solved ones, its known signals what enters. It measures its first state, which is only to
+    make it a test.
+    """
+    nothing = Known(unit="1", description="", min=0.0, max=0.0, noise=0.0)
+    variable = Unknown(unit="1", description="", initial=(), initial_text=())
+    measured = (_SENSOR, _SENSOR, sp.Symbol(constraints[0].state))
+    small = replace(
+        model,
+        known=dict.fromkeys([*signals, _SENSOR], nothing),
+        unknown=dict.fromkeys([*(d.state for d in constraints), *(v for _, v, _ in explicit)], variable),
+        equations={
+            name: Equation(name=name, description="", text="", expression=sp.Symbol(v) - value, fault=None)
+            for name, v, value in [*explicit, measured]
+        },
+        differentials=tuple(constraints),
+    )
+    test = Test(
+        number=1,
+        name=place.removeprefix(f"{model.name}: "),
+        equations=tuple(small.equations),
+        faults=(),
+        known=tuple(small.known),
+        states=tuple(d.state for d in constraints),
+        obstacle=None,
+        residual=_SENSOR,
+        predicts=_SENSOR,
+        sequence=tuple((name, v) for name, v, _ in explicit),
+    )
+    found = flow_network(small, test, list(signals))
+    [values] = Evaluator([found], small)([{}])
+    x = sp.Matrix([sp.Symbol(state) for state in test.states])
+    u = sp.Matrix([1, *(sp.Symbol(key) for key in signals)])
+    arguments = list(found.alpha * x + found.beta * u)
+    return values, [_origin(argument, explicit) for argument in arguments]
+
+
+def _origin(argument: sp.Expr, explicit: Sequence[Solved]) -> str:
+    """The equation with a root of this argument."""
+    substituted: dict[sp.Symbol, sp.Expr] = {}
+    for equation, variable, value in explicit:
+        whole = value.subs(substituted)
+        if any(sp.expand(root.args[0] - argument) == 0 for root in whole.atoms(sgsqrt)):
+            return equation
+        substituted[sp.Symbol(variable)] = whole
+    return "orifice"

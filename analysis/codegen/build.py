@@ -1,0 +1,264 @@
+"""Builds the program of a residual from its computation sequence: solves, differentiates and integrates, in order."""
+
+import keyword
+import re
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+
+from analysis.codegen.block import Solved, independent, names_in, state_network
+from analysis.codegen.identifiers import RESERVED, Names, file_scope, words_in
+from analysis.codegen.implicit import step_lines
+from analysis.codegen.loops import solve_component
+from analysis.codegen.program import Constant, Input, Line, Program, State, alive
+from analysis.codegen.sequence import Component, ComputationSequence
+from analysis.codegen.text import Writer, number
+from analysis.graph.bank import PERIOD_S
+from analysis.graph.network import Values
+from analysis.model import Differential, Model
+from service.core.errors import InputError
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def residual_program(
+    model: Model, sequence: ComputationSequence, *, name: str, period: float = PERIOD_S, filter_s: float = 0.0
+) -> Program:
+    """The program of a residual of a fault-free model, for samples every `period` [s].
+
+    Integrated states advance by the implicit step of the ONNX graph and start from the sensors. Derivatives are
+    backward difference quotients, behind a first-order low-pass of time constant `filter_s` [s] if it is not zero. The
+    residual is that of the equation as it is written; if it is a sensor's, in the unit of that and measured less
+    predicted. It is NaN where a division by a signal has no result (the efficiency of a pump that stands still), and
+    in the first step of a derivative. Causality says nothing of stability: a mixed sequence may run away, and a
+    constraint as the residual in integral form drifts. `name` begins the identifiers of the code.
+
+    Raises:
+        InputError: a component has no solution that is certain to be the only one, or does not have the form that the
+            implicit step solves; a state has no initial value from the signals at hand; `name` is no identifier.
+    """
+    if not _IDENTIFIER.fullmatch(name) or name in RESERVED or keyword.iskeyword(name):
+        raise InputError(f"name {name!r}: is no identifier of Python and C; use letters, digits and _ as in uds4_t02")
+    if not sequence.known:
+        raise InputError(
+            f"{model.name}: {', '.join(sequence.equations)} contain no known signal; nothing can be tested"
+        )
+    if not period > 0 or not filter_s >= 0:
+        raise InputError(
+            f"period {period:g} s and filter {filter_s:g} s: give a positive period and no negative filter"
+        )
+    return _Builder(model, sequence, name, period, filter_s).program()
+
+
+class _Builder:
+    def __init__(self, model: Model, sequence: ComputationSequence, name: str, period: float, filter_s: float) -> None:
+        self._model, self._sequence = model, sequence
+        self._name, self._period, self._filter_s = name, period, filter_s
+        self._place = f"{model.name}: residual {sequence.residual} of {', '.join(sequence.equations)}"
+        self._fresh = Names()
+        for taken in file_scope(name):
+            self._fresh.fresh(taken)
+        self._numbers = {key: parameter.value for key, parameter in model.parameters.items()}
+        self._identifiers = {key: self._fresh.fresh(key) for key in [*model.known, *model.unknown, *model.parameters]}
+        self._write = Writer(self._identifiers, self._numbers, self._place)
+        self._constraints = {d.name: d for d in model.differentials}
+        self._lines: list[Line] = []
+        self._states: list[State] = []
+
+    def program(self) -> Program:
+        for component in self._sequence.components:
+            match component.kind:
+                case "algebraic":
+                    self._solve(component)
+                case "derivative":
+                    self._differentiate(self._constraints[component.equations[0]])
+                case "integral" if not component.inside:
+                    self._sum_up(self._constraints[component.equations[0]])
+                case "integral":
+                    self._advance(component)
+                case "mixed":
+                    self._solve_discretised(component)
+        residual, unit = self._residual()
+        lines = alive(self._lines, [residual, *(state.next for state in self._states)])
+        used = set().union(words_in(residual), *(words_in(line.text) for line in lines))
+        return Program(
+            name=self._name,
+            notes=tuple(self._notes()),
+            unit=unit,
+            inputs=tuple(Input(self._identifiers[k], k, self._note(k)) for k in self._sequence.known),
+            constants=tuple(
+                Constant(self._identifiers[k], p.value, self._note(k))
+                for k, p in self._model.parameters.items()
+                if self._identifiers[k] in used
+            ),
+            states=tuple(state for state in self._states if state.name in used),
+            lines=tuple(lines),
+            residual=residual,
+        )
+
+    def _notes(self) -> list[str]:
+        sequence = self._sequence
+        notes = [
+            f"Residual generator of the model {self._model.name}, for samples every {self._period:g} s.",
+            f"Equations: {', '.join(sequence.equations)}. Residual equation: {sequence.residual}.",
+            f"Causality: {sequence.causality}.",
+        ]
+        if self._filter_s:
+            notes.append(f"Derivatives pass a first-order low-pass of {self._filter_s:g} s.")
+        return [*notes, "Where something needed is not known (NaN) the residual is NaN; it starts again by itself."]
+
+    def _note(self, key: str) -> str:
+        """Unit and description of a name of the model."""
+        found = self._model.known.get(key) or self._model.unknown.get(key) or self._model.parameters[key]
+        return f"[{found.unit}] {found.description}".strip()
+
+    def _expression(self, equation: str) -> sp.Expr:
+        return self._model.expression(equation, with_fault=False)
+
+    def _describe(self, equation: str, variable: str) -> str:
+        if equation in self._constraints:
+            return f"{equation} for {variable}"
+        described = self._model.equations[equation].description
+        return f"{equation} for {variable}{': ' if described else ''}{described}"
+
+    def _carry(self, variable: str, following: str) -> str:
+        """A state that keeps a variable's value; gives the local that has the old one, NaN at first."""
+        name = self._fresh.fresh(f"{variable}_last")
+        self._states.append(State(name, following, f"{self._note(variable)}, at the last step"))
+        return name
+
+    def _started(self, state: str, following: str) -> str:
+        """As `_carry`, but where it is not known it starts from the sensors."""
+        carried = self._carry(state, following)
+        old = self._fresh.fresh(f"{state}_old")
+        self._lines.append(
+            Line(old, f"kept({carried}, {self._initial(state)})", f"{state} at the last step, or its start")
+        )
+        return old
+
+    def _initial(self, state: str) -> str:
+        """The first of the state's initial expressions that needs no signal from outside."""
+        for expression in self._model.unknown[state].initial:
+            signals = [symbol.name for symbol in expression.free_symbols if symbol.name in self._model.known]
+            if set(signals) <= set(self._sequence.known):
+                return self._write(expression)
+        raise InputError(
+            f"{self._model.name}: unknown.{state}.initial: no expression uses only {', '.join(self._sequence.known)}; "
+            "add one, a parameter alone will do"
+        )
+
+    def _solutions(self, component: Component, extra: Mapping[str, sp.Expr] | None = None) -> list[tuple[str, sp.Expr]]:
+        extra = extra or {}
+        expressions = {name: extra[name] if name in extra else self._expression(name) for name in component.equations}
+        return solve_component(expressions, component.variables, self._numbers, self._place)
+
+    def _assign(self, component: Component, solutions: Sequence[tuple[str, sp.Expr]]) -> None:
+        owner = {variable: equation for equation, variable in component.pairs}
+        for variable, value in solutions:
+            note = self._describe(owner[variable], variable)
+            if len(component.pairs) > 1:
+                note += f" (loop of {', '.join(component.equations)})"
+            self._lines.append(Line(self._identifiers[variable], self._write(value), note))
+
+    def _solve(self, component: Component) -> None:
+        self._assign(component, self._solutions(component))
+
+    def _differentiate(self, constraint: Differential) -> None:
+        now = self._identifiers[constraint.state]
+        quotient = f"({now} - {self._carry(constraint.state, now)})/{number(self._period)}"
+        self._smooth(self._identifiers[constraint.derivative], constraint, quotient)
+
+    def _smooth(self, target: str, constraint: Differential, quotient: str) -> None:
+        note = f"{constraint.name}: difference quotient of {constraint.state}"
+        if self._filter_s:
+            share = number(self._period / (self._period + self._filter_s))
+            quotient = f"low_pass({self._carry(constraint.derivative, target)}, {quotient}, {share})"
+            note += f", low-pass of {self._filter_s:g} s"
+        self._lines.append(Line(target, quotient, note))
+
+    def _sum_up(self, constraint: Differential) -> None:
+        """Integrates a derivative that is computed from other things than its state."""
+        now, rate = self._identifiers[constraint.state], self._identifiers[constraint.derivative]
+        text = f"{self._started(constraint.state, now)} + {number(self._period)}*{rate}"
+        self._lines.append(Line(now, text, f"{constraint.name}: {constraint.state} integrated"))
+
+    def _solve_discretised(self, component: Component) -> None:
+        """A loop that differentiates within: backward Euler makes its constraints algebraic."""
+        discrete: dict[str, sp.Expr] = {}
+        for equation in component.equations:
+            if equation in self._constraints:
+                d = self._constraints[equation]
+                old = sp.Symbol(self._started(d.state, self._identifiers[d.state]))
+                self._identifiers[old.name] = old.name
+                rate, state = sp.Symbol(d.derivative), sp.Symbol(d.state)
+                discrete[equation] = rate - (state - old) / sp.Float(self._period)
+        self._assign(component, self._solutions(component, discrete))
+
+    def _advance(self, component: Component) -> None:
+        """The implicit step of the states, then what follows from them."""
+        constraints = [self._constraints[name] for name in component.equations if name in self._constraints]
+        explicit = [
+            (equation, variable, value)
+            for inner in component.inside
+            for (variable, value) in self._solutions(inner)
+            for equation in [next(e for e, v in inner.pairs if v == variable)]
+        ]
+        new = [self._identifiers[d.state] for d in constraints]
+        last = [self._started(d.state, now) for d, now in zip(constraints, new, strict=True)]
+        states = {d.state for d in constraints}
+        try:
+            block = self._block(constraints, explicit)
+        except InputError:
+            # What follows from the inputs alone may be any function of them, if it is an input itself.
+            fixed = independent(explicit, states)
+            if not fixed:
+                raise
+            self._explain(fixed)
+            explicit = [solved for solved in explicit if solved not in fixed]
+            block = self._block(constraints, explicit)
+        signals, values, orifices = block
+        inputs = [self._identifiers[key] for key in signals]
+        self._lines += step_lines(
+            values, self._period, self._fresh, last=last, new=new, signals=inputs, orifices=orifices
+        )
+        self._explain(explicit)
+
+    def _block(
+        self, constraints: Sequence[Differential], explicit: Sequence[Solved]
+    ) -> tuple[list[str], Values, list[str]]:
+        """What enters the network of the states, its matrices, and which equations its orifices are."""
+        own = {d.state for d in constraints} | {variable for _, variable, _ in explicit}
+        entering = {d.derivative for d in constraints}.union(*(names_in(value) for _, _, value in explicit))
+        signals = [key for key in self._identifiers if key in entering and key not in own and key not in self._numbers]
+        return signals, *state_network(self._model, constraints, explicit, signals, self._place)
+
+    def _explain(self, solved: Sequence[Solved]) -> None:
+        for equation, variable, value in solved:
+            note = self._describe(equation, variable)
+            self._lines.append(Line(self._identifiers[variable], self._write(value), note))
+
+    def _residual(self) -> tuple[str, str]:
+        """The residual's text and unit."""
+        name = self._sequence.residual
+        if name in self._constraints:
+            return self._compared(self._constraints[name])
+        expression = self._expression(name)
+        signals = [symbol for symbol in expression.free_symbols if symbol.name in self._model.known]
+        slope = sp.diff(expression, signals[0]) if len(signals) == 1 else sp.Integer(0)
+        if slope.is_number and not slope.is_zero:
+            return self._write(sp.expand(expression / slope)), self._model.known[signals[0].name].unit
+        return self._write(expression), f"unit of {name}"
+
+    def _compared(self, constraint: Differential) -> tuple[str, str]:
+        """A differential constraint as the residual, with its state and its derivative computed from the rest."""
+        state, rate = self._identifiers[constraint.state], self._identifiers[constraint.derivative]
+        unit = self._model.unknown[constraint.state].unit
+        if self._sequence.form == "derivative":
+            found = self._fresh.fresh(f"{constraint.derivative}_found")
+            quotient = f"({state} - {self._carry(constraint.state, state)})/{number(self._period)}"
+            self._smooth(found, constraint, quotient)
+            return f"{found} - {rate}", f"{unit}/s"
+        summed = self._fresh.fresh(f"{constraint.state}_integrated")
+        text = f"{self._started(constraint.state, summed)} + {number(self._period)}*{rate}"
+        self._lines.append(Line(summed, text, f"{constraint.name}: {constraint.derivative} integrated, open loop"))
+        return f"{state} - {summed}", unit
