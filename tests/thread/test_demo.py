@@ -15,7 +15,8 @@ import pytest
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
-BLOCKS = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+PAGES = README + (ROOT / "docs" / "structural-analysis.md").read_text()
+BLOCKS = re.findall(r"```sh\n(.*?)```", PAGES, flags=re.DOTALL)
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line and not line.startswith("#")]
 
 
@@ -98,7 +99,7 @@ def test_the_live_candidates_are_those_of_the_log(demo: Ran, name: str) -> None:
 
 
 @pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith(".venv/bin/")])
-def test_every_command_of_the_readme_runs(demo: Ran, command: str) -> None:
+def test_every_command_of_the_pages_runs(demo: Ran, command: str) -> None:
     words, _, comment = command.partition("  # ")
     arguments = [FAULTLINE, *shlex.split(words)[1:]]
     done = subprocess.run(arguments, cwd=demo.folder, capture_output=True, text=True, check=False, timeout=300)
