@@ -2,6 +2,7 @@
 
 import argparse
 import hashlib
+import json
 import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +13,17 @@ import numpy as np
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.model import dump_model, load_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
-from service.bundle import MANIFEST, SEAL, Bundle, Golden, decode_manifest, load_bundle, seal, verify_golden
+from service.bundle import (
+    MANIFEST,
+    SEAL,
+    Bundle,
+    BundleError,
+    Golden,
+    decode_manifest,
+    load_bundle,
+    seal,
+    verify_golden,
+)
 from service.core.consistency import FILE_NAME
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -45,7 +56,11 @@ def main(argv: list[str]) -> int:
         )
     dbc = _dbc(options.dbc, bank)
     _check_room(options.out, options.force)
-    files = bundle_files(bank, tuning, options.dbc.name, dbc, str(options.out))
+    _check_golden(tuning, bank, options.tuning)
+    try:
+        files = bundle_files(bank, tuning, options.dbc.name, dbc, str(options.out))
+    except BundleError as error:
+        raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     bundle = _put(files, options.out)
     size = sum(file.size for file in bundle.manifest.files.values())
     print(f"wrote {options.out}: {len(bank.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
@@ -92,7 +107,7 @@ def bundle_files(bank: Bank, tuning: Tuning, dbc_name: str, dbc: bytes, where: s
 
 def _dbc(path: Path, bank: Bank) -> bytes:
     if not path.is_file():
-        raise InputError(f"{path}: not found; give the DBC that the recordings were made with")
+        raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
     if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, GOLDEN, MANIFEST, SEAL):
         raise InputError(
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
@@ -129,11 +144,30 @@ def _put(files: dict[str, bytes], out: Path) -> Bundle:
     return bundle
 
 
+def _check_golden(tuning: Tuning, bank: Bank, where: Path) -> None:
+    if not tuning.golden_z or any(len(z) != len(bank.inputs) for z in tuning.golden_z):
+        raise InputError(f"{where}: golden_z: not samples of the model's {len(bank.inputs)} signals; tune again")
+
+
 def _check_room(out: Path, force: bool) -> None:
-    """An existing bundle is replaced when asked for; any other folder is left alone."""
-    if not out.exists():
+    """An existing bundle is replaced when asked for; any other folder, and one that holds more, is left alone."""
+    if not out.exists() and not out.is_symlink():
         return
-    if not (out / MANIFEST).is_file():
-        raise InputError(f"{out}: exists and is no bundle; give another folder")
+    if out.is_symlink() or not _is_bundle(out):
+        raise InputError(f"{out}: exists and is no bundle, or more than one; give another folder")
+    if Path.cwd().is_relative_to(out.resolve()):
+        raise InputError(f"{out}: is the folder you are in; go to another one")
     if not force:
         raise InputError(f"{out}: exists already; give another folder or --force")
+
+
+def _is_bundle(folder: Path) -> bool:
+    """Whether the folder holds the files of a bundle, of whatever version and however damaged, and nothing else."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        listed = {MANIFEST, SEAL, *manifest["files"]}
+        return str(manifest["schema"]).startswith("faultline.bundle/") and listed.issuperset(
+            path.name for path in folder.iterdir()
+        )
+    except (OSError, ValueError, TypeError, KeyError):
+        return False

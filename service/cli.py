@@ -65,6 +65,13 @@ def _run(command: EntryPoint, arguments: list[str]) -> int:
     except InputError as error:
         print(f"faultline {command.name}: error: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        if error.filename is None:  # no file of the user's, but something that went wrong
+            raise
+        print(
+            f"faultline {command.name}: error: {error.filename}: {error.strerror}; give another path", file=sys.stderr
+        )
+        return 2
     except ModuleNotFoundError as error:
         remedy = _remedy(error.name or "")
         if remedy is None:

@@ -14,7 +14,8 @@ from service.watch import describe
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle
 
-It exits with 1 where a fault was found, with 0 where none was, and with 2 where no test could ever tell.
+It exits with 1 where a fault was found, and with 0 where none was and every test could tell at some time. Where some
+could not, silence is no all-clear: it names them and exits with 2.
 """
 
 
@@ -22,7 +23,7 @@ def main(argv: list[str]) -> int:
     """Runs the command; returns 1 where the log ends with a fault or held one, 0 where it held none.
 
     Raises:
-        InputError: nothing in the log let any test tell, so that "no fault" would be a guess.
+        InputError: no fault was found, but some test could never tell, so that "no fault" would be a guess.
     """
     parser = argparse.ArgumentParser(
         "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -48,13 +49,10 @@ def main(argv: list[str]) -> int:
         else:
             print(describe(event, {fault.name: fault for fault in bundle.manifest.faults}))
     sys.stdout.flush()
-    if len(blind) == len(bundle.manifest.generators):
+    if blind and not found:
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
         raise InputError(
-            f"{options.log}: no test could ever tell, so nothing is known; "
-            f"give a longer log with {signals}, and the system under pressure"
+            f"{options.log}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
+            f"give a longer log that has {signals}, within their operating ranges"
         )
-    if blind:
-        names = " ".join(sorted(blind))
-        print(f"faultline diagnose: {options.log}: could never tell: {names}; this is no all-clear", file=sys.stderr)
     return 1 if found else 0

@@ -52,6 +52,7 @@ def main(argv: list[str]) -> int:
         sys.stdout.flush()
         if options.once:
             return 0
+    print("faultline watch: the service has ended", file=sys.stderr)
     return 1 if options.once else 0
 
 

@@ -29,7 +29,7 @@ MARKER = ".faultline-demo"
 """A file by which the demo knows a folder of its own, the only kind it replaces."""
 
 TRIES = 3
-LATEST_S = 0.5
+LATEST_S = 0.2
 """Log time [s] that a replayed frame may be late: a machine too busy for the speed shows its own stalls, not faults."""
 
 
@@ -49,20 +49,31 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
-    if options.out.exists():
-        if not (options.out / MARKER).is_file():
-            parser.error(f"{options.out} exists and is no demo's folder; name another with --out, or remove it")
-        shutil.rmtree(options.out)
-    options.out.mkdir(parents=True)
-    (options.out / MARKER).touch()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the processes it started end with it
     started = time.monotonic()
     try:
+        _make_room(options.out)
         good = Demo(options.out, options.speed).run()
     except DemoError as error:
         print(f"faultline demo: error: {error}", file=sys.stderr)
         return 2
     print(f"\n{time.monotonic() - started:.0f} s in all; everything is in {options.out}")
     return 0 if good else 1
+
+
+def _make_room(out: Path) -> None:
+    """Replaces an earlier demo's folder, and nothing else; raises `DemoError` where something else is in the way."""
+    if out.is_symlink() or (out.exists() and not (out / MARKER).is_file()):
+        raise DemoError(f"{out} exists and is no demo's folder; name another with --out, or remove it")
+    if Path.cwd().is_relative_to(out.resolve()):
+        raise DemoError(f"{out} is the folder you are in, or above it; name another with --out")
+    try:
+        if out.exists():
+            shutil.rmtree(out)
+        out.mkdir(parents=True)
+        (out / MARKER).touch()
+    except OSError as error:
+        raise DemoError(f"{error.filename}: {error.strerror}; name another folder with --out") from error
 
 
 class Demo:

@@ -20,6 +20,7 @@ class Verdict:
     false_alarms: int
     could_tell: dict[str, float]
     blind: list[str]
+    apart_ticks: int | None
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,14 @@ def sentence(v: Verdict) -> str:
         return f"fault-free: {v.false_alarms} false alarms"
     return (
         f"{v.faults[0]} from {v.onset_s:g} s: detected after {v.delay_s} s, isolated {{{', '.join(v.isolated)}}}, "
-        f"first {', '.join(v.first)}, {v.false_alarms} false alarms before"
+        f"first {', '.join(v.first)}, {v.false_alarms} false alarms before, {_live(v)}"
     )
+
+
+def _live(v: Verdict) -> str:
+    if v.apart_ticks is None:
+        return "over the bus other candidates than offline"
+    return f"over the bus within {v.apart_ticks} samples of offline"
 
 
 def problems(v: Verdict) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.evaluation.judge import Verdict, judge
+from analysis.evaluation.judge import Verdict, apart, judge
 from analysis.evaluation.story import Story, tell
 from analysis.evaluation.truth import load_truth
 from analysis.progress import Progress
@@ -38,6 +38,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
+    if options.picture and options.picture.suffix != ".png":
+        raise InputError(f"{options.picture}: no name of a picture; give one that ends in .png")
     bundle = load_bundle(options.bundle)
     log = open_known(options.recording, partial(print, file=sys.stderr))
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
@@ -52,6 +54,9 @@ def main(argv: list[str]) -> int:
         tests = [generator.test for generator in bundle.manifest.generators]
         events = story.events if live is None else live
         verdict = judge(truth, events, tests, story.origin_s, story.end_s)
+        if live is not None:
+            off = apart(live, story.events, len(story.t_s) - 1)
+            verdict = msgspec.structs.replace(verdict, apart_ticks=off)
         if options.picture:
             progress.say("drawing")
             _draw(story, live, verdict, options.picture)

@@ -18,6 +18,8 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     `first` alone. `false_alarms` counts the episodes that began before the onset, or all of them in a fault-free
     recording; like every event, one that lasts less than two seconds is not told. `could_tell` is the share of the
     recording in which each test could tell; a recording in which one never could (`blind`) proves nothing of it.
+    `apart_ticks` is set where the events of a bus are judged: how far they are from the log's own, None if they tell
+    other candidates.
     """
 
     recording: str
@@ -33,6 +35,7 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     false_alarms: int
     could_tell: dict[str, float]
     blind: list[str]
+    apart_ticks: int | None = None
 
     @property
     def good(self) -> bool:
@@ -72,6 +75,24 @@ def judge(truth: Truth, events: Sequence[Event], tests: Sequence[str], origin_s:
         could_tell={test: round(share, 3) for test, share in shares.items()},
         blind=[test for test, share in shares.items() if share == 0.0],
     )
+
+
+def apart(live: Sequence[Event], own: Sequence[Event], end_tick: int) -> int | None:
+    """By how many ticks the changes of candidates over a bus differ from the log's own; None if they are others."""
+    theirs, ours = (_changes([event for event in events if event.tick <= end_tick]) for events in (live, own))
+    if [candidates for candidates, _ in theirs] != [candidates for candidates, _ in ours]:
+        return None
+    return max((abs(a - b) for (_, a), (_, b) in zip(theirs, ours, strict=True)), default=0)
+
+
+def _changes(events: Sequence[Event]) -> list[tuple[list[list[str]], int]]:
+    """Every change of the candidates, whatever their ranks, with its tick."""
+    changes: list[tuple[list[list[str]], int]] = []
+    for event in events:
+        candidates = sorted(diagnosis.faults for diagnosis in event.diagnoses)
+        if candidates != (changes[-1][0] if changes else []):
+            changes.append((candidates, event.tick))
+    return changes
 
 
 def _shares(

@@ -68,7 +68,7 @@ def _together(story: Story) -> list[list[int]]:
     inputs = story.bundle.manifest.inputs
     predicted = {generator.predicts for generator in story.bundle.manifest.generators}
     columns = [column for column, channel in enumerate(inputs) if channel.signal in predicted]
-    middle = np.nanmedian(np.abs(story.z), axis=0)
+    middle = np.median(np.abs(np.nan_to_num(story.z)), axis=0)
     panels: list[list[int]] = []
     for column in sorted(columns, key=lambda column: (inputs[column].unit, -middle[column])):
         first = panels[-1][0] if panels else None
@@ -80,20 +80,25 @@ def _together(story: Story) -> list[list[int]]:
 
 
 def _signals(axes: Axes, story: Story, columns: Sequence[int]) -> None:
-    """Measured signals, and what the first test that predicts each of them says."""
+    """Measured signals, and what the first test that predicts each of them says while it can tell."""
     inputs, generators = story.bundle.manifest.inputs, story.bundle.manifest.generators
     one, unit = UNITS.get(inputs[columns[0]].unit, (1.0, inputs[columns[0]].unit))
     shown = story.z[:, columns] / one
-    low, high = np.nanmin(shown), np.nanmax(shown)
-    if low < np.nanmedian(shown) / 2:  # building up pressure at the start would flatten all that follows
-        low = np.nanquantile(shown, 0.1)
-    axes.set_ylim(low - 0.25 * (high - low), high + 0.1 * (high - low))
+    shown = shown[np.isfinite(shown)]
+    if shown.size:
+        low, high = shown.min(), shown.max()
+        if low < np.median(shown) / 2:  # building up pressure at the start would flatten all that follows
+            low = np.quantile(shown, 0.1)
+        axes.set_ylim(low - 0.25 * (high - low), high + 0.1 * (high - low) + 1e-9)
+    else:
+        axes.text(0.5, 0.5, "never received", transform=axes.transAxes, ha="center", va="center")
     for number, column in enumerate(columns):
         signal, shade = inputs[column].signal, number % len(MEASURED)
         axes.plot(story.t_s, story.z[:, column] / one, color=MEASURED[shade], linewidth=0.8, label=f"{signal} measured")
         row = next(k for k, generator in enumerate(generators) if generator.predicts == signal)
         label = f"predicted by {generators[row].test}"
-        axes.plot(story.t_s, story.y_hat[:, row] / one, color=PREDICTED[shade], linewidth=0.8, label=label)
+        told = np.where(story.usable[:, row], story.y_hat[:, row] / one, np.nan)
+        axes.plot(story.t_s, told, color=PREDICTED[shade], linewidth=0.8, label=label)
     axes.set_ylabel(f"[{unit}]")
     axes.legend(loc="lower right", ncols=len(columns), fontsize=8)
 
@@ -123,6 +128,7 @@ def _residuals(axes: Axes, story: Story) -> None:
         axes.plot(story.t_s, trace - row, linewidth=0.8, color=ALARM)
         axes.text(story.t_s[0], -row, f"{generator.test} ", ha="right", va="center", fontsize=8)
     axes.set_yticks([])
+    axes.set_ylim(0.6 - len(detectors), 0.6)
     axes.set_ylabel("residuals\n(red: alarm)", labelpad=28)
 
 

@@ -21,7 +21,7 @@ every 100 ms. On the grid, a bus's jitter would decide at every tick whether its
 
 
 class Tick(NamedTuple):
-    """One tick: log time [s], samples (nz,), whether each is usable (nz,), mode (index in `MODES`), residuals."""
+    """One tick: number, log time [s], samples (nz,), whether each is usable (nz,), mode (of `MODES`), residuals."""
 
     number: int
     t_s: float

@@ -42,7 +42,7 @@ class Log:
         """
         if self.dbc_sha256 not in (None, sha256):
             raise LogError(
-                f"{self.id}: recorded with DBC {self.dbc_sha256[:12]}, the bundle was made for {sha256[:12]}; "
+                f"{self.dbc_path}: recorded with DBC {self.dbc_sha256[:12]}, the bundle was made for {sha256[:12]}; "
                 "export a bundle for this vehicle's DBC"
             )
 

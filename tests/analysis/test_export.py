@@ -124,7 +124,7 @@ def test_a_folder_that_is_no_bundle_is_never_touched(made: Made, tmp_path: Path,
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter1.tex").write_text("years of work")
-    with pytest.raises(InputError, match="thesis: exists and is no bundle; give another folder"):
+    with pytest.raises(InputError, match="thesis: exists and is no bundle, or more than one; give another folder"):
         made.export(out, *force)
     assert contents(out) == {"chapter1.tex": b"years of work"}
 
@@ -140,13 +140,48 @@ def test_a_file_in_the_way_is_never_touched(made: Made, tmp_path: Path) -> None:
 def test_a_bundle_is_replaced_only_when_asked_for(made: Made, tmp_path: Path) -> None:
     out = tmp_path / "bundle"
     made.export(out)
-    (out / "left-over").write_text("of an older bundle")
     before = contents(out)
     with pytest.raises(InputError, match="bundle: exists already; give another folder or --force"):
         made.export(out)
     assert contents(out) == before
+    (out / "ode.onnx").write_bytes(b"damaged")
     assert made.export(out, "--force") == 0
-    assert set(contents(out)) == set(before) - {"left-over"}
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("manifest", [None, "{}", '{"schema": "faultline.bundle/1", "files": {}}', "[1]", "no JSON"])
+def test_a_folder_that_holds_more_than_a_bundle_is_never_replaced(
+    made: Made, tmp_path: Path, manifest: str | None
+) -> None:
+    out = tmp_path / "bundle"
+    made.export(out)
+    if manifest is not None:
+        (out / "manifest.json").write_text(manifest)
+    (out / "src.js").write_text("mine")
+    with pytest.raises(InputError, match="exists and is no bundle, or more than one; give another folder"):
+        made.export(out, "--force")
+    assert (out / "src.js").read_text() == "mine"
+
+
+def test_the_folder_one_is_in_and_a_link_are_left_alone(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "bundle"
+    made.export(out)
+    (tmp_path / "link").symlink_to(out)
+    with pytest.raises(InputError, match="link: exists and is no bundle"):
+        made.export(tmp_path / "link", "--force")
+    monkeypatch.chdir(out)
+    with pytest.raises(InputError, match=r"^\.: is the folder you are in"):
+        made.export(Path(), "--force")
+    assert "manifest.json" in contents(out)
+
+
+@pytest.mark.parametrize("golden_z", [[], [[0.0, 0.0, 0.0]]])
+def test_golden_samples_of_other_signals_are_refused(made: Made, tmp_path: Path, golden_z: list[list[float]]) -> None:
+    made.tuning.write_text(json.dumps({**json.loads(made.tuning.read_bytes()), "golden_z": golden_z}))
+    with pytest.raises(InputError, match=r"tuning\.json: golden_z: not samples of the model's 5 signals; tune again"):
+        made.export(tmp_path / "bundle")
 
 
 @pytest.mark.parametrize(

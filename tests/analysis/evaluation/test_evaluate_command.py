@@ -113,7 +113,7 @@ def test_given_events_are_judged_instead_of_its_own(
     verdict = json.loads(capsys.readouterr().out)
     tests = [generator.test for generator in story.bundle.manifest.generators]
     own_verdict = judge(load_truth(TRUTH, "golden"), story.events, tests, story.origin_s, story.end_s)
-    assert verdict == msgspec.to_builtins(own_verdict)
+    assert verdict == {**msgspec.to_builtins(own_verdict), "apart_ticks": 0}
 
     wrong = lines()
     for event in wrong:
@@ -167,7 +167,9 @@ def test_a_recording_in_which_no_test_could_tell_is_no_peace(
     (log / "can.log").write_text("".join(line for line in lines if " 18FF20F9#" not in line))
     truth = tmp_path / "truth.toml"
     truth.write_text('schema = 1\nrecording = "golden"\n')
-    assert main([str(log), "--bundle", str(BUNDLE), "--truth", str(truth)]) == 1
+    picture = tmp_path / "blind.png"
+    assert main([str(log), "--bundle", str(BUNDLE), "--truth", str(truth), "--picture", str(picture)]) == 1
+    assert picture.stat().st_size > 20_000
     assert "fault-free, 0 false alarms; t02, t06, t08, t09, t10, t12, t13, t19, t20 could never tell" in (
         capsys.readouterr().out
     )
@@ -207,6 +209,12 @@ def test_a_recording_of_another_dbc_is_refused(tmp_path: Path) -> None:
     (log / "recording.toml").write_text(re.sub(r'dbc_sha256 = "\w+"', f'dbc_sha256 = "{other}"', described))
     with pytest.raises(InputError, match=f"recorded with DBC {other[:12]}, the bundle was made for"):
         main([str(log), "--bundle", str(BUNDLE), "--truth", str(TRUTH)])
+
+
+@pytest.mark.parametrize("name", ["story.txt", "story", "folder/"])
+def test_a_picture_is_a_png(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"no name of a picture; give one that ends in \.png"):
+        evaluate("--picture", tmp_path / name)
 
 
 def test_a_bare_log_is_refused() -> None:

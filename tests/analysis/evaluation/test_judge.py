@@ -194,3 +194,14 @@ def test_two_faults_need_both_and_the_first_onset_counts() -> None:
 def test_an_unknown_cause_is_a_detection_that_names_nothing() -> None:
     verdict = judge(truth("fA_du"), [event("occurred", 75.0, [("", 1)], ["t02"])], ORIGIN_S)
     assert (verdict.detected, verdict.isolated, verdict.contained) == (True, [], False)
+
+
+def test_a_bus_may_be_some_ticks_apart_but_must_tell_the_same_candidates() -> None:
+    own = [START, event("occurred", 75.0, [("fA", 1), ("fB", 1)]), event("refined", 80.0, [("fA", 1)])]
+    late = [START, event("occurred", 75.4, [("fB", 1), ("fA", 2)]), event("refined", 79.8, [("fA", 1)])]
+    assert judging.apart(own, own, 1000) == 0
+    assert judging.apart(late, own, 1000) == 2
+    assert judging.apart([*late, event("healed", 150.0)], own, 600) == 2  # after the end
+    assert judging.apart(late[:2], own, 1000) is None
+    assert judging.apart([START, event("occurred", 75.0, [("fC", 1)]), own[2]], own, 1000) is None
+    assert judging.apart([START], [START], 1000) == 0

@@ -180,3 +180,14 @@ def test_rearranging_the_file_renumbers_nothing() -> None:
     )
     assert [t.equations for t in find_tests(shuffled)] == [t.equations for t in find_tests(UDS4)]
     assert [t.number for t in integral_tests(shuffled)] == RUNNABLE
+
+
+def test_the_one_statement_of_the_thesis_that_the_model_contradicts() -> None:
+    """Chapter 7.5 has test 20 decouple fA_du; test 8 is the one that fits what the text says of it."""
+    tests = {t.number: t for t in integral_tests(UDS4)}
+    of_p_tp = [t for t in tests.values() if t.predicts == "y_p_tp"]
+    assert {t.number for t in of_p_tp} == {8, 10, 20}
+    assert "fA_du" in tests[20].faults
+    assert not any({"fA_t", "fA_p", "fA_ori"} <= set(t.faults) and "fA_du" not in t.faults for t in of_p_tp)
+    assert {"fA_t", "fA_p"} <= set(tests[8].faults)
+    assert not {"fA_du", "fA_ori"} & set(tests[8].faults)
