@@ -16,11 +16,12 @@ lint: .venv/.test
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache
 
-bench: .venv/.test  ## cost of a tick, paired with what it is compared to
+bench: .venv/.test .venv-peer/.done  ## cost of a tick and of structural analysis, paired with what it is compared to
 	@$(BIN)/python -m tests.bench
+	@$(BIN)/python tests/analysis/structure/bench_engine.py .venv-peer/bin/python
 
 clean:
-	rm -rf .venv out build faultline.egg-info
+	rm -rf .venv .venv-peer out build faultline.egg-info
 
 .venv/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -38,3 +39,11 @@ clean:
 	@echo "setting up .venv (design libraries and test tools, a minute)"
 	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,dev]'
 	@touch .venv/.demo $@
+
+# The peer tool has an environment of its own: it may crash, and wants libraries that are none of ours.
+PEER := tests/analysis/structure/peer-requirements.txt
+.venv-peer/.done: $(PEER)
+	@echo "setting up .venv-peer (the Fault Diagnosis Toolbox, a minute)"
+	@$(PYTHON) -m venv .venv-peer
+	@.venv-peer/bin/pip install --quiet --requirement $(PEER)
+	@touch $@

@@ -3,15 +3,19 @@
 Without the residual equation a minimal over-determined set is just-determined; its strongly connected components are
 solved one after the other. A differential constraint is used *integral* where its state follows from its derivative,
 *derivative* where it is the other way round. A component of several equations is integral if they can be solved for
-everything but the states; otherwise it needs a differentiated variable within a loop (Frisk et al. 2012).
+everything but the states; otherwise it needs a differentiated variable within a loop (Frisk et al. 2012). As residual,
+a differential constraint compares its state with the integral of its derivative.
+
+Whether all are integral is a question of matchings, so all residuals of a set are answered by one of them; the same for
+derivative, where the components matter besides.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import networkx as nx
 
-from analysis.structure.matching import Matching, bits
+from analysis.structure.matching import Matching, bits, mask_of
 from analysis.structure.structure import Structure
 
 Causality = Literal["algebraic", "integral", "derivative", "mixed"]
@@ -20,22 +24,20 @@ Causality = Literal["algebraic", "integral", "derivative", "mixed"]
 def residual_causality(structure: Structure, equations: Sequence[str]) -> Mapping[str, Causality]:
     """The causality of an MSO set with each of its equations as the residual, by equation."""
     rows = structure.rows(equations)
-    return {structure.equations[row]: _causality(structure, [r for r in rows if r != row], row) for row in rows}
+    algebraic, constraints = _divided(structure, rows)
+    if not constraints:
+        return dict.fromkeys((structure.equations[row] for row in rows), "algebraic")
+    found: dict[int, Causality] = dict.fromkeys(rows, "mixed")
+    found |= dict.fromkeys(_integral(structure, algebraic, constraints), "integral")
+    found |= dict.fromkeys(_derivative(structure, algebraic, constraints), "derivative")
+    return {structure.equations[row]: found[row] for row in rows}
 
 
 def integral_residuals(structure: Structure, equations: Sequence[str]) -> tuple[str, ...]:
-    """The algebraic equations of an MSO set that can be its residual without any differentiation.
-
-    The other algebraic equations must then determine every unknown but the states: if they can at all, what may be left
-    out is the over-determined part of the algebraic equations with the states given.
-    """
-    rows = structure.rows(equations)
-    states = _states(structure, rows)
-    algebraic = [row for row in rows if structure.equations[row] not in structure.differentials]
-    matching = Matching([structure.unknown_rows[row] & ~states for row in algebraic])
-    if len(matching.free) != 1:
-        return ()
-    return tuple(structure.equations[algebraic[i]] for i in matching.over_determined())
+    """The algebraic equations of an MSO set that can be its residual without any differentiation."""
+    algebraic, constraints = _divided(structure, structure.rows(equations))
+    found = set(_integral(structure, algebraic, constraints))
+    return tuple(structure.equations[row] for row in algebraic if row in found)
 
 
 def solving_order(structure: Structure, equations: Sequence[str], residual: str) -> list[list[tuple[str, str]]]:
@@ -46,7 +48,7 @@ def solving_order(structure: Structure, equations: Sequence[str], residual: str)
     """
     rows = [row for row in structure.rows(equations) if structure.equations[row] != residual]
     rows = [row for row in rows if structure.equations[row] not in structure.differentials]
-    states = _states(structure, structure.rows(equations))
+    states = mask_of([structure.unknowns.index(name) for name in structure.states_in(equations)])
     masks = [structure.unknown_rows[row] & ~states for row in rows]
     matching = Matching(masks)
     components = _components(masks, matching)
@@ -56,45 +58,80 @@ def solving_order(structure: Structure, equations: Sequence[str], residual: str)
     ]
 
 
-def _causality(structure: Structure, rows: Sequence[int], residual: int) -> Causality:
-    masks = [structure.unknown_rows[row] for row in rows]
-    matching = Matching(masks)
-    pairs = matching.pairs()
-    found = {"integral"} if structure.equations[residual] in structure.differentials else set()
-    for component in _components(masks, matching):
-        for i in component:
-            differential = structure.differentials.get(structure.equations[rows[i]])
-            if differential is None:
-                continue
-            if len(component) == 1:
-                found.add("integral" if structure.unknowns[pairs[i]] == differential.state else "derivative")
-            else:
-                inside = sum(1 << pairs[k] for k in component)
-                found.add("integral" if _integral(structure, [rows[k] for k in component], inside) else "mixed")
-    match sorted(found):
-        case []:
-            return "algebraic"
-        case ["integral"]:
-            return "integral"
-        case ["derivative"]:
-            return "derivative"
-    return "mixed"
+class _Constraint(NamedTuple):
+    row: int
+    state: int
+    derivative: int
 
 
-def _integral(structure: Structure, rows: Sequence[int], unknowns: int) -> bool:
-    """Whether the algebraic rows determine all of `unknowns` but the states of these rows."""
-    algebraic = [row for row in rows if structure.equations[row] not in structure.differentials]
-    unknowns &= ~_states(structure, rows)
-    return Matching([structure.unknown_rows[row] & unknowns for row in algebraic]).rank == len(algebraic)
+def _divided(structure: Structure, rows: Sequence[int]) -> tuple[list[int], list[_Constraint]]:
+    """The algebraic rows and the differential constraints."""
+    algebraic, constraints = [], []
+    for row in rows:
+        d = structure.differentials.get(structure.equations[row])
+        if d is None:
+            algebraic.append(row)
+        else:
+            state, derivative = structure.unknowns.index(d.state), structure.unknowns.index(d.derivative)
+            constraints.append(_Constraint(row, state, derivative))
+    return algebraic, constraints
 
 
-def _states(structure: Structure, rows: Sequence[int]) -> int:
-    names = {
-        structure.differentials[n].state
-        for n in map(structure.equations.__getitem__, rows)
-        if n in structure.differentials
-    }
-    return sum(1 << x for x, name in enumerate(structure.unknowns) if name in names)
+def _integral(structure: Structure, algebraic: Sequence[int], constraints: Sequence[_Constraint]) -> list[int]:
+    """The rows of an MSO set that can be its residual when every state is integrated.
+
+    The other algebraic equations must determine every unknown but the states. If they can at all, the residual is one
+    of their over-determined part with the states given, or the constraint of a state that this part would determine.
+    """
+    states = mask_of([c.state for c in constraints])
+    matching = Matching([structure.unknown_rows[row] & ~states for row in algebraic])
+    if len(matching.free) != 1:
+        return []
+    part = [algebraic[i] for i in matching.over_determined()]
+    return part + [c.row for c in constraints if any(structure.unknown_rows[row] >> c.state & 1 for row in part)]
+
+
+def _derivative(structure: Structure, algebraic: Sequence[int], constraints: Sequence[_Constraint]) -> list[int]:
+    """The rows of an MSO set that can be its residual when every derivative follows from its state.
+
+    With the derivatives given, the other algebraic equations must determine every unknown; the residual is one of their
+    over-determined part then. And no derivative may be needed for its own state.
+    """
+    derivatives = mask_of([c.derivative for c in constraints])
+    matching = Matching([structure.unknown_rows[row] & ~derivatives for row in algebraic])
+    if len(matching.free) != 1:
+        return []
+    users: dict[int, list[int]] = {}  # unknown -> places in `algebraic`
+    for i, row in enumerate(algebraic):
+        for x in bits(structure.unknown_rows[row]):
+            users.setdefault(x, []).append(i)
+    return [
+        algebraic[i]
+        for i in matching.over_determined()
+        if _in_turn(users, {row: x for x, row in matching.owners_without(i).items()}, constraints)
+    ]
+
+
+def _in_turn(users: Mapping[int, list[int]], solved: Mapping[int, int], constraints: Sequence[_Constraint]) -> bool:
+    """Whether all states can be had one after the other, none from a derivative that is not there yet.
+
+    `users` are the equations that an unknown is in, `solved` is what each equation is solved for.
+    """
+    left = list(constraints)
+    while left:
+        queue = [c.derivative for c in left]
+        waiting = mask_of(queue)
+        for x in queue:  # grows: what depends on a derivative that is not there yet
+            for i in users.get(x, ()):
+                following = solved.get(i)
+                if following is not None and not waiting >> following & 1:
+                    waiting |= 1 << following
+                    queue.append(following)
+        still = [c for c in left if waiting >> c.state & 1]
+        if len(still) == len(left):
+            return False
+        left = still
+    return True
 
 
 def _components(masks: Sequence[int], matching: Matching) -> list[list[int]]:

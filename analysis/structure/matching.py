@@ -44,6 +44,12 @@ class Matching:
         """The matching, row to unknown."""
         return dict(self._mate)
 
+    def owners_without(self, row: int) -> dict[int, int]:
+        """A maximum matching, unknown to row, that leaves out this row of M+."""
+        if row not in self._mate:
+            return dict(self.owner)
+        return self.owner | self._path_to(row)[1]
+
     def over_determined(self) -> list[int]:
         """The rows of M+, in order."""
         return self._reached(self.free)

@@ -3,14 +3,17 @@
 The number of a test is that of the thesis, which numbers MTES ("MSO_2" there is t02 here).
 """
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from analysis.model import Model
 from analysis.structure.causality import integral_residuals, solving_order
-from analysis.structure.matching import mask_of
 from analysis.structure.minimal import minimal_sets
 from analysis.structure.structure import Structure, structure_of
 
@@ -49,13 +52,12 @@ class Test(Support):
 
 def mso_sets(structure: Structure) -> list[tuple[str, ...]]:
     """All minimal structurally over-determined sets of equations (Krysander, Aslund and Nyberg 2008), in order."""
-    return [structure.names(rows) for rows in minimal_sets(structure.unknown_rows, (1 << len(structure.equations)) - 1)]
+    return _named(structure.equations, minimal_sets(structure.unknown_rows, range(len(structure.equations))))
 
 
 def mtes_sets(structure: Structure) -> list[tuple[str, ...]]:
     """All minimal test equation supports (Krysander, Aslund and Frisk 2010), in the thesis's order."""
-    faulty = mask_of(sorted(set(structure.fault_rows.values())))
-    return [structure.names(rows) for rows in minimal_sets(structure.unknown_rows, faulty)]
+    return _named(structure.equations, minimal_sets(structure.unknown_rows, sorted({*structure.fault_rows.values()})))
 
 
 def find_tests(model: Model | Structure) -> tuple[Support, ...]:
@@ -88,9 +90,14 @@ def _support(model: Model | Structure, structure: Structure, number: int, equati
 def _within(structure: Structure, equations: tuple[str, ...]) -> list[tuple[str, ...]]:
     """The MSO sets with faults among the equations."""
     rows = structure.rows(equations)
-    sets = minimal_sets([structure.unknown_rows[row] for row in rows], (1 << len(rows)) - 1)
-    names = [tuple(name for i, name in enumerate(equations) if chosen >> i & 1) for chosen in sets]
-    return [chosen for chosen in names if structure.faults_in(chosen)]
+    sets = minimal_sets([structure.unknown_rows[row] for row in rows], range(len(rows)))
+    return [chosen for chosen in _named(equations, sets) if structure.faults_in(chosen)]
+
+
+def _named(equations: Sequence[str], sets: NDArray[np.bool_]) -> list[tuple[str, ...]]:
+    """The equations of every set, (sets, equations)."""
+    flags, width = sets.tobytes(), len(equations)
+    return [tuple(itertools.compress(equations, flags[at : at + width])) for at in range(0, len(flags), width)]
 
 
 def _describe(structure: Structure, number: int, equations: tuple[str, ...], obstacle: str | None) -> Support:

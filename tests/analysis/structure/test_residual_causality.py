@@ -1,8 +1,13 @@
 """Causality against the matching identity, and tests that cannot be run with the reason."""
 
+import networkx as nx
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from made_models import air_path, induction_motor, tank_chain
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
+from test_diagnosability import structures
 
 from analysis.model import Differential, load_model, parse_model
 from analysis.structure import Structure, Test, find_tests, integral_tests, mso_sets, structure_of
@@ -58,6 +63,40 @@ def test_a_residual_is_integral_exactly_if_the_rest_determines_all_but_the_state
                 assert (causality == "algebraic") == (not states)
                 seen[forward] += 1
     assert min(seen.values()) > 100
+
+
+def by_definition(structure: Structure, equations: tuple[str, ...], residual: str) -> str:
+    """The causality of a residual, from the strongly connected components that the other equations are solved in."""
+    rest = [e for e in equations if e != residual]
+    graph = nx.Graph((e, ("unknown", x)) for e in rest for x in structure.unknowns_in([e]))
+    pairs = nx.bipartite.maximum_matching(graph, rest)
+    needs = nx.DiGraph((e, pairs["unknown", x]) for e in rest for x in structure.unknowns_in([e]))
+    used = {"integral"} if residual in structure.differentials else set()
+    for component in nx.strongly_connected_components(needs):
+        inside = [structure.differentials[e] for e in component if e in structure.differentials]
+        if len(component) == 1:
+            used |= {"integral" if pairs[d.name] == ("unknown", d.state) else "derivative" for d in inside}
+        elif inside:
+            algebraic = [e for e in component if e not in structure.differentials]
+            solved = [pairs[e][1] for e in component]
+            states = {d.state for d in inside}
+            forward = perfect(structure, algebraic, [x for x in solved if x not in states])
+            used.add("integral" if forward else "mixed")
+    return "algebraic" if not used else used.pop() if len(used) == 1 else "mixed"
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(structure=structures())
+def test_causality_is_that_of_the_definition(structure: Structure) -> None:
+    for mso in mso_sets(structure):
+        assert residual_causality(structure, mso) == {e: by_definition(structure, mso, e) for e in mso}
+
+
+@pytest.mark.parametrize("structure", [tank_chain(3), induction_motor(), air_path(4, ["speed", "p2"])])
+def test_causality_of_systems_is_that_of_the_definition(structure: Structure) -> None:
+    found = mso_sets(structure)
+    for mso in found[:: max(1, len(found) // 5)]:
+        assert residual_causality(structure, mso) == {e: by_definition(structure, mso, e) for e in mso}
 
 
 HEAD = """
