@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
-from analysis.model import dump_model, load_model
+from analysis.model import dump_model
+from analysis.structure.lint import sound_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
 from service.bundle import (
     MANIFEST,
@@ -49,7 +50,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
     options = parser.parse_args(argv)
     tuning = load_tuning(options.tuning)
-    bank = build_bank(load_model(options.model))
+    bank = build_bank(sound_model(options.model))
     if tuning.model_sha256 != model_digest(dump_model(bank.model)):
         raise InputError(
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"

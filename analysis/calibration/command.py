@@ -8,9 +8,10 @@ import msgspec
 
 from analysis.calibration.fit import Fit, fit
 from analysis.graph.bank import Bank, build_bank
-from analysis.model import dump_model, load_model
+from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.observe import observe, open_known
+from analysis.structure.lint import sound_model
 from service.core.decode import compile_dbc
 
 EXAMPLE = """example:
@@ -28,7 +29,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, help="where to write the calibrated model file")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
-    model = load_model(options.model)
+    model = sound_model(options.model)
     bank = build_bank(model)
     with Progress(f"calibrating {model.name}") as progress:
         log = open_known(options.recording, progress.note)

@@ -101,6 +101,11 @@ def build_bank(model: Model) -> Bank:
             f"{model.name}: no test can be run ({reasons[0]}); "
             "add a sensor or write the equation in another form (`faultline structure --tests` has all reasons)"
         )
+    if not any(test.states for test in tests):
+        raise InputError(
+            f"{model.name}: no test that can be run has a state; a bank is for dynamic models, add a differential "
+            "constraint to one (`faultline code` writes static tests)"
+        )
     names = list(model.known)
     inputs = tuple(
         Input(signal=name, unit=k.unit, maximum_age_s=MAXIMUM_AGE_S, lower=k.min, upper=k.max)

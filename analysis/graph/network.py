@@ -197,7 +197,7 @@ def _check_rebuilt(
     """The network must be the equations, term by term: what was not captured (a product of flows) is refused."""
     u = sp.Matrix([1, *signals])
     products = sp.Matrix(len(flows), 1, [opening * velocity for opening, velocity in flows])
-    rebuilt = network.C * products + network.A * sp.Matrix(states) + network.B * u
+    rebuilt = network.C * products + network.A * sp.Matrix(len(states), 1, states) + network.B * u
     for state, rate, again in zip(network.states, rates, rebuilt, strict=True):
         if sp.expand(rate - again) != 0:
             raise InputError(f"{place}: the rate of {state} is not a sum of flows and affine terms: {rate}")

@@ -1,7 +1,17 @@
 """Structural analysis: which equations make a test, what it is sensitive to, and how it can be computed."""
 
 from analysis.structure.arguments import Arguments, Computation, arguments
+from analysis.structure.causality import residual_causality
+from analysis.structure.decomposition import dulmage_mendelsohn
+from analysis.structure.diagnosability import detectability, isolability_of
+from analysis.structure.explain import why
+from analysis.structure.index import differential_orders, low_index, observable
 from analysis.structure.isolability import detectable, isolability, signature_matrix
+from analysis.structure.lint import lint, lint_structure, sound_model
+from analysis.structure.matrix import read_structure, structural_model
+from analysis.structure.placement import place_sensors
+from analysis.structure.selection import select_tests
+from analysis.structure.sensors import add_sensors, drop_sensors, with_other_sensors
 from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
 from analysis.structure.supports import Support, Test, find_tests, integral_tests, mso_sets, mtes_sets
 
@@ -11,15 +21,33 @@ __all__ = [
     "Structure",
     "Support",
     "Test",
+    "add_sensors",
     "arguments",
+    "detectability",
     "detectable",
+    "differential_orders",
+    "drop_sensors",
+    "dulmage_mendelsohn",
     "find_tests",
     "integral_tests",
     "isolability",
+    "isolability_of",
+    "lint",
+    "lint_structure",
+    "low_index",
     "mso_sets",
     "mtes_sets",
+    "observable",
     "over_determined",
+    "place_sensors",
+    "read_structure",
     "redundancy",
+    "residual_causality",
+    "select_tests",
     "signature_matrix",
+    "sound_model",
+    "structural_model",
     "structure_of",
+    "why",
+    "with_other_sensors",
 ]

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import get_args
 
 from analysis.model import Model, load_model
+from analysis.progress import Progress
 from analysis.structure.diagnosability import Interpretation
 from analysis.structure.document import document
 from analysis.structure.explain import why
+from analysis.structure.lint import lint
 from analysis.structure.matrix import read_structure
 from analysis.structure.report import report
-from analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors
+from analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
 from analysis.structure.structure import Structure, structure_of
 from analysis.structure.supports import find_tests
 from service.core.errors import InputError
@@ -23,7 +25,8 @@ EXAMPLE = """examples:
   faultline structure uds4 --why fA_t fA_p --causality integral
   faultline structure model.json --figures figures    (a structural model in matrix form: X, F, Z, names)
 
-It exits with 1 where the model has no test, or where --why asks for two faults that cannot be told apart.
+It exits with 1 where the model has no test, or where --why asks for two faults that cannot be told apart; with 2 where
+it is wrong: its units contradict each other, or a name is unknown.
 """
 
 
@@ -49,24 +52,31 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the pictures into this folder")
     options = parser.parse_args(argv)
     model = _changed(open_model(options.model), options.without, options.sensors)
+    if options.why and (options.json or options.figures or options.tests or options.positions):
+        parser.error("--why answers one question; leave --json, --figures, --tests and --positions away")
     if options.why:
         fault, other = options.why
         explanation = why(structure_of(model), fault, other, options.causality)
         print(explanation.text)
         return 0 if explanation.isolable else 1
     positions = _positions(options.positions, structure_of(model))
-    if options.json == "-":
-        print(json.dumps(document(model, positions), indent=1))
-    else:
-        print(report(model, computations=options.tests, positions=positions))
-        if options.json:
-            _write(Path(options.json), json.dumps(document(model, positions), indent=1) + "\n")
+    name = model.name if isinstance(model, Model) else Path(options.model).stem
+    with Progress(f"analysing {name}"):
+        text = "" if options.json == "-" else report(model, computations=options.tests, positions=positions)
+        data = json.dumps(document(model, positions), indent=1) if options.json else ""
+    print(text or data)
+    if options.json and text:
+        _write(Path(options.json), data + "\n")
     if options.figures:
         from analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
 
-        written = draw_all(model, options.figures)
+        with Progress("drawing"):
+            written = draw_all(model, options.figures, name)
         print(f"wrote {len(written)} pictures to {options.figures}", file=sys.stderr)
-    return 0 if find_tests(model) else 1
+    wrong = [f for f in lint(model) if f.severity == "error"] if isinstance(model, Model) else []
+    for finding in wrong:
+        print(f"faultline structure: error: {options.model}: {finding.place}: {finding.message}", file=sys.stderr)
+    return 2 if wrong else 0 if find_tests(model) else 1
 
 
 def open_model(path: str) -> Model | Structure:
@@ -87,20 +97,22 @@ def open_model(path: str) -> Model | Structure:
 
 
 def _changed(model: Model | Structure, without: list[str], sensors: list[str]) -> Model | Structure:
-    """With other sensors only the structure is left: a new sensor has no formula."""
     if not without and not sensors:
         return model
-    structure = drop_sensors(structure_of(model), without)
-    return add_sensors(structure, sensors, faulty=True)
+    if isinstance(model, Model):
+        return with_other_sensors(model, without, sensors)
+    return add_sensors(drop_sensors(model, without), sensors, faulty=True)
 
 
 def _positions(words: list[str], structure: Structure) -> dict[str, float]:
     """Names with their costs, 1 where none is said."""
     costs = {}
     for word in words:
-        name, _, cost = word.partition("=")
+        name, equals, cost = word.partition("=")
+        if name in costs:
+            raise InputError(f"--positions {word}: {name} comes twice; name it once, with its cost")
         try:
-            costs[name] = float(cost or 1)
+            costs[name] = float(cost) if equals else 1.0
         except ValueError as error:
             raise InputError(f"--positions {word}: {cost!r} is no cost; write it like p_tp=2.5") from error
     check_unknowns(structure, costs)

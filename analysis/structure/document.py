@@ -11,16 +11,15 @@ from analysis.structure.diagnosability import Interpretation, detectability, iso
 from analysis.structure.index import low_index, observable
 from analysis.structure.isolability import signature_matrix
 from analysis.structure.lint import lint, lint_structure
-from analysis.structure.placement import place_sensors
+from analysis.structure.placement import MANY_POSITIONS, SensorSet, place_sensors
 from analysis.structure.selection import select_tests
 from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
 from analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
 
 CAUSALITIES: tuple[Interpretation, ...] = get_args(Interpretation)
 
-MANY_POSITIONS = 40
 MANY_TESTS = 64
-"""Beyond these, listing every minimal sensor set, or every smallest selection of tests, may take minutes."""
+"""Beyond these, listing every smallest selection of tests may take minutes."""
 
 
 def document(model: Model | Structure, positions: Mapping[str, float] | None = None) -> dict[str, object]:
@@ -31,6 +30,7 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
     structure = structure_of(model)
     tests = find_tests(model)
     parts = dulmage_mendelsohn(structure)
+    placed = [(causality, sensor_sets(structure, causality, positions)) for causality in CAUSALITIES]
     return {
         "model": model.name if isinstance(model, Model) else None,
         "equations": structure.equations,
@@ -54,7 +54,8 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
         "tests": [_test(model, structure, test) for test in tests],
         "detectability": {causality: detectability(structure, causality) for causality in CAUSALITIES},
         "isolability": {causality: isolability_of(structure, causality) for causality in CAUSALITIES},
-        "sensor_sets": {causality: sensor_sets(structure, causality, positions) for causality in CAUSALITIES},
+        "sensor_sets": {causality: _each(sets, "sensors") for causality, sets in placed},
+        "sensor_costs": {causality: _each(sets, "cost") for causality, sets in placed},
         "selected_tests": selected(tests, structure),
     }
 
@@ -71,16 +72,21 @@ def selected(tests: Sequence[Support], structure: Structure) -> list[list[str]] 
 
 def sensor_sets(
     structure: Structure, causality: Interpretation, positions: Mapping[str, float] | None
-) -> list[tuple[str, ...]] | None:
+) -> list[SensorSet] | None:
     """The minimal sets of further sensors for the best isolability, cheap ones first; None for too many positions.
 
-    Unless positions are given with their costs, every unknown is one but the derivatives, which no sensor measures.
+    The sensors are taken as free of faults. Unless positions are given with their costs, every unknown is one but the
+    derivatives, which no sensor measures.
     """
     derivatives = {d.derivative for d in structure.differentials.values()}
     costs = positions or {name: 1.0 for name in structure.unknowns if name not in derivatives}
     if len(costs) > MANY_POSITIONS:
         return None
-    return [found.sensors for found in place_sensors(structure, [*costs], causality, costs=costs)]
+    return place_sensors(structure, [*costs], causality, costs=costs)
+
+
+def _each(sets: Sequence[SensorSet] | None, field: str) -> list[object] | None:
+    return None if sets is None else [getattr(found, field) for found in sets]
 
 
 def _part(part: Part) -> dict[str, tuple[str, ...]]:

@@ -103,11 +103,14 @@ def _shared(parts: OverDeterminedPart, row: int) -> int:
 
 
 def _separating(structure: Structure, row: int, other_row: int, causality: Interpretation) -> Iterator[str]:
-    """The unknowns of which a single fault-free sensor makes `row` isolable from `other_row`."""
+    """The unknowns, no derivatives, of which a single fault-free sensor makes `row` isolable from `other_row`."""
+    derivatives = {d.derivative for d in structure.differentials.values()}  # no sensor measures them
     parts = OverDeterminedPart(add_sensors(structure, structure.unknowns), causality)
     first = len(structure.equations)
     sensors = ((1 << len(structure.unknowns)) - 1) << first
     for x, unknown in enumerate(structure.unknowns):
+        if unknown in derivatives:
+            continue
         if parts.without(sensors & ~(1 << first + x) | 1 << other_row) >> row & 1:
             yield unknown
 

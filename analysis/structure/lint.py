@@ -5,17 +5,21 @@ An *error* makes the model mean something else than it says; a *warning* is a pa
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import sympy as sp
 
 from analysis.model.check import check_model
 from analysis.model.errors import ModelError
+from analysis.model.file import load_model
 from analysis.model.model import Model
 from analysis.model.units import SECOND, Dimension, Dimensions, MismatchError, parse_unit
 from analysis.structure.decomposition import dulmage_mendelsohn
 from analysis.structure.matching import Matching
+from analysis.structure.placement import MANY_POSITIONS, place_sensors
 from analysis.structure.structure import Structure, structure_of
+from analysis.structure.supports import Test, find_tests
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,21 @@ def lint(model: Model) -> list[Finding]:
         return undeclared
     elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
     structural = [finding for finding in lint_structure(structure_of(model)) if finding.place not in elsewhere]
-    return sorted([*_units(model), *_unused_parts(model), *structural], key=lambda finding: finding.severity)
+    found = [*_empty(model), *_units(model), *_unused_parts(model), *structural, *_not_run(model)]
+    return sorted(found, key=lambda finding: finding.severity)
+
+
+def sound_model(path: str | Path) -> Model:
+    """The model in a file, or the shipped one of that name, for commands whose numbers depend on its formulas.
+
+    Raises:
+        ModelError: there is none, it is not valid, or it has a finding that is an error.
+    """
+    model = load_model(path)
+    for finding in lint(model):
+        if finding.severity == "error":
+            raise ModelError(f"{path}: {finding.place}: {finding.message}")
+    return model
 
 
 def lint_structure(structure: Structure) -> list[Finding]:
@@ -61,6 +79,30 @@ def _undeclared(model: Model) -> Iterator[Finding]:
         if strange:
             problem = f"{_some(strange)} declared neither as known, unknown nor parameter"
             yield Finding("error", f"equation.{name}", f"{problem}; declare what is meant, or correct the formula")
+
+
+def _empty(model: Model) -> Iterator[Finding]:
+    """Equations that are about nothing: always true, or never."""
+    variables = {*model.known, *model.unknown}
+    for name, equation in model.equations.items():
+        if not variables & {symbol.name for symbol in equation.expression.free_symbols}:
+            problem = f"`{equation.text}` = 0 has neither a known signal nor an unknown in it"
+            yield Finding("error", f"equation.{name}", f"{problem}; remove it, or write what it is about")
+
+
+def _not_run(model: Model) -> Iterator[Finding]:
+    """Faults that some test sees, but none of those that can be run."""
+    tests = find_tests(model)
+    run = {fault for test in tests if isinstance(test, Test) for fault in test.faults}
+    if tests and not run:
+        problem = f"none can be run; {tests[0].name}: {tests[0].obstacle}"
+        yield Finding("warning", "test", f"{problem} (--tests says it of every test)")
+        return
+    for fault in model.faults:
+        seeing = [test for test in tests if fault in test.faults]
+        if seeing and fault not in run:
+            problem = f"no test that sees it can be run; {seeing[0].name}: {seeing[0].obstacle}"
+            yield Finding("warning", f"fault.{fault}", problem)
 
 
 def _unused_parts(model: Model) -> Iterator[Finding]:
@@ -125,9 +167,7 @@ def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
         # A sensor is redundant where what it measures can be computed already: in M0, as M+ is empty.
         just = {name for component in parts.just for name in component.unknowns}
         helpful = [name for name in structure.unknowns if name in just]
-        remedy = (
-            f"a sensor of {_some(helpful, 'or')} would give some" if helpful else "add equations or several sensors"
-        )
+        remedy = f"a sensor of {_some(helpful, 'or')} would give some" if helpful else _several_sensors(structure)
         yield "equation", f"no redundancy, so no test and no detectable fault; {remedy}"
         return
     if not structure.faults:
@@ -140,6 +180,16 @@ def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
         helpful = [x for x, over in with_sensor.items() if row in over]
         remedy = f"a sensor of {_some(helpful, 'or')} would give one" if helpful else "no single sensor would give one"
         yield f"fault.{fault}", f"is not detectable: no test contains {structure.equations[row]}; {remedy}"
+
+
+def _several_sensors(structure: Structure) -> str:
+    """What would make faults detectable where no single sensor gives redundancy."""
+    derivatives = {d.derivative for d in structure.differentials.values()}
+    positions = [name for name in structure.unknowns if name not in derivatives]
+    if not structure.faults or len(positions) > MANY_POSITIONS:
+        return "add equations or several sensors"
+    sets = place_sensors(structure, positions, "mixed", "detectability")
+    return f"sensors of {_some(sets[0].sensors)} together would give some" if sets[0].sensors else "add equations"
 
 
 def _some(names: Sequence[str], last: str = "and") -> str:
@@ -165,7 +215,7 @@ def _units(model: Model) -> Iterator[Finding]:
             written.setdefault(dimensions[name], unit)
         else:
             problem = f"1 {unit} is {float(size):g} of the SI unit, and formulas convert nothing"
-            yield Finding("warning", f"{kind}.{name}.unit", f"{problem}; give {name} in SI units")
+            yield Finding("error", f"{kind}.{name}.unit", f"{problem}; give {name} in SI units")
     for place, left, right in _balances(model):
         try:
             Dimensions(dimensions, written).agree([left, right])

@@ -173,7 +173,7 @@ def _check_names(names: Sequence[str], where: str) -> None:
             raise ModelError(f"{where}: {name!r} is no name; use at least one character, no space and no comma")
     twice = first_repeated(names)
     if twice is not None:
-        raise ModelError(f"{where}: {twice} is the name of two things; rename one")
+        raise ModelError(f"{where}: names: {twice} is the name of two things; rename one")
 
 
 def _check_contents(contents: Mapping[str, Sequence[str]], declared: Sequence[str], where: str) -> None:

@@ -22,6 +22,9 @@ from analysis.structure.matching import bits, mask_of
 from analysis.structure.sensors import add_sensors, check_unknowns
 from analysis.structure.structure import Structure
 
+MANY_POSITIONS = 40
+"""Beyond these, listing every minimal set may take minutes."""
+
 Goal = Literal["isolability", "detectability"]
 
 

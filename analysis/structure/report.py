@@ -1,5 +1,6 @@
 """The structural analysis of a model as text to read."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -8,14 +9,17 @@ from analysis.structure.arguments import Arguments, arguments
 from analysis.structure.causality import residual_causality
 from analysis.structure.decomposition import dulmage_mendelsohn
 from analysis.structure.diagnosability import detectability, isolability_of
-from analysis.structure.document import CAUSALITIES, MANY_POSITIONS, selected, sensor_sets
+from analysis.structure.document import CAUSALITIES, selected, sensor_sets
 from analysis.structure.isolability import signature_matrix
 from analysis.structure.lint import lint, lint_structure
+from analysis.structure.placement import MANY_POSITIONS
 from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
 from analysis.structure.supports import Support, Test, find_tests, mso_sets
 
 SHOWN = 5
 """How many of many equally good sets are printed."""
+MANY_TESTS = 100
+"""How many tests are printed, unless their computations are asked for too."""
 
 
 def report(
@@ -29,13 +33,17 @@ def report(
     tests = find_tests(model)
     parts = [_counts(model, structure, tests), _classes(structure)]
     if tests:
+        shown = tests if computations else tests[:MANY_TESTS]
+        rest = [f"  and {len(tests) - len(shown)} more (--tests prints all)"] if len(shown) < len(tests) else []
+        title = "Fault signatures (X: the test is sensitive to the fault)"
         parts += [
-            _test_table(structure, tests),
-            ["Fault signatures (X: the test is sensitive to the fault)", *_signatures(tests, structure.faults)],
+            [*_test_table(structure, shown), *rest],
+            [title, *_signatures(shown, structure.faults), *rest],
             *_isolability(structure),
             _selections(tests, structure),
-            _placements(structure, positions),
         ]
+    if structure.faults:
+        parts.append(_placements(structure, positions))
     if computations:
         parts.extend(_computation(structure, test, model) for test in tests if isinstance(test, Test))
         parts.append(_obstacles(tests))
@@ -49,7 +57,9 @@ def _counts(model: Model | Structure, structure: Structure, tests: Sequence[Supp
     runnable = sum(isinstance(test, Test) for test in tests)
     form = "(integral causality, no algebraic loop)"
     return [
-        f"{model.name}: {model.description}" if isinstance(model, Model) else "a structural model, without formulas",
+        model.name + (f": {model.description}" if model.description else "")
+        if isinstance(model, Model)
+        else "a structural model, without formulas",
         f"{len(structure.equations)} equations ({len(structure.equations) - differential} algebraic, "
         f"{differential} differential), {len(structure.unknowns)} unknowns, {len(structure.known)} known signals, "
         f"{len(structure.faults)} faults",
@@ -123,11 +133,13 @@ def _placements(structure: Structure, positions: Mapping[str, float] | None) -> 
     sets = sensor_sets(structure, "integral", positions)
     if sets is None:
         return [f"More than {MANY_POSITIONS} positions for further sensors: name those that are possible, --positions"]
-    if sets == [()]:
+    if not any(found.sensors for found in sets):
         return ["No further sensor would improve isolability with integral causality"]
+    price = ", cheapest first" if positions else ""
     return [
-        f"Minimal sets of further sensors for the best isolability with integral causality: {len(sets)}",
-        *(f"  {', '.join(names)}" for names in sets[:SHOWN]),
+        "Minimal sets of further sensors for the best isolability with integral causality"
+        f" (taken as free of faults{price}): {len(sets)}",
+        *(f"  {', '.join(s.sensors)}" + (f"  (cost {s.cost:g})" if positions else "") for s in sets[:SHOWN]),
         *_more(len(sets)),
     ]
 
@@ -168,18 +180,22 @@ def _listed(found: Arguments) -> str:
 
 
 def _ranges(names: Sequence[str], order: Sequence[str]) -> str:
-    """Names with runs shortened: e03-e04,e07."""
+    """Names with runs of numbers shortened, where the model has these next to each other: e03-e04,e07."""
     chosen = set(names)
     runs: list[list[str]] = []
-    previous = False
-    for name in order:
+    for before, name in zip(["", *order[:-1]], order, strict=True):
         if name in chosen:
-            if previous:
+            if runs and runs[-1][-1] == before and _follows(before, name):
                 runs[-1].append(name)
             else:
                 runs.append([name])
-        previous = name in chosen
     return ",".join(run[0] if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+def _follows(before: str, name: str) -> bool:
+    """Whether a name is another one with the next number: e04 after e03."""
+    stem, number = re.fullmatch(r"(.*?)(\d*)", before).groups()  # type: ignore[union-attr]  # it always matches
+    return number != "" and name == f"{stem}{int(number) + 1:0{len(number)}d}"
 
 
 def _columns(rows: Sequence[Sequence[str]]) -> list[str]:

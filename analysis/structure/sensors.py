@@ -1,10 +1,75 @@
-"""Sensors added to a structure and taken from it, by name."""
+"""Sensors added to a model or its structure and taken from it, by name."""
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
+import sympy as sp
+
 from analysis.model.errors import ModelError
-from analysis.structure.structure import Structure
+from analysis.model.model import Equation, Fault, Known, Model, OperatingModes, Unknown
+from analysis.structure.structure import Structure, structure_of
+
+
+def with_other_sensors(model: Model, dropped: Iterable[str], measured: Sequence[str]) -> Model:
+    """The model without the sensors of some known signals, and with a sensor of every named unknown, which may fail.
+
+    The sensor of p is `y_p - p` with the fault `p -> p + fy_p`; names as in `add_sensors`. Nothing is known yet of its
+    range and noise, so the result is to analyse, not to run.
+
+    Raises:
+        ModelError: a signal has no sensor, or a name is not an unknown of the model.
+    """
+    left = drop_sensors(structure_of(model), dropped)
+    complete = add_sensors(left, measured, faulty=True)
+    names = complete.equations[len(left.equations) :]
+    faults = complete.faults[len(left.faults) :]
+    sensors = {
+        name: Equation(
+            name=name,
+            description=f"sensor of {unknown}",
+            text=f"{name} - {unknown}",
+            expression=sp.Symbol(name) - sp.Symbol(unknown),
+            fault=Fault(
+                name=fault,
+                component=f"sensor of {unknown}",
+                description="",
+                enters=unknown,
+                replacement=sp.Symbol(unknown) + sp.Symbol(fault),
+                enters_text=f"{unknown} -> {unknown} + {fault}",
+                sizes=(),
+                relative_to=None,
+            ),
+        )
+        for name, fault, unknown in zip(names, faults, measured, strict=True)
+    }
+    new = {
+        name: Known(unit=model.unknown[unknown].unit, description="", min=-math.inf, max=math.inf, noise=math.nan)
+        for name, unknown in zip(names, measured, strict=True)
+    }
+    return dataclasses.replace(
+        model,
+        known={name: known for name, known in model.known.items() if name in left.known} | new,
+        equations={name: e for name, e in model.equations.items() if name in left.equations} | sensors,
+        unknown={name: _started(unknown, left.known, model) for name, unknown in model.unknown.items()},
+        modes=_modes(model.modes, left.known),
+    )
+
+
+def _started(unknown: Unknown, known: Sequence[str], model: Model) -> Unknown:
+    """The unknown without initial values that need signals which are gone; a state without any left starts at zero."""
+    gone = {sp.Symbol(name) for name in model.known if name not in known}
+    kept = [k for k, expression in enumerate(unknown.initial) if not expression.free_symbols & gone]
+    if len(kept) == len(unknown.initial):
+        return unknown
+    initial, text = tuple(unknown.initial[k] for k in kept), tuple(unknown.initial_text[k] for k in kept)
+    return dataclasses.replace(unknown, initial=initial or (sp.S.Zero,), initial_text=text or ("0",))
+
+
+def _modes(modes: OperatingModes | None, known: Sequence[str]) -> OperatingModes | None:
+    if modes is None or modes.signal not in known:
+        return None
+    return dataclasses.replace(modes, edges={name: size for name, size in modes.edges.items() if name in known})
 
 
 def add_sensors(structure: Structure, measured: Sequence[str], faulty: bool = False) -> Structure:

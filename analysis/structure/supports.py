@@ -150,11 +150,17 @@ def _has_one_solution(model: Model, equation: str, variable: str) -> bool:
 
 
 def _predicted(model: Model | Structure, structure: Structure, equation: str) -> str | None:
-    """The signal of a sensor equation: the only one in it, with a constant factor; without formula, of one unknown."""
-    signals = structure.known_in([equation])
-    if len(signals) != 1:
+    """What a sensor equation predicts: its only signal, or the first of an equation without unknowns.
+
+    It must have a constant factor; without formula, an equation of one unknown is taken for a sensor's.
+    """
+    signals, unknowns = structure.known_in([equation]), structure.unknowns_in([equation])
+    if len(signals) != 1 and unknowns:
         return None
     if isinstance(model, Structure):
-        return signals[0] if len(structure.unknowns_in([equation])) == 1 else None
-    slope = sp.diff(model.expression(equation, with_fault=False), sp.Symbol(signals[0]))
-    return signals[0] if slope.is_number and slope != 0 else None
+        return signals[0] if signals and len(unknowns) <= 1 else None
+    for signal in signals:
+        slope = sp.diff(model.expression(equation, with_fault=False), sp.Symbol(signal))
+        if slope.is_number and slope != 0:
+            return signal
+    return None

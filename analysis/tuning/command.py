@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 
 from analysis.graph.bank import Bank, build_bank
-from analysis.model import dump_model, load_model
+from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
 from analysis.recordings.observe import START_WITHIN_S, observe, open_known
+from analysis.structure.lint import sound_model
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
 from analysis.tuning.thresholds import Seen, seen, tune_detectors
@@ -34,7 +35,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
     parser.add_argument("--json", action="store_true", help="print the detectors as JSON")
     options = parser.parse_args(argv)
-    bank = build_bank(load_model(options.model))
+    bank = build_bank(sound_model(options.model))
     with Progress(f"tuning {bank.model.name}") as progress:
         tuning = tune(bank, options.recording, progress)
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -19,14 +19,16 @@ from analysis.structure.pictures import (
 from analysis.structure.structure import Structure, structure_of
 from analysis.structure.supports import Test, find_tests
 
+MANY_ROWS, MANY_GRAPHS = 120, 40
 
-def draw_all(model: Model | Structure, folder: Path) -> list[Path]:
+
+def draw_all(model: Model | Structure, folder: Path, name: str) -> list[Path]:
     """Draws structure, decomposition, isolability, fault signatures and the graph of every test that can be run.
 
-    Each is an SVG and a PNG; the paths written. Pictures that would show nothing are left out.
+    Each is an SVG and a PNG with the model's `name`; the paths written. Pictures that would show nothing are left out.
+    Of many tests the first are drawn, those that can be run before others: a longer picture nobody reads.
     """
     structure, tests = structure_of(model), find_tests(model)
-    name = model.name if isinstance(model, Model) else "the model"
     figures: dict[str, Figure] = {
         "structure": draw_model(structure, name),
         "decomposition": draw_decomposition(structure, dulmage_mendelsohn(structure), name),
@@ -34,9 +36,11 @@ def draw_all(model: Model | Structure, folder: Path) -> list[Path]:
     if structure.faults:
         relations = {str(causality): isolability_of(structure, causality) for causality in CAUSALITIES}
         figures["isolability"] = draw_isolability(relations, name)
+    runnable = [test for test in tests if isinstance(test, Test)]
     if tests:
-        figures["signatures"] = draw_signatures(tests, structure.faults, name)
-    for test in tests:
-        if isinstance(test, Test):
-            figures[f"graph-{test.name}"] = draw_graph(structure, test, name)
+        drawn = tests if len(tests) <= MANY_ROWS else (runnable or tests)[:MANY_ROWS]
+        of_all = name if len(drawn) == len(tests) else f"{name} (of its {len(tests)} tests)"
+        figures["signatures"] = draw_signatures(drawn, structure.faults, of_all)
+    for test in runnable[:MANY_GRAPHS]:
+        figures[f"graph-{test.name}"] = draw_graph(structure, test, name)
     return [path for title, figure in figures.items() for path in save(figure, folder, title)]

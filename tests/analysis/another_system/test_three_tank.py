@@ -79,7 +79,7 @@ def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> 
     bundle = load_bundle(bench.bundle)
     verify_golden(bundle)
     bundle.golden.r[3][2] += 1e-6
-    with pytest.raises(BundleError, match=r"golden vector 3: t04.ode is off by 1e-06 m; this machine's onnxruntime"):
+    with pytest.raises(BundleError, match=r"golden vector 3: t10.ode is off by 1e-06 m; this machine's onnxruntime"):
         verify_golden(bundle)
 
 
@@ -133,5 +133,5 @@ def test_tuning_without_a_step_of_the_pump_is_refused(bench: Bench) -> None:
     t = np.arange(0.0, 200.0, tanks.FRAME_S)
     u = np.full(len(t), 0.6)
     constant = tanks.write(bench.folder / "constant", t, u, tanks.levels(t, u, None))
-    with pytest.raises(InputError, match=r"\(constant\): t01.ode saw mode 'edge' for 0 ticks only; add a fault-free"):
+    with pytest.raises(InputError, match=r"\(constant\): t03.ode saw mode 'edge' for 0 ticks only; add a fault-free"):
         tune([str(bench.model), str(constant), "--out", str(bench.folder / "never.json")])

@@ -118,9 +118,17 @@ def test_what_the_form_cannot_hold_is_refused_with_model_test_and_reason(refused
     assert "\n" not in message
 
 
+def test_a_model_without_a_state_is_refused() -> None:
+    """A bank integrates; `y - u` alone is a static test."""
+    text = MODEL.replace("p -> p + fy", "u -> u + fy")
+    static = text.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y - u", enters="A -> A + fA", initial='["y"]')
+    with pytest.raises(InputError, match=r"tank: no test that can be run has a state"):
+        build_bank(parse_model(static, "tank"))
+
+
 def test_a_model_that_no_sensor_watches_is_refused() -> None:
     text = MODEL.replace("p -> p + fy", "u -> u + fy")
-    blind = text.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y - u", enters="A -> A + fA", initial='["y"]')
+    blind = text.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y*u - 1", enters="A -> A + fA", initial='["y"]')
     with pytest.raises(InputError, match=r"tank: no test can be run \(t01: no sensor is predicted by e3"):
         build_bank(parse_model(blind, "tank.toml"))
 

@@ -135,7 +135,7 @@ def test_a_unit_that_cannot_be_read_is_told_once_and_not_used() -> None:
 def test_a_unit_that_needs_conversion_is_told() -> None:
     """The dimension fits, the number does not."""
     [finding] = lint(changed('[known.y]\nunit = "Pa"', '[known.y]\nunit = "mbar"'))
-    assert (finding.severity, finding.place) == ("warning", "known.y.unit")
+    assert (finding.severity, finding.place) == ("error", "known.y.unit")
     assert finding.message == "1 mbar is 100 of the SI unit, and formulas convert nothing; give y in SI units"
 
 

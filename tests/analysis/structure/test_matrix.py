@@ -133,9 +133,9 @@ BAD_FORMS: list[tuple[str, str]] = [
     ('{"X": [[1]], "names": {"signals": []}}', "m.json: names.signals: unknown key; allowed here are equations"),
     ('{"X": [[1]], "names": {"unknowns": ["a", "b"]}}', "m.json: names.unknowns: has 2 names for 1 unknowns"),
     ('{"X": [[1]], "names": {"faults": ["a"]}}', "m.json: names.faults: has 1 names for 0 faults"),
-    ('{"X": [[1], [1]], "names": {"equations": ["a", "a"]}}', "m.json: a is the name of two things"),
-    ('{"X": [[1, 1]], "names": {"unknowns": ["a", "a"]}}', "m.json: a is the name of two things"),
-    ('{"X": [[1]], "F": [[1]], "names": {"unknowns": ["f1"]}}', "m.json: f1 is the name of two things"),
+    ('{"X": [[1], [1]], "names": {"equations": ["a", "a"]}}', "m.json: names: a is the name of two things"),
+    ('{"X": [[1, 1]], "names": {"unknowns": ["a", "a"]}}', "m.json: names: a is the name of two things"),
+    ('{"X": [[1]], "F": [[1]], "names": {"unknowns": ["f1"]}}', "m.json: names: f1 is the name of two things"),
     ('{"X": [[1]], "names": {"unknowns": ["a b"]}}', "m.json: 'a b' is no name"),
     ('{"X": [[1]], "names": {"unknowns": [""]}}', "m.json: '' is no name"),
 ]

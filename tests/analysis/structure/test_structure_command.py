@@ -8,6 +8,7 @@ import pytest
 from analysis.model import ModelError, load_model
 from analysis.structure import structure_of
 from analysis.structure.command import main
+from analysis.structure.lint import sound_model
 from service.core.errors import InputError
 
 NO_REDUNDANCY = """
@@ -58,7 +59,7 @@ def test_the_report_names_what_no_test_separates_the_smallest_selections_and_the
     assert "Isolability, mixed and derivative causality" in lines
     assert "Smallest sets of tests that can be run that tell apart what all of them do: 4" in lines
     assert "t02, t08, t10, t12, t21" in lines
-    assert "q_ori, q_dos, p_bp" in lines
+    assert "q_ori, q_dos, p_bp (cost 5)" in lines
 
 
 def test_json_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,6 +148,8 @@ def test_the_figures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["uds4", "--sensors", "p_xx"], "p_xx: no unknown, so no sensor can measure it"),
         (["uds4", "--without", "dc_dose"], "dc_dose: no known signal with a sensor equation"),
         (["uds4", "--positions", "p_tp=much"], "--positions p_tp=much: 'much' is no cost"),
+        (["uds4", "--positions", "p_tp="], "--positions p_tp=: '' is no cost"),
+        (["uds4", "--positions", "p_tp=1", "p_tp=5"], "--positions p_tp=5: p_tp comes twice"),
         (["uds4", "--why", "fA_t", "fX"], "fX: no fault of the model"),
         (["nowhere.json"], r"nowhere\.json: cannot be read: No such file or directory"),
     ],
@@ -163,6 +166,103 @@ def test_a_model_without_redundancy_says_so_and_the_answer_is_no(
     path.write_text(NO_REDUNDANCY)
     assert main([str(path)]) == 1
     assert "no redundancy, so no test and no detectable fault; a sensor of a would give some" in capsys.readouterr().out
+
+
+def test_several_sensors_are_named_where_no_single_one_gives_redundancy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "two.json"
+    path.write_text('{"X": [[1, 1, 1]], "F": [[1]]}')
+    assert main([str(path), "--positions", "x1=2", "x2", "x3"]) == 1
+    out = capsys.readouterr().out
+    assert "no redundancy, so no test and no detectable fault; sensors of x1, x2 and x3 together would give some" in out
+    assert "  x1, x2, x3  (cost 4)\n" in out
+
+
+def test_a_dropped_sensor_leaves_the_formulas(capsys: pytest.CaptureFixture[str]) -> None:
+    """Equations with several solutions are refused with other sensors as well."""
+    assert main(["uds1", "--without", "y_p_tp"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("uds1: Urea dosing system with one pressure state")
+    assert "0 of them can be run" in out
+    assert "warning: test: none can be run; t01: with residual" in out
+    assert main(["three_tank", "--without", "y1", "--sensors", "h1", "--tests"]) == 0
+    assert "r = y_h1 - h(h1) by y_h1" in capsys.readouterr().out
+
+
+def test_units_that_contradict_each_other_are_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "metres.toml"
+    path.write_text(NO_REDUNDANCY.replace('[unknown.a]\nunit = "1"', '[unknown.a]\nunit = "m"'))
+    assert main([str(path)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"faultline structure: error: {path}: equation.e1: ")
+    assert err.count("\n") == 1
+    with pytest.raises(ModelError, match=rf"^{path}: equation\.e1: "):
+        sound_model(path)
+    path.write_text(NO_REDUNDANCY + '[[equation]]\nname = "e2"\nexpr = "1 - 2"\n')
+    with pytest.raises(ModelError, match=r"equation\.e2: `1 - 2` = 0 has neither a known signal nor an unknown in it"):
+        sound_model(path)
+
+
+def test_what_no_test_that_can_be_run_sees_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """e2 is a loop of its own: y2 can be predicted, but with two solutions."""
+    path = tmp_path / "square.toml"
+    fault = '[equation.fault]\nname = "{0}"\ncomponent = "c"\nenters = "u -> u + {0}"\nsizes = [1.0]\n'
+    text = NO_REDUNDANCY + fault.format("f1") + '[[equation]]\nname = "e2"\nexpr = "a - 3*u"\n'
+    text += '[unknown.b]\nunit = "1"\n[[equation]]\nname = "e3"\nexpr = "b*b - u"\n' + fault.format("f3")
+    text += '[[equation]]\nname = "e4"\nexpr = "b*b - 2*u + b"\n'
+    path.write_text(text)
+    assert main([str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "warning: fault.f3: no test that sees it can be run; t01: with residual e4, e3 cannot be solved" in out
+    assert "fault.f1: no test" not in out
+
+
+def test_two_sensors_of_one_thing_are_a_test(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A consistency relation of two known signals has no unknown, and predicts the first."""
+    path = tmp_path / "pair.toml"
+    signal = 'unit = "1"\nmin = 0.0\nmax = 1.0\nnoise = 0.1\n'
+    text = NO_REDUNDANCY.replace('[unknown.a]\nunit = "1"\n', f"[known.a]\n{signal}")
+    fault = '[equation.fault]\nname = "f"\ncomponent = "c"\nenters = "u -> u + f"\nsizes = [1.0]\n'
+    path.write_text(text + fault)
+    assert main([str(path)]) == 0
+    assert "1 tests (MTES), 1 of them can be run" in capsys.readouterr().out
+
+
+def test_names_without_numbers_are_listed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    names = ["pump", "valve9", "valve10", "valve11", "valve13", "tank"]
+    path = tmp_path / "names.json"
+    path.write_text(json.dumps({"X": [[1]] * 6, "F": [[1]] + [[0]] * 5, "names": {"equations": names}}))
+    assert main([str(path)]) == 0
+    assert "pump,valve9-valve11,valve13,tank" in capsys.readouterr().out
+
+
+def test_why_answers_one_question(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["uds4", "--why", "fA_t", "fA_p", "--json", "-"])
+    assert "--why answers one question; leave --json" in capsys.readouterr().err
+
+
+def test_no_sensor_measures_a_derivative(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["uds4", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    proposed = {name for sets in found["sensor_sets"].values() for sensors in sets for name in sensors}
+    assert proposed & {"q_ori", "q_dos"}
+    assert not proposed & {"dp_tp", "dp_bp", "dp_ap", "dp_du"}
+    states = [r["states"] for t in found["tests"] for r in t["residuals"] if r["causality"] == "mixed"]
+    assert len(states) > 100
+    assert not any(states)
+
+
+def test_a_fault_outside_of_the_redundant_part_is_not_detectable(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "half.json"
+    path.write_text('{"X": [[1, 0], [1, 0], [0, 1]], "F": [[1, 0], [0, 0], [0, 1]]}')
+    assert main([str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "  f2  not detectable\n" in out
+    assert "fault.f2: is not detectable: no test contains e3; a sensor of x2 would give one" in out
 
 
 def test_redundancy_without_a_fault_is_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
