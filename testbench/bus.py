@@ -13,7 +13,8 @@ from cantools.database.can import Database, Message
 from cantools.errors import Error as CantoolsError
 
 from testbench.errors import RigError
-from testbench.plant import ATMOSPHERE, ML, SYSTEM_PRESSURE
+from testbench.plant import SYSTEM_PRESSURE
+from testbench.units import ATMOSPHERE, ML
 
 RATED_DOSE = 1.2 * ML  # m^3/s with the valve held open at SYSTEM_PRESSURE, as the controller believes
 DENSITY = 1090e3  # g/m^3, ISO 22241-1 at 20 degC

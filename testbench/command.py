@@ -8,14 +8,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import get_args
 
 from rich.console import Console
 from rich.progress import Progress
 
 from testbench.bus import load_dbc
 from testbench.cycles import CYCLES, cycle
+from testbench.effects import EFFECTS, PROFILES, checked
 from testbench.errors import RigError
-from testbench.faults import FAULTS, Fault
+from testbench.faults import FAULTS, Course, Fault
 from testbench.recording import Request, default_name, record
 from testbench.vehicles import VEHICLES, vehicle
 
@@ -56,9 +58,28 @@ def _parser() -> argparse.ArgumentParser:
     )
     make.add_argument("--cycle", required=True, help=f"one of {', '.join(CYCLES)}")
     make.add_argument("--vehicle", default="bench", help="default: bench")
-    make.add_argument("--fault", help="name of the fault; without it the recording is fault-free")
-    make.add_argument("--size", type=_number, help="size of the fault; see `faultline rig list`")
-    make.add_argument("--onset", type=_number, help="s after the first frame from which the fault is present")
+    make.add_argument(
+        "--fault", action="append", default=[], help="name of a fault (again for another); without it there is none"
+    )
+    make.add_argument(
+        "--size", action="append", default=[], type=_number, help="size of each fault; see `faultline rig list`"
+    )
+    make.add_argument(
+        "--onset", action="append", default=[], type=_number, help="s after the first frame from which it is present"
+    )
+    make.add_argument(
+        "--course", action="append", default=[], choices=get_args(Course), help="of each fault (default: abrupt)"
+    )
+    make.add_argument(
+        "--profile", default="realistic", choices=list(PROFILES), help="which effects are always there (realistic)"
+    )
+    make.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME[=SIZE]",
+        help="a hidden effect (default: its typical size)",
+    )
     make.add_argument("--seed", type=_seed, default=0, help="of noise, clocks and random cycles (default: 0)")
     make.add_argument("--duration", type=_number, default=480.0, help="s (default: 480)")
     make.add_argument("--id", type=_identifier, help="name of the recording (default: VEHICLE-CYCLE-sSEED[-FAULT])")
@@ -74,6 +95,7 @@ def _list(arguments: argparse.Namespace) -> int:
         "cycles": {name: entry.text for name, entry in CYCLES.items()},
         "vehicles": {name: entry.text for name, entry in VEHICLES.items()},
         "faults": {name: f"{text}; size: {size}" for name, (text, size) in FAULTS.items()},
+        "effects": {name: f"{e.text}; {e.typical:g} {e.unit}, set {e.set}" for name, e in EFFECTS.items()},
     }
     if arguments.json:
         print(json.dumps({"schema": 1, **tables}, indent=2))
@@ -81,7 +103,7 @@ def _list(arguments: argparse.Namespace) -> int:
     for title, table in tables.items():
         print(title)
         for name, text in table.items():
-            print(f"  {name:<10}  {text}")
+            print(f"  {name:<18}  {text}")
     return 0
 
 
@@ -91,7 +113,13 @@ def _record(arguments: argparse.Namespace) -> int:
         arguments.vehicle, arguments.cycle, arguments.seed, [fault.name for fault in faults]
     )
     request = Request(
-        name, vehicle(arguments.vehicle), cycle(arguments.cycle), faults, arguments.seed, arguments.duration
+        name,
+        vehicle(arguments.vehicle),
+        cycle(arguments.cycle),
+        faults,
+        arguments.seed,
+        arguments.duration,
+        PROFILES[arguments.profile] | _effects(arguments.effect),
     )
     dbc = load_dbc(arguments.dbc)
     with _progress(name) as progress:
@@ -101,13 +129,30 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _faults(arguments: argparse.Namespace) -> tuple[Fault, ...]:
-    """The fault that the options ask for; all three of them belong together."""
-    given = [arguments.fault, arguments.size, arguments.onset]
-    if given == [None, None, None]:
-        return ()
-    if None in given:
-        raise RigError("--fault, --size and --onset belong together; give all three or none")
-    return (Fault(arguments.fault, arguments.size, arguments.onset),)
+    """The faults that the options ask for; name, size and onset of each belong together."""
+    names, sizes, onsets = arguments.fault, arguments.size, arguments.onset
+    courses = arguments.course or ["abrupt"] * len(names)
+    if not len(names) == len(sizes) == len(onsets) == len(courses):
+        raise RigError(
+            "--fault, --size and --onset belong together; give all three for each fault, --course too or never"
+        )
+    return tuple(Fault(*given) for given in zip(names, sizes, onsets, courses, strict=True))
+
+
+def _effects(words: list[str]) -> dict[str, float]:
+    """Names with sizes; the typical one where none is said."""
+    found: dict[str, float] = {}
+    for word in words:
+        name, equals, size = word.partition("=")
+        if name in found:
+            raise RigError(f"--effect {word}: {name} comes twice; give it once")
+        if name not in EFFECTS:
+            raise RigError(f"there is no effect {name!r}; choose one of {', '.join(EFFECTS)}")
+        try:
+            found[name] = float(size) if equals else EFFECTS[name].typical
+        except ValueError as error:
+            raise RigError(f"--effect {word}: {size!r} is no size; write it like leak=0.2") from error
+    return checked(found)
 
 
 @contextmanager

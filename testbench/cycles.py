@@ -10,7 +10,7 @@ from itertools import cycle as repeat
 import numpy as np
 
 from testbench.errors import RigError
-from testbench.plant import BAR
+from testbench.units import BAR
 
 STANDING = 15.0  # s, pump off at atmospheric pressure
 DOSING_FROM = 40.0  # s

@@ -6,7 +6,7 @@ when the pressure has collapsed and returns when it has recovered (thesis fig. 5
 
 from dataclasses import dataclass
 
-from testbench.plant import BAR
+from testbench.units import BAR
 
 PERIOD = 0.02  # s, a usual task of such a controller
 

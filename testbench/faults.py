@@ -1,10 +1,15 @@
-"""The nine faults of the thesis (section 4.7), by name, size and onset."""
+"""Faults by name, size and onset: the nine of the thesis (section 4.7), and a leak that is none of them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
+from testbench.branches import Leak
 from testbench.errors import RigError
-from testbench.plant import Plant, PlantParameters
+from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
+from testbench.restriction import TURBULENT, Restriction
+from testbench.units import ATMOSPHERE, ML
 
 RESTRICTIONS = {
     "fA_t": "tank_filter",
@@ -16,6 +21,7 @@ RESTRICTIONS = {
 """The restriction that each of the five clogging faults narrows."""
 
 _AREA, _FLOW, _PASCAL = "fraction of the area lost, 0..1", "fraction of the flow lost, 0..1", "Pa added to the reading"
+_LEAK = "mL/s that flow out at 10 bar"
 
 FAULTS = {
     "fA_t": ("tank filter clogged", _AREA),
@@ -27,17 +33,28 @@ FAULTS = {
     "fy_p_tp": ("sensor between the filters reads wrong", _PASCAL),
     "fy_p_ap": ("sensor after the pump reads wrong", _PASCAL),
     "fy_p_du": ("sensor in the dosing unit reads wrong", _PASCAL),
+    "leak_ap": ("leak after the pump, which no fault of the diagnosis model covers", _LEAK),
 }
 """Name of each fault: what it is, and what its size means."""
 
 LARGEST_LOSS = 0.98
 """Beyond this a restriction is a plug and a pump is stopped: neither is a fault of this kind."""
 LARGEST_OFFSET = 5e5  # Pa
+LARGEST_LEAK = 5.0  # mL/s: more than the pump delivers
+
+Course = Literal["abrupt", "growing", "intermittent"]
+GROWTH_S = 120.0
+"""A growing fault has its size this long after its onset [s]."""
+ON_S, PERIOD_S = 20.0, 60.0
+"""An intermittent fault is there for so long in each period [s]."""
 
 
 @dataclass(frozen=True)
 class Fault:
     """One fault: `size` as `FAULTS` says, present from `onset_s` [s after the first frame of the CAN log] on.
+
+    It is there at once and for good (abrupt), grows in proportion to the time (growing), or comes and goes
+    (intermittent).
 
     Raises:
         RigError: unknown name, or a size outside its range.
@@ -46,7 +63,7 @@ class Fault:
     name: str
     size: float
     onset_s: float
-    profile: str = "abrupt"
+    profile: Course = "abrupt"
 
     def __post_init__(self) -> None:
         if self.name not in FAULTS:
@@ -57,14 +74,24 @@ class Fault:
                 raise RigError(
                     f"size {self.size:g} of {self.name} is not within +-{LARGEST_OFFSET:.0f} Pa and other than 0"
                 )
+        elif meaning == _LEAK:
+            if not 0 < self.size <= LARGEST_LEAK:
+                raise RigError(f"size {self.size:g} of {self.name} is not in 0..{LARGEST_LEAK:g} ({meaning})")
         elif not 0 < self.size <= LARGEST_LOSS:
             raise RigError(f"size {self.size:g} of {self.name} is not in 0..{LARGEST_LOSS} ({meaning})")
-        if self.profile != "abrupt":
-            raise RigError(f"profile {self.profile!r} of {self.name} is not known; use 'abrupt'")
+        if self.profile not in get_args(Course):
+            raise RigError(f"profile {self.profile!r} of {self.name} is not known; use {', '.join(get_args(Course))}")
 
     def strength(self, t: float) -> float:
         """The fault's size at `t` [s], 0 before its onset."""
-        return self.size if t >= self.onset_s else 0.0
+        since = t - self.onset_s
+        if since < 0.0:
+            return 0.0
+        if self.profile == "growing":
+            return self.size * min(since / GROWTH_S, 1.0)
+        if self.profile == "intermittent":
+            return self.size if math.fmod(since, PERIOD_S) < ON_S else 0.0
+        return self.size
 
 
 def strength(faults: Sequence[Fault], name: str, t: float) -> float:
@@ -80,3 +107,16 @@ def apply(faults: Sequence[Fault], plant: Plant, healthy: PlantParameters, t: fl
             setattr(plant, part, getattr(healthy, part).blocked(fault.strength(t)))
         elif fault.name == "fq_pump":
             plant.pump_loss = fault.strength(t)
+        elif fault.name == "leak_ap":
+            _leak(plant, fault.strength(t))
+
+
+def _leak(plant: Plant, size: float) -> None:
+    """The fault's leak is the last branch, and there only while it leaks."""
+    plant.branches = [branch for branch in plant.branches if not isinstance(branch, Leaking)]
+    if size > 0.0:
+        plant.branches.append(Leaking(Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, size * ML, TURBULENT)))
+
+
+class Leaking(Leak):
+    """A leak that is a fault, and not a hidden effect."""

@@ -27,8 +27,11 @@ COLUMN_OF = {"y_p_tp": 0, "y_p_ap": 2}
 """Where each external sensor sits in `Run.pressures`."""
 
 
-def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random.Generator) -> str:
-    """The bus over `duration` [s] as candump text: the first frame at time 0, each waiting for the one before."""
+def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random.Generator, delay: float = 0.0) -> str:
+    """The bus over `duration` [s] as candump text: the first frame at time 0, each waiting for the one before.
+
+    What is sent is `delay` [s] old.
+    """
     due: list[tuple[float, int, Sender]] = []
     for sender in senders:
         count = int(duration / sender.period) + 1
@@ -42,7 +45,7 @@ def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random
         if now > duration:
             break
         free = now + FRAME_TIME
-        known = Knowledge(*run.ecu[np.searchsorted(run.ecu_t, now, side="right") - 1].tolist())
+        known = Knowledge(*run.ecu[np.searchsorted(run.ecu_t, now - delay, side="right") - 1].tolist())
         seconds, micros = divmod(round(now * 1e6), 1_000_000)
         data = sender.encode(known).hex().upper()
         lines.append(f"({START + seconds}.{micros:06d}) {CHANNEL} {frame_id:08X}#{data}\n")

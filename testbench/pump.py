@@ -18,6 +18,8 @@ class PumpParameters:
     displacement: float = 0.1e-6  # m^3/rev: 21 rev/s idle and 33 at maximum dose, a quiet small motor
     # m^3/(s Pa): 5 % of the idle flow of 2.1 mL/s at the 9 bar across the pump.
     leakage: float = 0.05 * 2.1e-6 / 8.987e5
+    slip: float = 0.0  # m^3/(s Pa^1.5): flow through gaps that the pressure widens
+    unfilled: float = 0.0  # s^2/rev^2: chambers fill to 1 / (1 + unfilled n^2)
     # Pa absolute: chambers fill partly below `fills_above` and not at all at the vapour pressure of the solution (about
     # 2 kPa at 20 degC, and dissolved air comes out earlier). Far below what a healthy suction side reaches.
     fills_above: float = 25e3
@@ -29,6 +31,15 @@ class PumpParameters:
     # The speed controller, laid out for about 3 Hz: stiff against the load, slow against the commutation.
     speed_gain: float = 6e-4  # N m s/rev
     speed_integral: float = 6e-3  # N m/rev
+
+    def displaced(self, speed: float) -> float:
+        """What full chambers would carry [m^3/s] at `speed` [rev/s]."""
+        return self.displacement * speed / (1.0 + self.unfilled * speed * speed)
+
+    def leak(self, pressure: float, viscosity: float) -> float:
+        """What flows back [m^3/s] under `pressure` [Pa] across the pump; `viscosity` is relative."""
+        leak = self.leakage * pressure / viscosity
+        return leak + self.slip * pressure * abs(pressure) ** 0.5 if self.slip else leak
 
     def drawn(self, displaced: float, p_bp: float) -> tuple[float, float]:
         """The drawn flow as a + b p_bp around the inlet pressure `p_bp` [Pa]: (a [m^3/s], b [m^3/(s Pa)]).

@@ -9,12 +9,13 @@ Equal requests give equal bytes.
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbench.bus import Dbc
 from testbench.cycles import Cycle, check_duration
+from testbench.effects import PROFILES, checked, fitted
 from testbench.errors import RigError
 from testbench.faults import Fault
 from testbench.loggers import START_TEXT, can_log, external_csv
@@ -24,10 +25,11 @@ from testbench.vehicles import Vehicle
 
 @dataclass(frozen=True)
 class Request:
-    """What to record: `duration` [s]; `name` is the recording's id.
+    """What to record: `duration` [s]; `name` is the recording's id, `effects` are the hidden ones with their sizes.
 
     Raises:
-        RigError: the duration is too short for a cycle, or a fault sets in after it.
+        RigError: the duration is too short for a cycle, a fault comes twice or sets in after it, an effect is unknown
+            or has an impossible size.
     """
 
     name: str
@@ -36,9 +38,15 @@ class Request:
     faults: tuple[Fault, ...]
     seed: int
     duration: float
+    effects: Mapping[str, float] = field(default_factory=lambda: PROFILES["realistic"])
 
     def __post_init__(self) -> None:
         check_duration(self.duration)
+        checked(self.effects)
+        names = [fault.name for fault in self.faults]
+        for name in names:
+            if names.count(name) > 1:
+                raise RigError(f"fault {name} comes twice; give it once, with the size it is to have")
         for fault in self.faults:
             if not 0 <= fault.onset_s < self.duration:
                 raise RigError(
@@ -87,9 +95,12 @@ def record(
 
 def _files(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> dict[str, bytes]:
     """Content of every file of the recording's folder."""
-    seed, cycle, sensors = request.seed, request.cycle, request.vehicle.external
-    run = simulate(request.vehicle, cycle, request.faults, seed, request.duration, progress=progress)
-    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"))
+    seed, cycle = request.seed, request.cycle
+    effects = request.effects
+    run = simulate(request.vehicle, cycle, request.faults, seed, request.duration, effects=effects, progress=progress)
+    sensors = fitted(request.vehicle, effects).external
+    delay = fitted(request.vehicle, effects).log_delay
+    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"), delay)
     external = external_csv(run, sensors, request.faults, request.duration, stream(seed, cycle.name, "external"))
     return {
         "recording.toml": _recording_toml(request, dbc).encode(),
@@ -145,4 +156,4 @@ profile = "{fault.profile}"
 recording = {json.dumps(request.name)}
 {faults}
 [effects]
-"""
+{"".join(f"{name} = {size!r}" + chr(10) for name, size in checked(request.effects).items())}"""

@@ -8,6 +8,9 @@ sharp orifice the linear part is the fall of the discharge coefficient at small 
 
 from dataclasses import dataclass
 
+TURBULENT = 0.002
+"""The laminar share of what counts as turbulent: none at all would have no slope at rest to compute with."""
+
 
 @dataclass(frozen=True)
 class Restriction:
@@ -28,6 +31,10 @@ class Restriction:
         """
         left = 1.0 - lost
         return Restriction(R=self.R / left, K=self.K / left**2)
+
+    def rebalanced(self, laminar_share: float, flow: float) -> "Restriction":
+        """The restriction with the same drop at `flow` [m^3/s], of which another part is laminar."""
+        return Restriction.rated(self.drop(flow), flow, max(laminar_share, TURBULENT))
 
     def drop(self, flow: float) -> float:
         """Pressure drop [Pa] at `flow` [m^3/s]; odd in the flow."""

@@ -3,13 +3,14 @@
 Noise is white and Gaussian: at 5 to 10 Hz a sensor's own dynamics (milliseconds) do not show.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from testbench.plant import BAR, Array
+from testbench.plant import Array
+from testbench.units import ATMOSPHERE, BAR, MBAR
 
-MBAR = 100.0  # Pa
 STANDSTILL = 0.1  # rev/s: no edges of the hall sensor arrive within its time-out
 
 
@@ -21,6 +22,9 @@ class EcuSensors:
     noise_n_p: float = 0.05  # rev/s, sd: jitter of the edges at 30 rev/s
     range_p_du: float = 16 * BAR  # Pa: above the relief pressure of 13.5 bar (thesis 4.2)
     bits: int = 12  # usual microcontroller
+    lag_p_du: float = 0.0  # s, time constant
+    backlash_p_du: float = 0.0  # Pa, the band within which the membrane sticks
+    scale_n_p: float = 1.0  # what is read of the true speed
 
     def p_du(self, true: float, noise: float) -> float:
         """The reading [Pa] of `true` [Pa] with `noise` in standard deviations."""
@@ -30,7 +34,24 @@ class EcuSensors:
 
     def n_p(self, true: float, noise: float) -> float:
         """The reading [rev/s] of `true` [rev/s] with `noise` in standard deviations; 0 at standstill."""
-        return max(true + self.noise_n_p * noise, 0.0) if true > STANDSTILL else 0.0
+        return max(self.scale_n_p * true + self.noise_n_p * noise, 0.0) if true > STANDSTILL else 0.0
+
+
+class Membrane:
+    """How the pressure reaches the dosing unit's sensor. State: the pressure that it feels [Pa], once it felt any."""
+
+    def __init__(self, sensors: EcuSensors, period: float) -> None:
+        self._share = 1.0 - math.exp(-period / sensors.lag_p_du) if sensors.lag_p_du else 1.0
+        self._band = sensors.backlash_p_du / 2
+        self._slow = self._felt = math.nan
+
+    def feel(self, true: float) -> float:
+        """What it feels [Pa] one period later, at the pressure `true` [Pa]."""
+        if math.isnan(self._felt):
+            self._slow = self._felt = true
+        self._slow += self._share * (true - self._slow)
+        self._felt = min(max(self._felt, self._slow - self._band), self._slow + self._band)
+        return self._felt
 
 
 @dataclass(frozen=True)
@@ -47,10 +68,12 @@ class ExternalSensor:
     noise: float
     zero_sd: float
     bits: int = 14  # over 0..5 V
+    gain: float = 1.0  # of what is above atmospheric pressure
 
     def read(self, true: Array, offset: Array | float, rng: np.random.Generator) -> Array:
         """Volts for the true pressures `true` (n,) [Pa] with an added `offset` [Pa]."""
         zero = self.zero_sd * rng.standard_normal()
-        seen = true + offset + zero + self.noise * rng.standard_normal(len(true))
+        stretched = true + (self.gain - 1.0) * (true - ATMOSPHERE)
+        seen = stretched + offset + zero + self.noise * rng.standard_normal(len(true))
         step = 5.0 / 2**self.bits
         return np.asarray(np.round(np.interp(seen, self.pascal, self.volts) / step) * step)

@@ -6,16 +6,18 @@ second logger starts and stops on its own.
 
 import zlib
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbench.cycles import Cycle, Segment
 from testbench.ecu import PERIOD, Command, Ecu
+from testbench.effects import PROFILES, Surroundings, branches_of, checked, fitted
 from testbench.faults import Fault, apply, strength
 from testbench.plant import Array, Plant
 from testbench.pump import Drive
+from testbench.sensors import Membrane
 from testbench.valve import PulseWidth
 from testbench.vehicles import Vehicle
 
@@ -49,26 +51,33 @@ def simulate(
     seed: int,
     duration: float,
     *,
+    effects: Mapping[str, float] | None = None,
     step: float = STEP,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Run:
     """Runs `cycle` for `duration` [s]; `progress` is called with the part done [0..1].
 
+    Unless `effects` are given, those of the profile `realistic` are there.
+
     Raises:
-        RigError: the duration is too short for a cycle.
+        RigError: the duration is too short for a cycle, or an effect is unknown.
     """
+    present = checked(PROFILES["realistic"] if effects is None else effects)
+    vehicle, surroundings = fitted(vehicle, present), Surroundings(present)
     segments = cycle.segments(duration, stream(seed, cycle.name, "cycle"))
     per_tick = round(PERIOD / step)
     ticks = round((duration + 2 * MARGIN) / PERIOD)
     wanted = _schedule(segments, ticks)
     noise = stream(seed, cycle.name, "ecu").standard_normal((ticks, 2)).tolist()
-    plant, drive, valve, ecu = Plant(vehicle.plant, vehicle.pump), Drive(vehicle.pump), PulseWidth(), Ecu()
+    plant = Plant(vehicle.plant, vehicle.pump, branches_of(vehicle))
+    drive, valve, ecu = Drive(vehicle.pump), PulseWidth(vehicle.needle), Ecu()
+    membrane = Membrane(vehicle.ecu_sensors, PERIOD)
     hidden, known = array("d"), array("d")
     for tick in range(ticks):
         t = tick * PERIOD - MARGIN
-        apply(faults, plant, vehicle.plant, t)
-        true_p_du = plant.p_du + strength(faults, "fy_p_du", t)
-        y_p_du = vehicle.ecu_sensors.p_du(true_p_du, noise[tick][0])
+        apply(faults, plant, surroundings.step(plant, vehicle.plant, t, PERIOD), t)
+        felt = membrane.feel(plant.p_du) + strength(faults, "fy_p_du", t)
+        y_p_du = vehicle.ecu_sensors.p_du(felt, noise[tick][0])
         setpoint, request = wanted[tick]
         command = ecu.update(y_p_du, setpoint, request)
         known.extend((y_p_du, vehicle.ecu_sensors.n_p(drive.speed, noise[tick][1]), command.duty, request))

@@ -1,13 +1,17 @@
 """Vehicles: a plant with its sensors, by name."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
+from testbench.branches import Branch
 from testbench.errors import RigError
-from testbench.plant import ATMOSPHERE, BAR, ML, SYSTEM_PRESSURE, PlantParameters
+from testbench.hose import Hose
+from testbench.plant import SYSTEM_PRESSURE, PlantParameters
 from testbench.pump import PumpParameters
-from testbench.restriction import Restriction
-from testbench.sensors import MBAR, EcuSensors, ExternalSensor
+from testbench.restriction import TURBULENT, Restriction
+from testbench.sensors import EcuSensors, ExternalSensor
+from testbench.units import ATMOSPHERE, BAR, MBAR, ML
+from testbench.valve import Needle
 
 # Transmitters with 0.5..4.5 V ratiometric output. The tables bend by some tenths of a percent, as certificates show.
 _VOLTS = (0.5, 1.5, 2.5, 3.5, 4.5)
@@ -19,26 +23,28 @@ P_AP = ExternalSensor(
 )
 
 
+RETURN_FLOW, DOSE_FLOW = 2.0 * ML, 1.2 * ML  # m^3/s at 10 bar
 MAXIMUM_FLOW = 3.2 * ML  # m^3/s, return at 10 bar and the dosing valve open: what the filters are rated at
 
 BENCH_PLANT = PlantParameters(
-    # Tank strainer: large mesh area, 20 mbar at full flow keeps the suction side near 1 bar (thesis fig. 5.8). The
-    # laminar share of all filters is small, since their drop at working flow is mostly that of housings and fittings.
-    tank_filter=Restriction.rated(20 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
+    # Tank strainer: large mesh area, 20 mbar at full flow keeps the suction side near 1 bar (thesis fig. 5.8). All
+    # restrictions are turbulent here; how much is laminar is an effect (`effects.py`), small since the drop of filters
+    # at working flow is mostly that of housings and fittings.
+    tank_filter=Restriction.rated(20 * MBAR, MAXIMUM_FLOW, laminar_share=TURBULENT),
     # Main filter in the pump: finer than the strainer, twice its drop.
-    pump_filter=Restriction.rated(40 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
+    pump_filter=Restriction.rated(40 * MBAR, MAXIMUM_FLOW, laminar_share=TURBULENT),
     # Inlet filter of the dosing unit: a small cartridge, the offset between p_ap and p_du of thesis fig. 5.8.
-    du_filter=Restriction.rated(60 * MBAR, MAXIMUM_FLOW, laminar_share=0.06),
-    # Bore of 0.3 mm: 2 mL/s at 10 bar, Reynolds number about 6000, so almost no laminar part.
-    return_orifice=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, 2.0 * ML, laminar_share=0.01),
+    du_filter=Restriction.rated(60 * MBAR, MAXIMUM_FLOW, laminar_share=TURBULENT),
+    # Bore of 0.3 mm: 2 mL/s at 10 bar, Reynolds number about 6000.
+    return_orifice=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, RETURN_FLOW, laminar_share=TURBULENT),
     # Nozzle of a heavy truck's dosing unit: 1.2 mL/s held open is 4.7 kg/h, in the middle of what such units dose.
-    dosing_valve=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, 1.2 * ML, laminar_share=0.01),
+    dosing_valve=Restriction.rated(SYSTEM_PRESSURE - ATMOSPHERE, DOSE_FLOW, laminar_share=TURBULENT),
     # Short moulded ducts of 6 and 8 mL; the fluid's 2.2 GPa softened by plastic walls to about 0.3 GPa.
     compliance_tp=6 * ML / 0.3e9,
     compliance_bp=8 * ML / 0.3e9,
     # Heated EPDM hose of 60 mL, taken to widen by 0.6 % of its volume a bar: with the return orifice it gives p_du its
     # time constant of 3 s and, pulsed at half dose, a ripple of 0.1 bar.
-    compliance_ap=0.35 * ML / BAR,
+    hose=Hose(0.35 * ML / BAR),
     # Drilled metal block of 5 mL with plastic fittings and a sensor's membrane: 0.2 GPa.
     compliance_du=5 * ML / 0.2e9,
 )
@@ -46,7 +52,12 @@ BENCH_PLANT = PlantParameters(
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """One vehicle or bench. `external` maps the signal's name to its sensor."""
+    """One vehicle or bench.
+
+    `external` maps the signal's name to its sensor, `branches` make what hangs on the hose besides the dosing unit.
+    Restrictions are rated at `rated_flow` (filters), `return_flow` and `dose_flow` [m^3/s]. What the controller logs
+    is `log_delay` [s] old.
+    """
 
     name: str
     text: str
@@ -54,6 +65,12 @@ class Vehicle:
     pump: PumpParameters
     ecu_sensors: EcuSensors
     external: Mapping[str, ExternalSensor]
+    rated_flow: float = MAXIMUM_FLOW
+    return_flow: float = RETURN_FLOW
+    dose_flow: float = DOSE_FLOW
+    needle: Needle = field(default_factory=Needle)
+    branches: tuple[Callable[[], Branch], ...] = ()
+    log_delay: float = 0.0
 
 
 VEHICLES = {

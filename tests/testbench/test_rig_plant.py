@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from testbench.plant import ATMOSPHERE, BAR, ML, SYSTEM_PRESSURE, Plant
+from testbench.effects import PROFILES, fitted
+from testbench.plant import SYSTEM_PRESSURE, Plant
 from testbench.pump import Drive, PumpParameters
 from testbench.restriction import Restriction
+from testbench.units import ATMOSPHERE, BAR, ML
 from testbench.valve import FREQUENCY, PulseWidth
-from testbench.vehicles import BENCH_PLANT
+from testbench.vehicles import VEHICLES
 
 H = 0.002
+BENCH_PLANT = fitted(VEHICLES["bench"], PROFILES["realistic"]).plant
 
 
 def rig() -> Plant:
@@ -84,7 +87,7 @@ def test_what_flows_in_is_stored_or_flows_out(speed: float, h: float) -> None:
     compliance = (
         BENCH_PLANT.compliance_tp,
         BENCH_PLANT.compliance_bp,
-        BENCH_PLANT.compliance_ap,
+        BENCH_PLANT.hose.rated,
         BENCH_PLANT.compliance_du,
     )
     end = (plant.p_tp, plant.p_bp, plant.p_ap, plant.p_du)

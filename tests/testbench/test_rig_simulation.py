@@ -8,8 +8,8 @@ from testbench.cycles import CYCLES, SYSTEM
 from testbench.ecu import CUT_BELOW, PERIOD, Ecu
 from testbench.errors import RigError
 from testbench.faults import FAULTS, Fault
-from testbench.plant import ATMOSPHERE
 from testbench.simulation import STEP, Run, simulate
+from testbench.units import ATMOSPHERE
 from testbench.vehicles import VEHICLES
 
 TP, BP, AP, DU = range(4)
