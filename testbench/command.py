@@ -19,13 +19,17 @@ from testbench.effects import EFFECTS, PROFILES, checked
 from testbench.errors import RigError
 from testbench.faults import FAULTS, Course, Fault
 from testbench.recording import Request, default_name, record
+from testbench.sizes import frozen
 from testbench.vehicles import VEHICLES, vehicle
+
+SIZES = ("small", "large")
 
 EXAMPLES = """examples:
   faultline rig list
   faultline rig record --cycle training --seed 1 --out recordings --truth truth
   faultline rig record --cycle drive --seed 2 --out recordings --truth truth
   faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
+  faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recordings --truth truth
 """
 
 
@@ -56,14 +60,12 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    make.add_argument("--cycle", required=True, help=f"one of {', '.join(CYCLES)}")
+    make.add_argument("--cycle", required=True, help=f"one of {', '.join(CYCLES)}, or a file *.toml")
     make.add_argument("--vehicle", default="bench", help="default: bench")
     make.add_argument(
         "--fault", action="append", default=[], help="name of a fault (again for another); without it there is none"
     )
-    make.add_argument(
-        "--size", action="append", default=[], type=_number, help="size of each fault; see `faultline rig list`"
-    )
+    make.add_argument("--size", action="append", default=[], type=_size, help="of each fault: a number, small or large")
     make.add_argument(
         "--onset", action="append", default=[], type=_number, help="s after the first frame from which it is present"
     )
@@ -94,7 +96,10 @@ def _list(arguments: argparse.Namespace) -> int:
     tables: dict[str, dict[str, str]] = {
         "cycles": {name: entry.text for name, entry in CYCLES.items()},
         "vehicles": {name: entry.text for name, entry in VEHICLES.items()},
-        "faults": {name: f"{text}; size: {size}" for name, (text, size) in FAULTS.items()},
+        "faults": {
+            name: f"{text}; {size}, small {frozen()[name][0]:g}, large {frozen()[name][1]:g}"
+            for name, (text, size) in FAULTS.items()
+        },
         "effects": {name: f"{e.text}; {e.typical:g} {e.unit}, set {e.set}" for name, e in EFFECTS.items()},
     }
     if arguments.json:
@@ -109,13 +114,14 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _record(arguments: argparse.Namespace) -> int:
     faults = _faults(arguments)
+    chosen = cycle(arguments.cycle)
     name = arguments.id or default_name(
-        arguments.vehicle, arguments.cycle, arguments.seed, [fault.name for fault in faults]
+        arguments.vehicle, chosen.name, arguments.seed, [fault.name for fault in faults]
     )
     request = Request(
         name,
         vehicle(arguments.vehicle),
-        cycle(arguments.cycle),
+        chosen,
         faults,
         arguments.seed,
         arguments.duration,
@@ -136,7 +142,19 @@ def _faults(arguments: argparse.Namespace) -> tuple[Fault, ...]:
         raise RigError(
             "--fault, --size and --onset belong together; give all three for each fault, --course too or never"
         )
-    return tuple(Fault(*given) for given in zip(names, sizes, onsets, courses, strict=True))
+    return tuple(
+        Fault(name, _absolute(name, size), onset, course)
+        for name, size, onset, course in zip(names, sizes, onsets, courses, strict=True)
+    )
+
+
+def _absolute(name: str, size: float | str) -> float:
+    """A size by number, or by its name in the frozen list."""
+    if isinstance(size, float):
+        return size
+    if name not in frozen():
+        raise RigError(f"there is no fault {name!r}; choose one of {', '.join(FAULTS)}")
+    return frozen()[name][SIZES.index(size)]
 
 
 def _effects(words: list[str]) -> dict[str, float]:
@@ -172,6 +190,10 @@ def _number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
     return value
+
+
+def _size(text: str) -> float | str:
+    return text if text in SIZES else _number(text)
 
 
 def _seed(text: str) -> int:

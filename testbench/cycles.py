@@ -3,9 +3,13 @@
 Every cycle stands still first (the external sensors' zero), then builds pressure, and doses only from `DOSING_FROM` on.
 """
 
+import re
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle as repeat
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +20,8 @@ STANDING = 15.0  # s, pump off at atmospheric pressure
 DOSING_FROM = 40.0  # s
 SYSTEM = 10 * BAR  # Pa absolute
 SHORTEST = 60.0  # s, room for some dosing
+_RANGES = {"duration_s": (0.1, 36_000.0), "setpoint_bar": (1.5, 13.0), "duty": (0.0, 1.0)}  # of a written segment
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,13 @@ def _validation(duration: float, rng: np.random.Generator) -> Iterator[Segment]:
         yield Segment(length, SYSTEM, duty)
 
 
+def _maximum(duration: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Long sections of maximum dose between idle and half dose; the same for every seed."""
+    del duration, rng
+    for length, duty in repeat(((60, 1.0), (20, 0.0), (45, 1.0), (25, 0.5))):
+        yield Segment(length, SYSTEM, duty)
+
+
 def _drive(duration: float, rng: np.random.Generator) -> Iterator[Segment]:
     """Doses as a road might ask for: a quarter idle, some at maximum, the rest anything between."""
     del duration
@@ -94,6 +107,7 @@ CYCLES = {
     "validation": Cycle(
         "validation", "other dose steps; idle, partial and maximum dose within every 90 s", _validation
     ),
+    "maximum": Cycle("maximum", "long sections of maximum dose", _maximum),
     "drive": Cycle("drive", "random doses, other ones for every seed", _drive),
 }
 
@@ -105,7 +119,72 @@ def check_duration(duration: float) -> None:
 
 
 def cycle(name: str) -> Cycle:
-    """The cycle called `name`; raises `RigError` if there is none."""
+    """The cycle called `name`, or that in the file of this name (*.toml); raises `RigError` if there is none."""
+    if name.endswith(".toml"):
+        return read_cycle(Path(name))
     if name not in CYCLES:
-        raise RigError(f"there is no cycle {name!r}; choose one of {', '.join(CYCLES)}")
+        raise RigError(f"there is no cycle {name!r}; choose one of {', '.join(CYCLES)}, or give a file *.toml")
     return CYCLES[name]
+
+
+def read_cycle(path: Path) -> Cycle:
+    """A cycle written down: what follows the start, from the time `DOSING_FROM` on.
+
+        schema = 1
+        name = "ladder-at-low-pressure"
+        text = "what it is for"
+        [[segment]]
+        duration_s = 30.0
+        setpoint_bar = 6.0     # absolute; none: the pump is off
+        duty = 0.5             # of the dosing valve, 0..1; 0 if absent
+
+    After the last segment the pressure is held without dosing.
+
+    Raises:
+        RigError: it cannot be read, or something in it is unknown, missing or out of range.
+    """
+    try:
+        data = tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"{path}: not TOML: {error}") from error
+    if data.get("schema") != 1:
+        raise RigError(f"{path}: schema: must be 1, not {data.get('schema')!r}")
+    name, text, tables = data.get("name"), data.get("text", ""), data.get("segment")
+    _only(data, ("schema", "name", "text", "segment"), str(path))
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise RigError(f"{path}: name: {name!r} is no name for a folder; use letters, digits, . _ -")
+    if not isinstance(text, str) or not isinstance(tables, list) or not tables:
+        raise RigError(f"{path}: segment: needs at least one [[segment]], and text to be a text")
+    segments = [_segment(table, f"{path}: segment[{k}]") for k, table in enumerate(tables)]
+    return Cycle(name, text, partial(_written, segments))
+
+
+def _written(segments: list[Segment], duration: float, rng: np.random.Generator) -> Iterator[Segment]:
+    del duration, rng
+    return iter(segments)
+
+
+def _segment(table: object, place: str) -> Segment:
+    if not isinstance(table, dict):
+        raise RigError(f"{place}: must be a table")
+    _only(table, tuple(_RANGES), place)
+    for key, (low, high) in _RANGES.items():
+        value = table.get(key)
+        if value is None and key != "duration_s":
+            continue
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+            raise RigError(f"{place}.{key}: must be a number from {low:g} to {high:g}, not {value!r}")
+    setpoint = table.get("setpoint_bar")
+    if setpoint is None and table.get("duty"):
+        raise RigError(f"{place}.duty: nothing is dosed while the pump is off; give a setpoint_bar")
+    return Segment(
+        float(table["duration_s"]), None if setpoint is None else setpoint * BAR, float(table.get("duty", 0.0))
+    )
+
+
+def _only(table: dict[str, object], allowed: tuple[str, ...], place: str) -> None:
+    for key in table:
+        if key not in allowed:
+            raise RigError(f"{place}: {key}: unknown key; allowed here are {', '.join(allowed)}")

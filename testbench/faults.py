@@ -49,6 +49,11 @@ ON_S, PERIOD_S = 20.0, 60.0
 """An intermittent fault is there for so long in each period [s]."""
 
 
+def limit(name: str) -> float:
+    """The largest size of fault `name`."""
+    return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK}.get(FAULTS[name][1], LARGEST_LOSS)
+
+
 @dataclass(frozen=True)
 class Fault:
     """One fault: `size` as `FAULTS` says, present from `onset_s` [s after the first frame of the CAN log] on.

@@ -156,4 +156,10 @@ profile = "{fault.profile}"
 recording = {json.dumps(request.name)}
 {faults}
 [effects]
-{"".join(f"{name} = {size!r}" + chr(10) for name, size in checked(request.effects).items())}"""
+{_pairs(checked(request.effects))}
+[vehicle]
+{_pairs(request.vehicle.scatter)}"""
+
+
+def _pairs(values: Mapping[str, float]) -> str:
+    return "".join(f"{name} = {value!r}\n" for name, value in values.items())

@@ -1,7 +1,9 @@
 """Vehicles: a plant with its sensors, by name."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from testbench.branches import Branch
 from testbench.errors import RigError
@@ -56,7 +58,7 @@ class Vehicle:
 
     `external` maps the signal's name to its sensor, `branches` make what hangs on the hose besides the dosing unit.
     Restrictions are rated at `rated_flow` (filters), `return_flow` and `dose_flow` [m^3/s]. What the controller logs
-    is `log_delay` [s] old.
+    is `log_delay` [s] old. `scatter` says how the vehicle differs from its kind: age [h] and factors.
     """
 
     name: str
@@ -71,22 +73,85 @@ class Vehicle:
     needle: Needle = field(default_factory=Needle)
     branches: tuple[Callable[[], Branch], ...] = ()
     log_delay: float = 0.0
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
 
-VEHICLES = {
-    "bench": Vehicle(
-        name="bench",
-        text="test bench: short hoses, two loggers, vented to the workshop",
-        plant=BENCH_PLANT,
-        pump=PumpParameters(),
-        ecu_sensors=EcuSensors(),
-        external={"y_p_tp": P_TP, "y_p_ap": P_AP},
-    )
-}
+BENCH = Vehicle(
+    name="bench",
+    text="test bench: short hoses, two loggers, vented to the workshop",
+    plant=BENCH_PLANT,
+    pump=PumpParameters(),
+    ecu_sensors=EcuSensors(),
+    external={"y_p_tp": P_TP, "y_p_ap": P_AP},
+)
+
+TRUCK = replace(
+    BENCH,
+    name="truck",
+    text="heavy truck: longer hoses, sensors as they come from the shelf; truck-1, truck-2 ... are a fleet",
+    plant=replace(
+        BENCH_PLANT,
+        # The tank is behind the cab, the dosing unit at the exhaust: 1.5 m more suction line, 1 m more pressure hose.
+        tank_filter=Restriction.rated(26 * MBAR, MAXIMUM_FLOW, TURBULENT),
+        du_filter=Restriction.rated(70 * MBAR, MAXIMUM_FLOW, TURBULENT),
+        compliance_tp=15 * ML / 0.3e9,
+        hose=Hose(0.5 * ML / BAR),
+    ),
+    external={
+        "y_p_tp": replace(P_TP, noise=6 * MBAR, zero_sd=25 * MBAR),
+        "y_p_ap": replace(P_AP, noise=12 * MBAR, zero_sd=50 * MBAR),
+    },
+)
+
+VEHICLES = {"bench": BENCH, "truck": TRUCK}
+
+SCATTER = {
+    # Standard deviations of logarithms: what production leaves.
+    "tank_filter": 0.05, "pump_filter": 0.05, "du_filter": 0.05,  # area
+    "return_orifice": 0.02, "dosing_valve": 0.02,  # area; calibrated bores
+    "displacement": 0.02, "leakage": 0.3, "hose": 0.1,
+}  # fmt: skip
+LIFE = 8000.0  # h
+AGEING = {
+    # What a life does to the same, as a logarithm: filters take up dirt, the pump wears, rubber hardens.
+    "tank_filter": -0.15, "pump_filter": -0.15, "du_filter": -0.15,
+    "return_orifice": 0.02, "dosing_valve": -0.02,
+    "displacement": 0.0, "leakage": 1.0, "hose": -0.15,
+}  # fmt: skip
 
 
 def vehicle(name: str) -> Vehicle:
-    """The vehicle called `name`; raises `RigError` if there is none."""
-    if name not in VEHICLES:
-        raise RigError(f"there is no vehicle {name!r}; choose one of {', '.join(VEHICLES)}")
-    return VEHICLES[name]
+    """The vehicle called `name`; raises `RigError` if there is none. truck-1, truck-2 ... differ and have aged."""
+    if name in VEHICLES:
+        return VEHICLES[name]
+    number = name.removeprefix(f"{TRUCK.name}-")
+    if number == name or not number.isdecimal() or str(int(number)) != number:
+        raise RigError(f"there is no vehicle {name!r}; choose one of {', '.join(VEHICLES)}, or a truck-1, truck-2 ...")
+    return _of_fleet(name, np.random.default_rng([int(number), 1]))
+
+
+def _of_fleet(name: str, rng: np.random.Generator) -> Vehicle:
+    """A truck with its own tolerances and age [h]."""
+    age = rng.uniform(0.0, LIFE)
+    factor = {part: float(np.exp(rng.normal(0.0, sd) + AGEING[part] * age / LIFE)) for part, sd in SCATTER.items()}
+    plant = TRUCK.plant
+    return replace(
+        TRUCK,
+        name=name,
+        text=f"a truck of the fleet after {age:.0f} h",
+        plant=replace(
+            plant,
+            tank_filter=plant.tank_filter.blocked(1 - factor["tank_filter"]),
+            pump_filter=plant.pump_filter.blocked(1 - factor["pump_filter"]),
+            du_filter=plant.du_filter.blocked(1 - factor["du_filter"]),
+            return_orifice=plant.return_orifice.blocked(1 - factor["return_orifice"]),
+            dosing_valve=plant.dosing_valve.blocked(1 - factor["dosing_valve"]),
+            hose=replace(plant.hose, rated=plant.hose.rated * factor["hose"]),
+        ),
+        pump=replace(
+            TRUCK.pump,
+            displacement=TRUCK.pump.displacement * factor["displacement"],
+            leakage=TRUCK.pump.leakage * factor["leakage"],
+        ),
+        scatter={"age_h": age, **factor},
+    )

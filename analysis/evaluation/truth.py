@@ -18,12 +18,13 @@ class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The faults, and the hidden effects with their sizes, in one recording."""
+    """The faults, the hidden effects with their sizes, and how the vehicle differs from its kind, in one recording."""
 
     schema: int
     recording: str
     fault: list[TrueFault] = []
     effects: dict[str, float] = {}
+    vehicle: dict[str, float] = {}
 
 
 def load_truth(path: Path, recording: str) -> Truth:

@@ -80,7 +80,7 @@ def test_truth_is_apart_and_says_the_fault(recording: tuple[Path, Path]) -> None
     folder, truth = recording
     assert not truth.is_relative_to(folder)
     fault = {"name": "fA_du", "size": 0.65, "onset_s": 50.0, "profile": "abrupt"}
-    expected = {"schema": 1, "recording": "r", "fault": [fault], "effects": {"laminar_filters": 0.06}}
+    expected = {"schema": 1, "recording": "r", "fault": [fault], "effects": {"laminar_filters": 0.06}, "vehicle": {}}
     assert tomllib.loads(truth.read_text()) == expected
     for path in folder.iterdir():
         assert b"fA_du" not in path.read_bytes()
