@@ -29,7 +29,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle training --seed 1 --out recordings --truth truth
   faultline rig record --cycle drive --seed 2 --out recordings --truth truth
   faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
-  faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recordings --truth truth
+  faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recs --truth truth
 """
 
 
