@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import sympy as sp
 
+from analysis.codegen.elimination import Solved
 from analysis.graph.network import Evaluator, Values, flow_network
 from analysis.model import Differential, Equation, Known, Model, Unknown, sgsqrt
 from analysis.structure import Test
-
-Solved = tuple[str, str, sp.Expr]
-"""An equation, the variable it is solved for, and the solution."""
 
 _SENSOR = "the output"
 
@@ -23,10 +21,10 @@ def names_in(expression: sp.Expr) -> set[str]:
 def independent(explicit: Sequence[Solved], states: set[str]) -> list[Solved]:
     """Those that no state enters, directly or through others."""
     dependent = set(states)
-    for _, variable, value in explicit:
-        if names_in(value) & dependent:
-            dependent.add(variable)
-    return [solved for solved in explicit if solved[1] not in dependent]
+    for solved in explicit:
+        if names_in(solved.value) & dependent:
+            dependent.add(solved.variable)
+    return [solved for solved in explicit if solved.variable not in dependent]
 
 
 def state_network(
@@ -41,16 +39,17 @@ def state_network(
     Its equations are the solved ones, its known signals what enters. It measures its first state, which is only to
     make it a test.
     """
+    rows = {f"{s.equation} {s.variable}" if s.part else s.equation: s for s in explicit}
     nothing = Known(unit="1", description="", min=0.0, max=0.0, noise=0.0)
     variable = Unknown(unit="1", description="", initial=(), initial_text=())
-    measured = (_SENSOR, _SENSOR, sp.Symbol(constraints[0].state))
+    measured = Solved(_SENSOR, _SENSOR, sp.Symbol(constraints[0].state))
     small = replace(
         model,
         known=dict.fromkeys([*signals, _SENSOR], nothing),
-        unknown=dict.fromkeys([*(d.state for d in constraints), *(v for _, v, _ in explicit)], variable),
+        unknown=dict.fromkeys([*(d.state for d in constraints), *(s.variable for s in explicit)], variable),
         equations={
-            name: Equation(name=name, description="", text="", expression=sp.Symbol(v) - value, fault=None)
-            for name, v, value in [*explicit, measured]
+            name: Equation(name=name, description="", text="", expression=sp.Symbol(s.variable) - s.value, fault=None)
+            for name, s in {**rows, _SENSOR: measured}.items()
         },
         differentials=tuple(constraints),
     )
@@ -64,7 +63,7 @@ def state_network(
         obstacle=None,
         residual=_SENSOR,
         predicts=_SENSOR,
-        sequence=tuple((name, v) for name, v, _ in explicit),
+        sequence=tuple((name, s.variable) for name, s in rows.items()),
     )
     found = flow_network(small, test, list(signals))
     [values] = Evaluator([found], small)([{}])
@@ -77,9 +76,9 @@ def state_network(
 def _origin(argument: sp.Expr, explicit: Sequence[Solved]) -> str:
     """The equation with a root of this argument."""
     substituted: dict[sp.Symbol, sp.Expr] = {}
-    for equation, variable, value in explicit:
-        whole = value.subs(substituted)
+    for solved in explicit:
+        whole = solved.value.subs(substituted)
         if any(sp.expand(root.args[0] - argument) == 0 for root in whole.atoms(sgsqrt)):
-            return equation
-        substituted[sp.Symbol(variable)] = whole
+            return solved.equation
+        substituted[sp.Symbol(solved.variable)] = whole
     return "orifice"

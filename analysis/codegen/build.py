@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from analysis.codegen.block import Solved, independent, names_in, state_network
+from analysis.codegen.block import independent, names_in, state_network
+from analysis.codegen.elimination import Solved
 from analysis.codegen.identifiers import RESERVED, Names, file_scope, words_in
 from analysis.codegen.implicit import step_lines
 from analysis.codegen.loops import solve_component
@@ -17,6 +18,9 @@ from analysis.graph.bank import PERIOD_S
 from analysis.graph.network import Values
 from analysis.model import Differential, Model
 from service.core.errors import InputError
+
+LISTED = 5
+"""Equations of a loop that a comment lists; of more it says how many they are."""
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -147,21 +151,26 @@ class _Builder:
             "add one, a parameter alone will do"
         )
 
-    def _solutions(self, component: Component, extra: Mapping[str, sp.Expr] | None = None) -> list[tuple[str, sp.Expr]]:
+    def _solutions(self, component: Component, extra: Mapping[str, sp.Expr] | None = None) -> list[Solved]:
         extra = extra or {}
         expressions = {name: extra[name] if name in extra else self._expression(name) for name in component.equations}
-        return solve_component(expressions, component.variables, self._numbers, self._place)
+        found = solve_component(expressions, component.variables, self._numbers, self._place, self._fresh.fresh)
+        for solved in found:
+            self._identifiers.setdefault(solved.variable, solved.variable)
+            if solved.number is not None:
+                self._numbers[solved.variable] = solved.number
+        return found
 
-    def _assign(self, component: Component, solutions: Sequence[tuple[str, sp.Expr]]) -> None:
-        owner = {variable: equation for equation, variable in component.pairs}
-        for variable, value in solutions:
-            note = self._describe(owner[variable], variable)
-            if len(component.pairs) > 1:
-                note += f" (loop of {', '.join(component.equations)})"
-            self._lines.append(Line(self._identifiers[variable], self._write(value), note))
+    def _assign(self, found: Sequence[Solved], loop: Sequence[str] = ()) -> None:
+        around = ""
+        if len(loop) > 1:
+            around = f" (loop of {', '.join(loop) if len(loop) <= LISTED else f'{len(loop)} equations'})"
+        for solved in found:
+            note = solved.part or self._describe(solved.equation, solved.variable) + around
+            self._lines.append(Line(self._identifiers[solved.variable], self._write(solved.value), note))
 
     def _solve(self, component: Component) -> None:
-        self._assign(component, self._solutions(component))
+        self._assign(self._solutions(component), component.equations)
 
     def _differentiate(self, constraint: Differential) -> None:
         now = self._identifiers[constraint.state]
@@ -192,50 +201,43 @@ class _Builder:
                 self._identifiers[old.name] = old.name
                 rate, state = sp.Symbol(d.derivative), sp.Symbol(d.state)
                 discrete[equation] = rate - (state - old) / sp.Float(self._period)
-        self._assign(component, self._solutions(component, discrete))
+        self._assign(self._solutions(component, discrete), component.equations)
 
     def _advance(self, component: Component) -> None:
         """The implicit step of the states, then what follows from them."""
         constraints = [self._constraints[name] for name in component.equations if name in self._constraints]
-        explicit = [
-            (equation, variable, value)
-            for inner in component.inside
-            for (variable, value) in self._solutions(inner)
-            for equation in [next(e for e, v in inner.pairs if v == variable)]
-        ]
+        explicit = [solved for inner in component.inside for solved in self._solutions(inner)]
         new = [self._identifiers[d.state] for d in constraints]
         last = [self._started(d.state, now) for d, now in zip(constraints, new, strict=True)]
-        states = {d.state for d in constraints}
+        # What follows from the inputs alone may be any function of them, if it is an input itself. The parts of a large
+        # loop's elimination mostly do, and would make the network's formulas long.
+        given = independent(explicit, {d.state for d in constraints})
+        fixed = given if any(solved.part for solved in given) else []
         try:
-            block = self._block(constraints, explicit)
+            block = self._block(constraints, [solved for solved in explicit if solved not in fixed])
         except InputError:
-            # What follows from the inputs alone may be any function of them, if it is an input itself.
-            fixed = independent(explicit, states)
-            if not fixed:
+            if fixed or not given:
                 raise
-            self._explain(fixed)
-            explicit = [solved for solved in explicit if solved not in fixed]
-            block = self._block(constraints, explicit)
+            fixed = given
+            block = self._block(constraints, [solved for solved in explicit if solved not in fixed])
+        self._assign(fixed)
         signals, values, orifices = block
         inputs = [self._identifiers[key] for key in signals]
         self._lines += step_lines(
             values, self._period, self._fresh, last=last, new=new, signals=inputs, orifices=orifices
         )
-        self._explain(explicit)
+        self._assign([solved for solved in explicit if solved not in fixed])
 
     def _block(
         self, constraints: Sequence[Differential], explicit: Sequence[Solved]
     ) -> tuple[list[str], Values, list[str]]:
         """What enters the network of the states, its matrices, and which equations its orifices are."""
-        own = {d.state for d in constraints} | {variable for _, variable, _ in explicit}
-        entering = {d.derivative for d in constraints}.union(*(names_in(value) for _, _, value in explicit))
+        parts = {sp.Symbol(key): value for key, value in self._numbers.items() if key not in self._model.parameters}
+        explicit = [solved._replace(value=solved.value.xreplace(parts)) for solved in explicit]
+        own = {d.state for d in constraints} | {solved.variable for solved in explicit}
+        entering = {d.derivative for d in constraints}.union(*(names_in(solved.value) for solved in explicit))
         signals = [key for key in self._identifiers if key in entering and key not in own and key not in self._numbers]
         return signals, *state_network(self._model, constraints, explicit, signals, self._place)
-
-    def _explain(self, solved: Sequence[Solved]) -> None:
-        for equation, variable, value in solved:
-            note = self._describe(equation, variable)
-            self._lines.append(Line(self._identifiers[variable], self._write(value), note))
 
     def _residual(self) -> tuple[str, str]:
         """The residual's text and unit."""

@@ -1,14 +1,15 @@
 """Write residual generators of a model as code to read: Python and C99."""
 
 import argparse
+import re
 from pathlib import Path
 
 from analysis.codegen.build import residual_program
 from analysis.codegen.c99 import c99_sources
 from analysis.codegen.python import python_source
-from analysis.codegen.sequence import ComputationSequence, computation_sequence
-from analysis.model import Model, load_model
-from analysis.structure import Test, find_tests
+from analysis.codegen.sequence import ComputationSequence, Form, computation_sequence
+from analysis.model import Model
+from analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
 from service.core.errors import InputError
 
 PERIOD_S = 0.2
@@ -16,6 +17,8 @@ PERIOD_S = 0.2
 EXAMPLE = """examples:
   faultline code uds4 --out code                                     (every test that can be run)
   faultline code uds4 --test t01 --residual e16 --filter 2 --out code   (one residual of any causality)
+
+Files, classes and functions begin with the names of model, test and residual: uds4_t01_e16.
 """
 
 
@@ -31,8 +34,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--form",
         choices=["integral", "derivative"],
-        default="integral",
-        help="how a differential constraint is used that is itself the residual",
+        help="with --residual: how a differential constraint is used that is itself the residual (default: integral)",
     )
     parser.add_argument("--period", type=float, default=PERIOD_S, metavar="S", help="sampling period (default: 0.2)")
     parser.add_argument(
@@ -43,7 +45,14 @@ def main(argv: list[str]) -> int:
         parser.error("--period must be a number above zero, --filter zero or more")
     if options.residual and not options.test:
         parser.error("--residual needs --test")
-    model = load_model(options.model)
+    if options.form and not options.residual:
+        parser.error("--form needs --residual")
+    if options.model.endswith(".json"):
+        raise InputError(
+            f"{options.model}: a structural model has no formulas, and code is made of them; "
+            "write its equations as formulas in a TOML model file"
+        )
+    model = sound_model(options.model)
     chosen = _chosen(model, options.test, options.residual, options.form)
     written = {}
     for name, sequence in chosen.items():
@@ -57,20 +66,42 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _chosen(model: Model, test: str | None, residual: str | None, form: str) -> dict[str, ComputationSequence]:
+def _chosen(model: Model, test: str | None, residual: str | None, form: Form | None) -> dict[str, ComputationSequence]:
     """The computation sequences to write, by the names of their files."""
     found = {support.name: support for support in find_tests(model)}
+    if not found:
+        raise InputError(f"{model.name}: there is no test, because {_lacking(model)}; `faultline structure` says more")
     runnable = {name: support for name, support in found.items() if isinstance(support, Test)}
     if test is None:
         if not runnable:
             raise InputError(f"{model.name}: no test can be run; choose one with --test and --residual")
-        return {name: computation_sequence(model, s.equations, s.residual) for name, s in runnable.items()}
+        return {
+            _name(model, name): computation_sequence(model, s.equations, s.residual) for name, s in runnable.items()
+        }
     if test not in found:
-        raise InputError(f"{model.name}: no test {test}; those are {', '.join(found) or 'none'}")
+        raise InputError(f"{model.name}: no test {test}; those are {', '.join(found)}")
     if residual is None and test not in runnable:
         raise InputError(f"{model.name}: {test} cannot be run: {found[test].obstacle}; name another with --residual")
     equation = residual or runnable[test].residual
-    sequence = computation_sequence(
-        model, found[test].equations, equation, form="derivative" if form == "derivative" else "integral"
-    )
-    return {f"{test}_{equation}" if residual else test: sequence}
+    constraints = [d.name for d in model.differentials if d.name in found[test].equations]
+    if form and equation in found[test].equations and equation not in constraints:
+        raise InputError(
+            f"{model.name}: {equation} is no differential constraint, and only those have a form; "
+            f"leave --form away, or take one of {test}: {', '.join(constraints) or 'it has none'}"
+        )
+    sequence = computation_sequence(model, found[test].equations, equation, form=form or "integral")
+    parts = [test, *([equation] if residual else []), *([form] if form == "derivative" else [])]
+    return {_name(model, *parts): sequence}
+
+
+def _lacking(model: Model) -> str:
+    structure = structure_of(model)
+    if not redundancy(structure, over_determined(structure)):
+        return "nothing is redundant: no unknown can be computed in two ways"
+    return "no fault is in a redundant equation" if model.faults else "the model has no fault"
+
+
+def _name(model: Model, *parts: str) -> str:
+    """An identifier: that of one model is no other's, so that their code may be linked together."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", "_".join([model.name, *parts]))
+    return name if name[:1].isalpha() else f"model_{name}"

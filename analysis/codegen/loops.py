@@ -7,14 +7,16 @@ An equation is solved for a variable v that occurs
     in one square root, linear in v                 a sqrt(b v + c) + d = 0        where -d/a >= 0, NaN elsewhere
     linearly and in a signed root, both rising      a v + b sgsqrt(c v + d) + e = 0     with a b c > 0
 
-with coefficients free of v. A loop is solved at once if it is linear, otherwise by eliminating variables one by one.
-Everything else, as a square or an absolute value, may have several solutions and is refused: none is picked silently.
+with coefficients free of v. A loop of two linear equations has a closed form; of larger ones the linear part is
+eliminated with intermediate results, and what is left is solved by eliminating variables one by one. Everything else,
+as a square or an absolute value, may have several solutions and is refused: none is picked silently.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import sympy as sp
 
+from analysis.codegen.elimination import CANCELLED, Elimination, Solved
 from analysis.model import sgsqrt
 from service.core.errors import InputError
 
@@ -42,23 +44,28 @@ class _AmbiguousError(Exception):
 
 
 def solve_component(
-    equations: Mapping[str, sp.Expr], variables: Sequence[str], numbers: Mapping[str, float], place: str
-) -> list[tuple[str, sp.Expr]]:
+    equations: Mapping[str, sp.Expr],
+    variables: Sequence[str],
+    numbers: Mapping[str, float],
+    place: str,
+    fresh: Callable[[str], str],
+) -> list[Solved]:
     """The variables with their solutions, each in terms of what is given and of those before it.
 
     `equations` are expressions that equal zero, by name; `numbers` are the parameters' values, which decide whether a
-    coefficient is zero and what its sign is.
+    coefficient is zero and what its sign is. Intermediate results of a large loop get their names from `fresh`.
 
     Raises:
         InputError: the solution is not certain to be the only one; the message begins with `place` and names the
             equations, the variables and the reason.
     """
     symbols = [sp.Symbol(name) for name in variables]
-    expressions = list(equations.values())
     try:
-        if len(symbols) > 1 and _is_linear(expressions, symbols):
-            return _linear(expressions, symbols, numbers)
-        return _eliminated(expressions, symbols, numbers)
+        if len(symbols) > 2:
+            return _reduced(equations, symbols, numbers, fresh)
+        if len(symbols) == 2 and _is_linear(equations.values(), symbols):
+            return _linear(equations, symbols, numbers)
+        return _eliminated(equations, symbols, numbers)
     except _AmbiguousError as error:
         loop = "the algebraic loop " if len(symbols) > 1 else ""
         raise InputError(
@@ -67,7 +74,7 @@ def solve_component(
         ) from error
 
 
-def _is_linear(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:
+def _is_linear(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:
     return all(_linear_in(expression, symbol, symbols) for expression in expressions for symbol in symbols)
 
 
@@ -76,36 +83,50 @@ def _linear_in(expression: sp.Expr, symbol: sp.Symbol, loop: Sequence[sp.Symbol]
 
 
 def _linear(
-    expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], numbers: Mapping[str, float]
-) -> list[tuple[str, sp.Expr]]:
-    matrix = sp.Matrix([[sp.diff(expression, symbol) for symbol in symbols] for expression in expressions])
-    if _is_zero(matrix.det(), numbers):
+    equations: Mapping[str, sp.Expr], symbols: Sequence[sp.Symbol], numbers: Mapping[str, float]
+) -> list[Solved]:
+    """The closed form, if the elimination of the same equations leaves nothing."""
+    if Elimination(equations, symbols, numbers, str).left:
         raise _AmbiguousError("its linear equations are dependent")
-    constants = sp.Matrix([expression.subs(dict.fromkeys(symbols, 0)) for expression in expressions])
+    matrix = sp.Matrix([[sp.diff(expression, symbol) for symbol in symbols] for expression in equations.values()])
+    constants = sp.Matrix([expression.subs(dict.fromkeys(symbols, 0)) for expression in equations.values()])
     [solution] = sp.linsolve((matrix, -constants), *symbols)
-    return [(symbol.name, sp.cancel(value)) for symbol, value in zip(symbols, solution, strict=True)]
+    solved = zip(equations, symbols, solution, strict=True)
+    return [Solved(name, symbol.name, sp.cancel(value)) for name, symbol, value in solved]
+
+
+def _reduced(
+    equations: Mapping[str, sp.Expr],
+    symbols: Sequence[sp.Symbol],
+    numbers: Mapping[str, float],
+    fresh: Callable[[str], str],
+) -> list[Solved]:
+    """Eliminates what is linear first; where that is all, nothing is left."""
+    elimination = Elimination(equations, symbols, numbers, fresh)
+    if elimination.linear and elimination.left:
+        raise _AmbiguousError("its linear equations are dependent")
+    left = _eliminated(elimination.rest, elimination.left, elimination.numbers)
+    return [*elimination.parts, *left, *elimination.solutions]
 
 
 def _eliminated(
-    expressions: list[sp.Expr], symbols: list[sp.Symbol], numbers: Mapping[str, float]
-) -> list[tuple[str, sp.Expr]]:
+    equations: Mapping[str, sp.Expr], symbols: Sequence[sp.Symbol], numbers: Mapping[str, float]
+) -> list[Solved]:
     """Solves one equation for one variable, puts it into the others, and so on; linear ones come first."""
     if not symbols:
         return []
     reason = _AmbiguousError("no equation is left for the last variable")
-    choices = [
-        (i, symbol) for i in range(len(expressions)) for symbol in symbols if symbol in expressions[i].free_symbols
-    ]
-    choices.sort(key=lambda choice: not _linear_in(expressions[choice[0]], choice[1], symbols))
-    for i, symbol in choices:
+    choices = [(name, symbol) for name, e in equations.items() for symbol in symbols if symbol in e.free_symbols]
+    choices.sort(key=lambda choice: not _linear_in(equations[choice[0]], choice[1], symbols))
+    for name, symbol in choices:
         try:
-            value = _solved(expressions[i], symbol, symbols, numbers)
+            value = _solved(equations[name], symbol, symbols, numbers)
         except _AmbiguousError as error:
             reason = error
             continue
-        others = [sp.expand(other.subs(symbol, value)) for k, other in enumerate(expressions) if k != i]
+        others = {other: sp.expand(e.subs(symbol, value)) for other, e in equations.items() if other != name}
         rest = _eliminated(others, [other for other in symbols if other != symbol], numbers)
-        return [*rest, (symbol.name, value)]
+        return [*rest, Solved(name, symbol.name, value)]
     raise reason
 
 
@@ -155,11 +176,22 @@ def _check_slope(slope: sp.Expr, v: sp.Symbol, loop: Sequence[sp.Symbol], number
 
 
 def _is_zero(expression: sp.Expr, numbers: Mapping[str, float]) -> bool:
-    value = sp.cancel(expression).subs(numbers)
-    return bool(value.is_number and float(value) == 0.0)  # for sympy, 0.0 does not equal 0
+    """Whether it is zero but for rounding: nothing beside the terms of its numerator."""
+    numerator = sp.numer(sp.cancel(expression))
+    terms = [_value(term, numbers) for term in sp.Add.make_args(sp.expand(numerator))]
+    if not all(term.is_number for term in terms):
+        return False
+    values = [float(term) for term in terms]
+    return abs(sum(values)) <= CANCELLED * sum(map(abs, values))
 
 
 def _is_positive(expression: sp.Expr, numbers: Mapping[str, float]) -> bool:
     """Whether it is positive whatever the signals: a number with the parameters put in."""
-    value = expression.subs(numbers)
+    value = _value(expression, numbers)
     return bool(value.is_number and value > 0)
+
+
+def _value(expression: sp.Expr, numbers: Mapping[str, float]) -> sp.Expr:
+    return expression.subs(
+        {symbol: numbers[symbol.name] for symbol in expression.free_symbols if symbol.name in numbers}
+    )

@@ -65,5 +65,7 @@ def alive(lines: Sequence[Line], wanted: Sequence[str]) -> list[Line]:
     size = -1
     while size != len(live):
         size = len(live)
-        live = live.union(*(words_in(line.text) for line in lines if line.target in live))
+        for line in reversed(lines):
+            if line.target in live:
+                live |= words_in(line.text)
     return [line for line in lines if line.target in live]

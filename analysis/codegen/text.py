@@ -76,7 +76,7 @@ class Writer:
         text = "*".join(above) or "1.0"
         precedence = self._PRODUCT if len(above) > 1 else self._ATOM
         for factor in constant:
-            if factor.subs(self._numbers).is_zero:
+            if factor.subs({symbol: self._numbers[symbol.name] for symbol in factor.free_symbols}).is_zero:
                 raise InputError(
                     f"{self._place}: divides by {factor}, which is zero with these parameters; change them"
                 )

@@ -6,6 +6,7 @@ import pytest
 from generated import golden_samples, run_python
 
 from analysis.codegen import computation_sequence, residual_program
+from analysis.graph.bank import PERIOD_S
 from analysis.model import Model, load_model
 from analysis.structure import mtes_sets, structure_of
 
@@ -17,9 +18,12 @@ def model() -> Model:
     return load_model("uds4")
 
 
-def residual(model: Model, number: int, equation: str, z: Array, filter_s: float = 0.0) -> Array:
+def residual(
+    model: Model, number: int, equation: str, z: Array, filter_s: float = 0.0, period: float = PERIOD_S
+) -> Array:
     sequence = computation_sequence(model, mtes_sets(structure_of(model))[number - 1], equation)
-    return run_python(residual_program(model, sequence, name="residual", filter_s=filter_s), golden_samples()[0], z)
+    program = residual_program(model, sequence, name="residual", period=period, filter_s=filter_s)
+    return run_python(program, golden_samples()[0], z)
 
 
 def steady(model: Model, p_du: float, dose: float) -> Array:
@@ -63,6 +67,18 @@ def test_a_ramp_is_differentiated_exactly_and_the_low_pass_follows_it(model: Mod
     still = residual(model, 2, "e11", np.tile(z[50], (5, 1)))[-1]
     assert ramp[50] - still == pytest.approx(slope / 0.2, rel=1e-6)
     assert slow[99] == pytest.approx(ramp[99], rel=1e-6)
+
+
+@pytest.mark.parametrize("filter_s", [0.5, 2.0])
+def test_the_low_pass_answers_a_step_of_the_slope_as_its_time_constant_says(model: Model, filter_s: float) -> None:
+    """The derivative of the only differentiated pressure steps: what the low-pass lacks decays as exp(-t/filter_s)."""
+    period, slope = 0.01, 1000.0  # s, Pa/s
+    t = period * np.arange(-100, 500)
+    z = np.tile(steady(model, 1e6, 0.3), (len(t), 1))
+    z[:, :3] += slope * np.maximum(t, 0.0)[:, None]
+    raw, slow = (residual(model, 2, "e11", z, lag, period) for lag in (0.0, filter_s))
+    lacking = (raw - slow)[101:]
+    assert lacking == pytest.approx(slope * np.exp(-t[101:] / filter_s), abs=0.02 * slope)
 
 
 def spread_and_shift(r: Array) -> tuple[float, float]:
