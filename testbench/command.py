@@ -18,6 +18,7 @@ from testbench.cycles import CYCLES, cycle
 from testbench.effects import EFFECTS, PROFILES, checked
 from testbench.errors import RigError
 from testbench.faults import FAULTS, Course, Fault
+from testbench.loggers import FORMATS
 from testbench.recording import Request, default_name, record
 from testbench.sizes import frozen
 from testbench.vehicles import VEHICLES, vehicle
@@ -87,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--id", type=_identifier, help="name of the recording (default: VEHICLE-CYCLE-sSEED[-FAULT])")
     make.add_argument("--out", type=Path, required=True, help="folder of the recordings")
     make.add_argument("--truth", type=Path, required=True, help="another folder, of the truths")
+    make.add_argument("--format", default="log", choices=FORMATS, help="of the CAN log (default: log, candump's text)")
     make.add_argument("--dbc", type=Path, help="DBC to encode with (default: the one that comes with faultline)")
     make.add_argument("--force", action="store_true", help="replace what is already there")
     return parser
@@ -126,6 +128,7 @@ def _record(arguments: argparse.Namespace) -> int:
         arguments.seed,
         arguments.duration,
         PROFILES[arguments.profile] | _effects(arguments.effect),
+        arguments.format,
     )
     dbc = load_dbc(arguments.dbc)
     with _progress(name) as progress:

@@ -1,6 +1,8 @@
 """The two loggers: the bus in candump's format, and the external sensors in volts on a clock of their own."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,6 +17,8 @@ START = (
 )
 START_TEXT = "2026-01-01T00:00:00Z"
 CHANNEL = "can0"
+FORMATS = ("log", "asc", "blf", "csv", "trc")
+"""Of the CAN log: candump's text, and what python-can writes."""
 FRAME_TIME = 0.00027  # s on the bus: 29-bit identifier, 8 bytes and some stuffing at 500 kbit/s
 
 PERIOD = 0.1  # s, of the second logger
@@ -50,6 +54,21 @@ def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random
         data = sender.encode(known).hex().upper()
         lines.append(f"({START + seconds}.{micros:06d}) {CHANNEL} {frame_id:08X}#{data}\n")
     return "".join(lines)
+
+
+def in_format(candump: str, wanted: str) -> bytes:
+    """A log in candump's text as a file of one of `FORMATS`, written by python-can."""
+    if wanted == "log":
+        return candump.encode()
+    import can  # a quarter of a second, and only these formats need it
+
+    with TemporaryDirectory() as folder:
+        text, path = Path(folder) / "can.log", Path(folder) / f"can.{wanted}"
+        text.write_text(candump)
+        with can.LogReader(text) as reader, can.Logger(path) as logger:
+            for message in reader:
+                logger(message)
+        return path.read_bytes()
 
 
 def external_csv(

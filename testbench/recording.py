@@ -1,9 +1,9 @@
 """The files of a recording, and its truth in another folder.
 
-    OUT/<id>/recording.toml  can.log  external.csv  uds.dbc          what a bench would hand over
+    OUT/<id>/recording.toml  can.log  external.csv  uds.dbc          what a bench would hand over (or can.blf ...)
     TRUTH/<id>.toml                                                  what only the rig knows
 
-Equal requests give equal bytes.
+Equal requests give equal bytes, but for the head of ASC and TRC logs, where python-can writes the time of writing.
 """
 
 import json
@@ -18,7 +18,7 @@ from testbench.cycles import Cycle, check_duration
 from testbench.effects import PROFILES, checked, fitted
 from testbench.errors import RigError
 from testbench.faults import Fault
-from testbench.loggers import START_TEXT, can_log, external_csv
+from testbench.loggers import START_TEXT, can_log, external_csv, in_format
 from testbench.simulation import simulate, stream
 from testbench.vehicles import Vehicle
 
@@ -26,6 +26,8 @@ from testbench.vehicles import Vehicle
 @dataclass(frozen=True)
 class Request:
     """What to record: `duration` [s]; `name` is the recording's id, `effects` are the hidden ones with their sizes.
+
+    `format` is that of the CAN log, one of `FORMATS`.
 
     Raises:
         RigError: the duration is too short for a cycle, a fault comes twice or sets in after it, an effect is unknown
@@ -39,6 +41,7 @@ class Request:
     seed: int
     duration: float
     effects: Mapping[str, float] = field(default_factory=lambda: PROFILES["realistic"])
+    format: str = "log"
 
     def __post_init__(self) -> None:
         check_duration(self.duration)
@@ -104,7 +107,7 @@ def _files(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> dic
     external = external_csv(run, sensors, request.faults, request.duration, stream(seed, cycle.name, "external"))
     return {
         "recording.toml": _recording_toml(request, dbc).encode(),
-        "can.log": can.encode(),
+        f"can.{request.format}": in_format(can, request.format),
         "external.csv": external.encode(),
         "uds.dbc": dbc.content,
     }
@@ -130,7 +133,7 @@ start = {START_TEXT}
 sensor_set = "instrumented"
 
 [can]
-file = "can.log"
+file = "can.{request.format}"
 dbc = "uds.dbc"
 dbc_sha256 = "{dbc.sha256}"
 

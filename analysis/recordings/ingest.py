@@ -17,7 +17,7 @@ from analysis.recordings.zero import standstill, zero_error
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.signals import Quality, Vector
-from service.logs import Frame, LogReport, Recording, load_recording, read_candump
+from service.logs import Frame, LogReport, Recording, load_recording, read_log
 
 REFERENCE = "y_p_ap"
 """The added sensor that the controller's own y_p_du can be aligned with."""
@@ -79,7 +79,7 @@ def ingest(folder: Path, say: Callable[[str], None]) -> Ingested:
         raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
     say("reading the CAN log")
     dbc = (folder / recording.can.dbc).read_bytes()
-    frames, log = read_candump(folder / recording.can.file)
+    frames, log = read_log(folder / recording.can.file)
     ecu = _ecu(frames, dbc, folder, recording)
     say("reading the second logger")
     samples = read_external(folder, recording.external)

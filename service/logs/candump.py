@@ -7,7 +7,6 @@ A line is `(1767225600.123456) can0 18FF103D#0011223344556677`; 3 digits of iden
 import re
 from binascii import unhexlify
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 from service.core.errors import InputError
@@ -89,21 +88,12 @@ class LogReport:
             self.told.append((number, reason))
 
 
-def read_candump(path: Path) -> tuple[list[Frame], LogReport]:
-    """The data frames of a log in time order, and what was lost.
+def parse_candump(content: bytes, where: str) -> tuple[list[Frame], LogReport]:
+    """The data frames of a log in time order, and what was lost; `where` names it in errors.
 
     Raises:
-        LogError: the file cannot be read, or holds no frame.
+        LogError: it holds no frame.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    return parse_candump(content, str(path))
-
-
-def parse_candump(content: bytes, where: str) -> tuple[list[Frame], LogReport]:
-    """As `read_candump`, from the bytes of a log; `where` names it in errors."""
     report = LogReport()
     lines = content.split(b"\n")
     report.truncated = bool(lines.pop())
@@ -124,7 +114,7 @@ def parse_candump(content: bytes, where: str) -> tuple[list[Frame], LogReport]:
     if not frames:
         raise LogError(_no_log(content, where, report))
     report.frames = len(frames)
-    return _in_order(frames, report), report
+    return in_order(frames, report), report
 
 
 def _other(number: int, line: bytes, report: LogReport) -> Frame | None:
@@ -166,7 +156,7 @@ def _no_log(content: bytes, where: str, report: LogReport) -> str:
     return f"{where}: holds no data frame; {remedy}"
 
 
-def _in_order(frames: list[Frame], report: LogReport) -> list[Frame]:
+def in_order(frames: list[Frame], report: LogReport) -> list[Frame]:
     """The frames with times that never go back and never leap: detectors live on differences of time."""
     ordered: list[Frame] = []
     shift = 0.0

@@ -1,11 +1,12 @@
-"""A log as commands take it: an instrumented recording, or a bare candump file."""
+"""A log as commands take it: an instrumented recording, or a bare log file."""
 
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.logs.candump import Frame, LogError, LogReport, parse_candump
+from service.logs.candump import Frame, LogError, LogReport
+from service.logs.formats import read_log
 from service.logs.recording import load_recording
 
 
@@ -58,7 +59,7 @@ class Log:
 
 
 def open_log(path: Path) -> Log:
-    """The log at `path`: the folder of an instrumented recording, or a candump file.
+    """The log at `path`: the folder of an instrumented recording, or a log file that `read_log` takes.
 
     Raises:
         LogError: it is neither, or a bench recording, which has first to be ingested.
@@ -76,5 +77,5 @@ def _open(name: str, path: Path, dbc_sha256: str | None, dbc_path: Path | None) 
         content = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    frames, report = parse_candump(content, str(path))
+    frames, report = read_log(path)
     return Log(name, frames, report, hashlib.sha256(content).hexdigest(), dbc_sha256, dbc_path)

@@ -5,8 +5,10 @@ import hashlib
 import io
 import tomllib
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
+import can
 import cantools.database
 import numpy as np
 import pytest
@@ -235,3 +237,19 @@ def test_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None:
     write(tmp_path, request(), force=True)
     assert (folder / "can.log").read_text() != "old"
     assert [path.name for path in folder.parent.iterdir()] == ["r"]
+
+
+@pytest.mark.parametrize("wanted", ["asc", "blf", "csv", "trc"])
+def test_the_can_log_comes_in_other_formats(tmp_path: Path, recording: tuple[Path, Path], wanted: str) -> None:
+    folder, _ = write(tmp_path, replace(request(), format=wanted))
+    description = tomllib.loads((folder / "recording.toml").read_text())
+    assert description["can"]["file"] == f"can.{wanted}"
+    again, _ = write(tmp_path / "again", replace(request(), format=wanted))
+    path = folder / f"can.{wanted}"
+    if wanted in ("blf", "csv"):  # python-can writes the time of writing into the head of the others
+        assert path.read_bytes() == (again / path.name).read_bytes()
+    with can.LogReader(path) as other, can.LogReader(recording[0] / "can.log") as plain:
+        found, expected = list(other), list(plain)
+    assert [(m.arbitration_id, bytes(m.data)) for m in found] == [(m.arbitration_id, bytes(m.data)) for m in expected]
+    times, wanted_times = ([m.timestamp - of[0].timestamp for m in of] for of in (found, expected))
+    assert np.abs(np.subtract(times, wanted_times)).max() < 2e-4

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.logs import Frame, LogError, read_candump
+from service.logs import Frame, LogError, read_log
 from service.logs.candump import parse_candump
 
 LINE = b"(1767225600.123456) can0 18FF103D#0011223344556677\n"
@@ -17,7 +17,7 @@ def test_reads_both_identifier_lengths_and_can_fd(tmp_path: Path) -> None:
     log.write_bytes(
         LINE + b"(1767225600.200000) can0 123# R\n(1767225601.000000)  vcan1  00000123##1" + b"AB" * 12 + b"\r\n"
     )
-    frames, report = read_candump(log)
+    frames, report = read_log(log)
     assert frames == [
         Frame(1767225600.123456, 0x18FF103D, True, bytes.fromhex("0011223344556677")),
         Frame(1767225600.2, 0x123, False, b""),
@@ -88,7 +88,7 @@ def test_what_is_no_log_is_refused_with_an_example(tmp_path: Path, content: byte
     log = tmp_path / "x.log"
     log.write_bytes(content)
     with pytest.raises(LogError) as caught:
-        read_candump(log)
+        read_log(log)
     message = str(caught.value)
     assert message.startswith(f"{log}: ")
     assert words in message
@@ -99,7 +99,7 @@ def test_what_is_no_log_is_refused_with_an_example(tmp_path: Path, content: byte
 @pytest.mark.parametrize("name", ["absent.log", "."])
 def test_what_cannot_be_opened_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(LogError, match="cannot be read"):
-        read_candump(tmp_path / name)
+        read_log(tmp_path / name)
 
 
 def _times(*times: float) -> tuple[list[float], int]:
