@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib import resources
-from math import sqrt
+from math import inf, isfinite, isinf, nan, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,11 +18,16 @@ from testbench.units import ATMOSPHERE, ML
 
 RATED_DOSE = 1.2 * ML  # m^3/s with the valve held open at SYSTEM_PRESSURE, as the controller believes
 DENSITY = 1090e3  # g/m^3, ISO 22241-1 at 20 degC
+NOT_AVAILABLE, ERROR = nan, inf
+"""What the controller knows of a quantity whose sensor is off, and of one whose sensor it has found at fault."""
 TANK = {"def_tank_volume": 75.2, "def_tank_temperature": 22.0}  # %, degC: a supply so large that dosing does not show
 
 
 class Knowledge(NamedTuple):
-    """What the controller knows at an instant: y_p_du [Pa], n_p [rev/s], dc_dose and the requested dose [0..1]."""
+    """What the controller knows at an instant: y_p_du [Pa], n_p [rev/s], dc_dose and the requested dose [0..1].
+
+    Where it knows nothing, a value is `NOT_AVAILABLE` or `ERROR`.
+    """
 
     p_du: float
     n_p: float
@@ -32,6 +37,8 @@ class Knowledge(NamedTuple):
 
 def _dosing(duty: float, p_du: float) -> float:
     """The controller's idea of the dosed mass flow [g/h]."""
+    if not isfinite(p_du):
+        return p_du
     drive = max(p_du - ATMOSPHERE, 0.0) / (SYSTEM_PRESSURE - ATMOSPHERE)
     return duty * RATED_DOSE * sqrt(drive) * DENSITY * 3600
 
@@ -59,13 +66,21 @@ class Sender:
     jitter: float
 
     def encode(self, knowledge: Knowledge) -> bytes:
-        """The payload, each signal limited to its range in the DBC; bits without a signal are 1 (not available)."""
+        """The payload, each signal limited to its range in the DBC; bits without a signal are 1 (not available).
+
+        A signal that is not available is all ones, one at fault has the highest byte FE (SAE J1939-71, 5.2.1).
+        """
         values = CONTENT[self.message.name](knowledge)
         for signal in self.message.signals:
-            low, high = signal.minimum, signal.maximum
-            value = values[signal.name] if low is None else max(values[signal.name], float(low))
+            value, low, high = values[signal.name], signal.minimum, signal.maximum
+            if not isfinite(value):
+                ones = (1 << signal.length) - 1
+                raw = ones - (1 << max(signal.length - 8, 0)) if isinf(value) else ones
+                values[signal.name] = raw * float(signal.scale) + float(signal.offset)
+                continue
+            value = value if low is None else max(value, float(low))
             values[signal.name] = value if high is None else min(value, float(high))
-        return self.message.encode(values, padding=True)
+        return self.message.encode(values, padding=True, strict=False)
 
 
 @dataclass(frozen=True)

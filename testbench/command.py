@@ -99,7 +99,7 @@ def _list(arguments: argparse.Namespace) -> int:
         "cycles": {name: entry.text for name, entry in CYCLES.items()},
         "vehicles": {name: entry.text for name, entry in VEHICLES.items()},
         "faults": {
-            name: f"{text}; {size}, small {frozen()[name][0]:g}, large {frozen()[name][1]:g}"
+            name: f"{text}; {size}" + (", small {:g}, large {:g}".format(*frozen()[name]) if name in frozen() else "")
             for name, (text, size) in FAULTS.items()
         },
         "effects": {name: f"{e.text}; {e.typical:g} {e.unit}, set {e.set}" for name, e in EFFECTS.items()},
@@ -156,7 +156,7 @@ def _absolute(name: str, size: float | str) -> float:
     if isinstance(size, float):
         return size
     if name not in frozen():
-        raise RigError(f"there is no fault {name!r}; choose one of {', '.join(FAULTS)}")
+        raise RigError(f"there is no small or large {name!r}; choose one of {', '.join(frozen())}")
     return frozen()[name][SIZES.index(size)]
 
 

@@ -1,12 +1,14 @@
 """The dosing controller: holds the pressure by the pump's speed and doses by the valve's duty cycle.
 
 A PI controller on its own pressure sensor, with conditional integration against wind-up, run every 20 ms. Dosing is cut
-when the pressure has collapsed and returns when it has recovered (thesis fig. 5.9).
+when the pressure has collapsed and returns when it has recovered (thesis fig. 5.9). Without its pressure sensor it
+stops pump and dosing.
 """
 
+import math
 from dataclasses import dataclass
 
-from testbench.units import BAR
+from testbench.units import ATMOSPHERE, BAR
 
 PERIOD = 0.02  # s, a usual task of such a controller
 
@@ -38,7 +40,8 @@ class Ecu:
 
     def update(self, y_p_du: float, setpoint: float | None, request: float) -> Command:
         """One period: measured pressure [Pa], wanted pressure [Pa] (None: pump off) and dose [0..1] to commands."""
-        if setpoint is None:
+        if setpoint is None or not math.isfinite(y_p_du):  # blind, it stops rather than guess
+            y_p_du = y_p_du if math.isfinite(y_p_du) else ATMOSPHERE
             self._setpoint, self._integral, self._may_dose = y_p_du, 0.0, False
             return Command(0.0, 0.0)
         change = SETPOINT_RATE * PERIOD

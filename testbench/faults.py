@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from testbench.branches import Leak
+from testbench.bus import ERROR, NOT_AVAILABLE
 from testbench.errors import RigError
 from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
 from testbench.restriction import TURBULENT, Restriction
@@ -22,6 +23,7 @@ RESTRICTIONS = {
 
 _AREA, _FLOW, _PASCAL = "fraction of the area lost, 0..1", "fraction of the flow lost, 0..1", "Pa added to the reading"
 _LEAK = "mL/s that flow out at 10 bar"
+_SILENT = "1: its messages say not available, 2: they say error"
 
 FAULTS = {
     "fA_t": ("tank filter clogged", _AREA),
@@ -33,6 +35,8 @@ FAULTS = {
     "fy_p_tp": ("sensor between the filters reads wrong", _PASCAL),
     "fy_p_ap": ("sensor after the pump reads wrong", _PASCAL),
     "fy_p_du": ("sensor in the dosing unit reads wrong", _PASCAL),
+    "off_p_du": ("sensor in the dosing unit is off", _SILENT),
+    "off_n_p": ("speed sensor is off", _SILENT),
     "leak_ap": ("leak after the pump, which no fault of the diagnosis model covers", _LEAK),
 }
 """Name of each fault: what it is, and what its size means."""
@@ -41,6 +45,9 @@ LARGEST_LOSS = 0.98
 """Beyond this a restriction is a plug and a pump is stopped: neither is a fault of this kind."""
 LARGEST_OFFSET = 5e5  # Pa
 LARGEST_LEAK = 5.0  # mL/s: more than the pump delivers
+
+CODES = {1.0: NOT_AVAILABLE, 2.0: ERROR}
+"""What the controller has instead of a value, by the size of the fault that takes it away."""
 
 Course = Literal["abrupt", "growing", "intermittent"]
 GROWTH_S = 120.0
@@ -51,7 +58,7 @@ ON_S, PERIOD_S = 20.0, 60.0
 
 def limit(name: str) -> float:
     """The largest size of fault `name`."""
-    return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK}.get(FAULTS[name][1], LARGEST_LOSS)
+    return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK, _SILENT: max(CODES)}.get(FAULTS[name][1], LARGEST_LOSS)
 
 
 @dataclass(frozen=True)
@@ -73,19 +80,23 @@ class Fault:
     def __post_init__(self) -> None:
         if self.name not in FAULTS:
             raise RigError(f"there is no fault {self.name!r}; choose one of {', '.join(FAULTS)}")
-        meaning = FAULTS[self.name][1]
+        self._check_size(FAULTS[self.name][1])
+        if self.profile not in get_args(Course):
+            raise RigError(f"profile {self.profile!r} of {self.name} is not known; use {', '.join(get_args(Course))}")
+        if FAULTS[self.name][1] == _SILENT and self.profile == "growing":
+            raise RigError(f"profile growing of {self.name}: a sensor is on or off; use abrupt or intermittent")
+
+    def _check_size(self, meaning: str) -> None:
         if meaning == _PASCAL:
             if not 0 < abs(self.size) <= LARGEST_OFFSET:
                 raise RigError(
                     f"size {self.size:g} of {self.name} is not within +-{LARGEST_OFFSET:.0f} Pa and other than 0"
                 )
-        elif meaning == _LEAK:
-            if not 0 < self.size <= LARGEST_LEAK:
-                raise RigError(f"size {self.size:g} of {self.name} is not in 0..{LARGEST_LEAK:g} ({meaning})")
-        elif not 0 < self.size <= LARGEST_LOSS:
-            raise RigError(f"size {self.size:g} of {self.name} is not in 0..{LARGEST_LOSS} ({meaning})")
-        if self.profile not in get_args(Course):
-            raise RigError(f"profile {self.profile!r} of {self.name} is not known; use {', '.join(get_args(Course))}")
+        elif meaning == _SILENT:
+            if self.size not in CODES:
+                raise RigError(f"size {self.size:g} of {self.name} is neither 1 nor 2 ({meaning})")
+        elif not 0 < self.size <= limit(self.name):
+            raise RigError(f"size {self.size:g} of {self.name} is not in 0..{limit(self.name):g} ({meaning})")
 
     def strength(self, t: float) -> float:
         """The fault's size at `t` [s], 0 before its onset."""
@@ -102,6 +113,12 @@ class Fault:
 def strength(faults: Sequence[Fault], name: str, t: float) -> float:
     """The size of fault `name` at `t` [s], 0 where there is none."""
     return sum(fault.strength(t) for fault in faults if fault.name == name)
+
+
+def reading(faults: Sequence[Fault], signal: str, value: float, t: float) -> float:
+    """What the controller reads of its own sensor of `signal` at `t` [s]: the value, or why there is none."""
+    code = strength(faults, f"off_{signal}", t)
+    return CODES[code] if code else value
 
 
 def apply(faults: Sequence[Fault], plant: Plant, healthy: PlantParameters, t: float) -> None:

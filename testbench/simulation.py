@@ -14,7 +14,7 @@ import numpy as np
 from testbench.cycles import Cycle, Segment
 from testbench.ecu import PERIOD, Command, Ecu
 from testbench.effects import PROFILES, Surroundings, branches_of, checked, fitted
-from testbench.faults import Fault, apply, strength
+from testbench.faults import Fault, apply, reading, strength
 from testbench.plant import Array, Plant
 from testbench.pump import Drive
 from testbench.sensors import Membrane
@@ -77,10 +77,11 @@ def simulate(
         t = tick * PERIOD - MARGIN
         apply(faults, plant, surroundings.step(plant, vehicle.plant, t, PERIOD), t)
         felt = membrane.feel(plant.p_du) + strength(faults, "fy_p_du", t)
-        y_p_du = vehicle.ecu_sensors.p_du(felt, noise[tick][0])
+        y_p_du = reading(faults, "p_du", vehicle.ecu_sensors.p_du(felt, noise[tick][0]), t)
+        n_p = reading(faults, "n_p", vehicle.ecu_sensors.n_p(drive.speed, noise[tick][1]), t)
         setpoint, request = wanted[tick]
         command = ecu.update(y_p_du, setpoint, request)
-        known.extend((y_p_du, vehicle.ecu_sensors.n_p(drive.speed, noise[tick][1]), command.duty, request))
+        known.extend((y_p_du, n_p, command.duty, request))
         _advance(plant, drive, valve, command, step, per_tick, hidden)
         if tick % 500 == 0:
             progress(tick / ticks)

@@ -176,6 +176,8 @@ def test_faults_grow_come_and_go() -> None:
     coming = Fault("fA_du", 0.6, 100.0, "intermittent")
     assert coming.strength(100.0 + ON_S - 1) == coming.strength(100.0 + PERIOD_S) == 0.6
     assert coming.strength(100.0 + ON_S + 1) == coming.strength(99.0) == 0.0
+    with pytest.raises(RigError, match="a sensor is on or off; use abrupt or intermittent"):
+        Fault("off_p_du", 1.0, 100.0, "growing")
     with pytest.raises(RigError, match="profile 'sudden' of fA_du is not known; use abrupt, growing, intermittent"):
         Fault("fA_du", 0.6, 100.0, "sudden")  # type: ignore[arg-type]
 

@@ -253,3 +253,26 @@ def test_the_can_log_comes_in_other_formats(tmp_path: Path, recording: tuple[Pat
     assert [(m.arbitration_id, bytes(m.data)) for m in found] == [(m.arbitration_id, bytes(m.data)) for m in expected]
     times, wanted_times = ([m.timestamp - of[0].timestamp for m in of] for of in (found, expected))
     assert np.abs(np.subtract(times, wanted_times)).max() < 2e-4
+
+
+@pytest.mark.parametrize(("size", "code"), [(1.0, 0xFFFF), (2.0, 0xFEFF)])
+def test_a_sensor_that_is_off_is_said_in_the_codes_of_j1939(tmp_path: Path, size: float, code: int) -> None:
+    """And the controller, blind, stops pump and dosing."""
+    folder, _ = write(tmp_path, request(faults=(Fault("off_p_du", size, 60.0),)))
+    database = cantools.database.load_file(folder / "uds.dbc", strict=True)
+    assert isinstance(database, Database)
+    message = database.get_message_by_name("UDS_ECU")
+    p_du = next(signal for signal in message.signals if signal.name == "y_p_du")
+    signals: list[tuple[float, float, float]] = []
+    with can.LogReader(folder / "can.log") as frames:
+        for frame in frames:
+            if frame.arbitration_id == message.frame_id:
+                raw = message.decode_simple(bytes(frame.data), scaling=False)
+                signals.append((frame.timestamp, float(str(raw["y_p_du"])), float(str(raw["dc_dose"]))))
+    t, read, dose = np.array(signals).T
+    late, early = t - t[0] > 61.0, t - t[0] < 59.0
+    top = (1 << p_du.length) - 1
+    codes = {0xFFFF: top, 0xFEFF: top - (1 << (p_du.length - 8))}
+    assert set(read[late]) == {codes[code]}
+    assert codes[code] not in set(read[early])
+    assert set(dose[late]) == {0}
