@@ -101,10 +101,11 @@ def _files(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> dic
     seed, cycle = request.seed, request.cycle
     effects = request.effects
     run = simulate(request.vehicle, cycle, request.faults, seed, request.duration, effects=effects, progress=progress)
-    sensors = fitted(request.vehicle, effects).external
-    delay = fitted(request.vehicle, effects).log_delay
-    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"), delay)
-    external = external_csv(run, sensors, request.faults, request.duration, stream(seed, cycle.name, "external"))
+    vehicle = fitted(request.vehicle, effects)
+    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"), vehicle.log_delay)
+    external = external_csv(
+        run, vehicle.external, request.faults, request.duration, stream(seed, cycle.name, "external")
+    )
     return {
         "recording.toml": _recording_toml(request, dbc).encode(),
         f"can.{request.format}": in_format(can, request.format),

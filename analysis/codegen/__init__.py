@@ -5,7 +5,7 @@ from analysis.codegen.c99 import c99_sources
 from analysis.codegen.identifiers import class_name
 from analysis.codegen.program import Program
 from analysis.codegen.python import python_source
-from analysis.codegen.sequence import Component, ComputationSequence, computation_graph, computation_sequence
+from analysis.codegen.sequence import Component, ComputationSequence, computation_sequence
 
 __all__ = [
     "Component",
@@ -13,7 +13,6 @@ __all__ = [
     "Program",
     "c99_sources",
     "class_name",
-    "computation_graph",
     "computation_sequence",
     "python_source",
     "residual_program",

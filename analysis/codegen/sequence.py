@@ -10,8 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import networkx as nx
-
 from analysis.model import Model
 from analysis.structure import Structure, redundancy, structure_of
 from analysis.structure.causality import Causality, solving_order
@@ -98,28 +96,6 @@ def computation_sequence(
         known=structure.known_in(equations),
         components=components,
     )
-
-
-def computation_graph(model: Model | Structure, sequence: ComputationSequence) -> nx.DiGraph:
-    """The sequence as a graph: an edge from every variable to each one whose equation contains it, down to `residual`.
-
-    Nodes have `kind`: known, residual, or that of their component; edges have the `equation`.
-    """
-    structure = structure_of(model)
-    graph = nx.DiGraph()
-    graph.add_nodes_from(sequence.known, kind="known")
-    for component in sequence.components:
-        for equation, variable in component.pairs:
-            graph.add_node(variable, kind=component.kind)
-            _add_edges(graph, structure, equation, variable)
-    graph.add_node("residual", kind="residual")
-    _add_edges(graph, structure, sequence.residual, "residual")
-    return graph
-
-
-def _add_edges(graph: nx.DiGraph, structure: Structure, equation: str, target: str) -> None:
-    sources = [*structure.known_in([equation]), *structure.unknowns_in([equation])]
-    graph.add_edges_from(((source, target) for source in sources if source != target), equation=equation)
 
 
 def _mixed(structure: Structure, equations: Sequence[str], residual: str) -> Iterator[Component]:

@@ -58,13 +58,15 @@ def solving_order(structure: Structure, equations: Sequence[str], residual: str)
     ]
 
 
-class _Constraint(NamedTuple):
+class Constraint(NamedTuple):
+    """A differential constraint: its row, and the unknowns that are its state and its derivative, all by number."""
+
     row: int
     state: int
     derivative: int
 
 
-def _divided(structure: Structure, rows: Sequence[int]) -> tuple[list[int], list[_Constraint]]:
+def _divided(structure: Structure, rows: Sequence[int]) -> tuple[list[int], list[Constraint]]:
     """The algebraic rows and the differential constraints."""
     algebraic, constraints = [], []
     for row in rows:
@@ -73,11 +75,11 @@ def _divided(structure: Structure, rows: Sequence[int]) -> tuple[list[int], list
             algebraic.append(row)
         else:
             state, derivative = structure.unknowns.index(d.state), structure.unknowns.index(d.derivative)
-            constraints.append(_Constraint(row, state, derivative))
+            constraints.append(Constraint(row, state, derivative))
     return algebraic, constraints
 
 
-def _integral(structure: Structure, algebraic: Sequence[int], constraints: Sequence[_Constraint]) -> list[int]:
+def _integral(structure: Structure, algebraic: Sequence[int], constraints: Sequence[Constraint]) -> list[int]:
     """The rows of an MSO set that can be its residual when every state is integrated.
 
     The other algebraic equations must determine every unknown but the states. If they can at all, the residual is one
@@ -91,7 +93,7 @@ def _integral(structure: Structure, algebraic: Sequence[int], constraints: Seque
     return part + [c.row for c in constraints if any(structure.unknown_rows[row] >> c.state & 1 for row in part)]
 
 
-def _derivative(structure: Structure, algebraic: Sequence[int], constraints: Sequence[_Constraint]) -> list[int]:
+def _derivative(structure: Structure, algebraic: Sequence[int], constraints: Sequence[Constraint]) -> list[int]:
     """The rows of an MSO set that can be its residual when every derivative follows from its state.
 
     With the derivatives given, the other algebraic equations must determine every unknown; the residual is one of their
@@ -112,7 +114,7 @@ def _derivative(structure: Structure, algebraic: Sequence[int], constraints: Seq
     ]
 
 
-def _in_turn(users: Mapping[int, list[int]], solved: Mapping[int, int], constraints: Sequence[_Constraint]) -> bool:
+def _in_turn(users: Mapping[int, list[int]], solved: Mapping[int, int], constraints: Sequence[Constraint]) -> bool:
     """Whether all states can be had one after the other, none from a derivative that is not there yet.
 
     `users` are the equations that an unknown is in, `solved` is what each equation is solved for.

@@ -10,9 +10,10 @@ for differential constraints (IEEE Transactions on Systems, Man and Cybernetics 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 from analysis.model.errors import ModelError
+from analysis.structure.causality import Constraint
 from analysis.structure.matching import bits, mask_of
 from analysis.structure.structure import Structure
 
@@ -64,7 +65,7 @@ class OverDeterminedPart:
         self._rows = structure.unknown_rows
         number = {name: x for x, name in enumerate(structure.unknowns)}
         self._constraints = [
-            _Constraint(
+            Constraint(
                 row, number[structure.differentials[name].state], number[structure.differentials[name].derivative]
             )
             for row, name in enumerate(structure.equations)
@@ -86,7 +87,7 @@ class OverDeterminedPart:
             return self._integral(matching, left)
         return self._derivative(matching, left)
 
-    def _integral(self, matching: "_Matching", used: "list[_Constraint]") -> int:
+    def _integral(self, matching: "_Matching", used: list[Constraint]) -> int:
         """A constraint whose derivative cannot be computed gives no state, which then is an unknown like others."""
         matching.add({c.state for c in self._constraints} - {c.state for c in used})
         while True:
@@ -97,7 +98,7 @@ class OverDeterminedPart:
             used = [c for c in used if not undetermined >> c.derivative & 1]
             matching.add(c.state for c in lost)
 
-    def _derivative(self, matching: "_Matching", left: "list[_Constraint]") -> int:
+    def _derivative(self, matching: "_Matching", left: list[Constraint]) -> int:
         """A state that can be computed gives its derivative; that may make others computable.
 
         A constraint whose derivative is computable without it is redundant. With mixed causality there is none here.
@@ -136,12 +137,6 @@ class OverDeterminedPart:
                 found |= 1 << owner
                 queue.append(owner)
         return found
-
-
-class _Constraint(NamedTuple):
-    row: int
-    state: int
-    derivative: int
 
 
 class _Matching:

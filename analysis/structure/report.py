@@ -1,6 +1,5 @@
 """The structural analysis of a model as text to read."""
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -194,7 +193,8 @@ def _ranges(names: Sequence[str], order: Sequence[str]) -> str:
 
 def _follows(before: str, name: str) -> bool:
     """Whether a name is another one with the next number: e04 after e03."""
-    stem, number = re.fullmatch(r"(.*?)(\d*)", before).groups()  # type: ignore[union-attr]  # it always matches
+    stem = before.rstrip("0123456789")
+    number = before[len(stem) :]
     return number != "" and name == f"{stem}{int(number) + 1:0{len(number)}d}"
 
 

@@ -1,11 +1,10 @@
 """In which order a residual is computed, and in which causality; against the causality that the structure demands."""
 
-import networkx as nx
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.codegen import Component, computation_graph, computation_sequence
+from analysis.codegen import Component, computation_sequence
 from analysis.model import Differential, load_model
 from analysis.structure import Structure, mso_sets, mtes_sets, structure_of
 from analysis.structure.causality import residual_causality
@@ -86,18 +85,6 @@ def test_the_derivative_sequence_of_test_2_differentiates_the_measured_pressure(
     kinds = {component.pairs: component.kind for component in sequence.components}
     assert kinds[(("e15", "dp_du"),)] == "derivative"
     assert sequence.components[-1].pairs == (("e07", "p_ap"),)
-
-
-def test_the_computational_graph_ends_in_the_residual_and_has_a_cycle_only_where_a_loop_is() -> None:
-    model = load_model("uds4")
-    equations = ("e03", "e04", "e07", "e11", "e15", "e16", "e18")
-    derivative = computation_graph(model, computation_sequence(model, equations, "e18"))
-    assert nx.is_directed_acyclic_graph(derivative)
-    assert set(derivative.predecessors("residual")) == {"y_p_ap", "p_ap"}
-    assert nx.ancestors(derivative, "residual") == set(derivative) - {"residual"}
-    integral = computation_graph(model, computation_sequence(model, equations, "e16"))
-    assert not nx.is_directed_acyclic_graph(integral)  # the state depends on its own rate
-    assert integral.edges["q_ori", "dp_du"]["equation"] == "e11"
 
 
 def test_what_is_no_mso_set_is_refused_by_name() -> None:
