@@ -6,6 +6,6 @@ recordings, never its source.
     cycles, faults, vehicles  what is asked for
     plant, pump, valve        the physics;  ecu, sensors: what measures and controls it
     simulation                one run in memory, hidden state included
-    loggers, recording        what of it reaches the files
+    can_logger, second_logger, recording: what of it reaches the files
     command                   `faultline rig`
 """

@@ -14,12 +14,13 @@ from rich.console import Console
 from rich.progress import Progress
 
 from testbench.bus import load_dbc
+from testbench.can_logger import FORMATS
 from testbench.cycles import CYCLES, cycle
 from testbench.effects import EFFECTS, PROFILES, checked
 from testbench.errors import RigError
 from testbench.faults import FAULTS, Course, Fault
-from testbench.loggers import FORMATS
 from testbench.recording import Request, default_name, record
+from testbench.second_logger import RANGES, SecondLogger
 from testbench.sizes import frozen
 from testbench.vehicles import VEHICLES, vehicle
 
@@ -31,6 +32,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle drive --seed 2 --out recordings --truth truth
   faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
   faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recs --truth truth
+  faultline rig record --cycle drive --logger starts_s=-87.3 --logger drift_ppm=150 --out recordings --truth truth
 """
 
 
@@ -83,6 +85,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME[=SIZE]",
         help="a hidden effect (default: its typical size)",
     )
+    make.add_argument(
+        "--logger",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="of the second logger: " + ", ".join(f"{n} {a:g}..{b:g}" for n, (a, b) in RANGES.items()),
+    )
     make.add_argument("--seed", type=_seed, default=0, help="of noise, clocks and random cycles (default: 0)")
     make.add_argument("--duration", type=_number, default=480.0, help="s (default: 480)")
     make.add_argument("--id", type=_identifier, help="name of the recording (default: VEHICLE-CYCLE-sSEED[-FAULT])")
@@ -129,6 +138,7 @@ def _record(arguments: argparse.Namespace) -> int:
         arguments.duration,
         PROFILES[arguments.profile] | _effects(arguments.effect),
         arguments.format,
+        _logger(arguments.logger),
     )
     dbc = load_dbc(arguments.dbc)
     with _progress(name) as progress:
@@ -174,6 +184,22 @@ def _effects(words: list[str]) -> dict[str, float]:
         except ValueError as error:
             raise RigError(f"--effect {word}: {size!r} is no size; write it like leak=0.2") from error
     return checked(found)
+
+
+def _logger(words: list[str]) -> SecondLogger:
+    """The second logger as the options set it."""
+    given: dict[str, float] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if name not in RANGES:
+            raise RigError(f"--logger {word}: there is no {name!r}; choose one of {', '.join(RANGES)}")
+        if name in given:
+            raise RigError(f"--logger {word}: {name} comes twice; give it once")
+        try:
+            given[name] = float(text)
+        except ValueError as error:
+            raise RigError(f"--logger {word}: {text!r} is no number; write it like drift_ppm=150") from error
+    return SecondLogger(**given)
 
 
 @contextmanager

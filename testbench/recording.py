@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbench.bus import Dbc
+from testbench.can_logger import START_TEXT, can_log, in_format
 from testbench.cycles import Cycle, check_duration
 from testbench.effects import PROFILES, checked, fitted
 from testbench.errors import RigError
 from testbench.faults import Fault
-from testbench.loggers import START_TEXT, can_log, external_csv, in_format
+from testbench.second_logger import Clocking, SecondLogger, external_csv
 from testbench.simulation import simulate, stream
 from testbench.vehicles import Vehicle
 
@@ -42,6 +43,7 @@ class Request:
     duration: float
     effects: Mapping[str, float] = field(default_factory=lambda: PROFILES["realistic"])
     format: str = "log"
+    logger: SecondLogger = field(default_factory=SecondLogger)
 
     def __post_init__(self) -> None:
         check_duration(self.duration)
@@ -78,7 +80,7 @@ def record(
     for path in (folder, truth_file):
         if path.exists() and not force:
             raise RigError(f"{path} exists; remove it or use --force")
-    files = _files(request, dbc, progress)
+    files, truth_text = _contents(request, dbc, progress)
     try:
         out.mkdir(parents=True, exist_ok=True)
         truth.mkdir(parents=True, exist_ok=True)
@@ -90,28 +92,31 @@ def record(
             if folder.exists():
                 shutil.rmtree(folder)
             whole.rename(folder)
-        truth_file.write_text(_truth_toml(request))
+        truth_file.write_text(truth_text)
     except OSError as error:
         raise RigError(f"{error.filename}: {error.strerror}") from error
     return folder, truth_file
 
 
-def _files(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> dict[str, bytes]:
-    """Content of every file of the recording's folder."""
-    seed, cycle = request.seed, request.cycle
-    effects = request.effects
-    run = simulate(request.vehicle, cycle, request.faults, seed, request.duration, effects=effects, progress=progress)
-    vehicle = fitted(request.vehicle, effects)
-    can = can_log(run, dbc.senders, request.duration, stream(seed, cycle.name, "can"), vehicle.log_delay)
-    external = external_csv(
-        run, vehicle.external, request.faults, request.duration, stream(seed, cycle.name, "external")
+def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> tuple[dict[str, bytes], str]:
+    """Content of every file of the recording's folder, and of the truth."""
+    seed, cycle, duration, effects = request.seed, request.cycle, request.duration, request.effects
+    random = stream(seed, cycle.name, "external")
+    clocking = request.logger.clocking(duration, random)
+    after = clocking.needs_after
+    run = simulate(
+        request.vehicle, cycle, request.faults, seed, duration, effects=effects, after=after, progress=progress
     )
-    return {
+    vehicle = fitted(request.vehicle, effects)
+    can = can_log(run, dbc.senders, duration, stream(seed, cycle.name, "can"), vehicle.log_delay)
+    external = external_csv(run, vehicle.external, request.faults, duration, clocking, random)
+    files = {
         "recording.toml": _recording_toml(request, dbc).encode(),
         f"can.{request.format}": in_format(can, request.format),
         "external.csv": external.encode(),
         "uds.dbc": dbc.content,
     }
+    return files, _truth_toml(request, clocking)
 
 
 def _recording_toml(request: Request, dbc: Dbc) -> str:
@@ -145,7 +150,14 @@ unit = "V"
 {tables}"""
 
 
-def _truth_toml(request: Request) -> str:
+def _truth_toml(request: Request, clocking: Clocking) -> str:
+    """What was in the recording.
+
+    `[logger]` is what the second logger did (`Clocking`), and besides what an ideal synchronisation of its clock would
+    find, exactly: can_time = offset_s + (1 + drift) logger_time, with logger_time as in the CSV (whose samples' own
+    jitter is in it) and can_time in seconds after the first frame. A value in an ECU's frame is older than the frame
+    by up to one of the ECU's periods, and by the effect `log_delay`: that belongs to the ECU, not to the clocks.
+    """
     faults = "".join(
         f"""
 [[fault]]
@@ -162,7 +174,9 @@ recording = {json.dumps(request.name)}
 [effects]
 {_pairs(checked(request.effects))}
 [vehicle]
-{_pairs(request.vehicle.scatter)}"""
+{_pairs(request.vehicle.scatter)}
+[logger]
+{_pairs(clocking.truth())}"""
 
 
 def _pairs(values: Mapping[str, float]) -> str:

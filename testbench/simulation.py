@@ -1,7 +1,7 @@
 """One run of the rig in memory: plant, drive, valve, controller and faults on one time line.
 
-Time 0 is the first frame of the CAN log. The run starts `MARGIN` earlier (at rest) and ends `MARGIN` later, because the
-second logger starts and stops on its own.
+Time 0 is the first frame of the CAN log. The run starts `MARGIN` earlier (at rest) and ends `MARGIN` later or when the
+second logger stops, which it does on its own.
 """
 
 import zlib
@@ -53,9 +53,10 @@ def simulate(
     *,
     effects: Mapping[str, float] | None = None,
     step: float = STEP,
+    after: float = MARGIN,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Run:
-    """Runs `cycle` for `duration` [s]; `progress` is called with the part done [0..1].
+    """Runs `cycle` for `duration` [s] and goes on for `after` [s]; `progress` is called with the part done [0..1].
 
     Unless `effects` are given, those of the profile `realistic` are there.
 
@@ -66,7 +67,7 @@ def simulate(
     vehicle, surroundings = fitted(vehicle, present), Surroundings(present)
     segments = cycle.segments(duration, stream(seed, cycle.name, "cycle"))
     per_tick = round(PERIOD / step)
-    ticks = round((duration + 2 * MARGIN) / PERIOD)
+    ticks = round((MARGIN + duration + after) / PERIOD)
     wanted = _schedule(segments, ticks)
     noise = stream(seed, cycle.name, "ecu").standard_normal((ticks, 2)).tolist()
     plant = Plant(vehicle.plant, vehicle.pump, branches_of(vehicle))

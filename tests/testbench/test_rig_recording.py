@@ -1,8 +1,6 @@
 """The files: what a bench would hand over and nothing more, the truth apart, equal bytes for equal requests."""
 
-import csv
 import hashlib
-import io
 import tomllib
 from collections import defaultdict
 from dataclasses import replace
@@ -14,14 +12,14 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from testbench import loggers
+from testbench import can_logger
 from testbench.bus import Knowledge, load_dbc
 from testbench.cycles import CYCLES
 from testbench.errors import RigError
 from testbench.faults import Fault
 from testbench.recording import Request, record
+from testbench.second_logger import RANGES
 from testbench.sensors import EcuSensors
-from testbench.simulation import MARGIN, simulate
 from testbench.vehicles import VEHICLES
 
 DURATION = 70.0
@@ -83,7 +81,9 @@ def test_truth_is_apart_and_says_the_fault(recording: tuple[Path, Path]) -> None
     assert not truth.is_relative_to(folder)
     fault = {"name": "fA_du", "size": 0.65, "onset_s": 50.0, "profile": "abrupt"}
     expected = {"schema": 1, "recording": "r", "fault": [fault], "effects": {"laminar_filters": 0.06}, "vehicle": {}}
-    assert tomllib.loads(truth.read_text()) == expected
+    told = tomllib.loads(truth.read_text())
+    assert set(told.pop("logger")) == {*RANGES, "offset_s", "drift"}
+    assert told == expected
     for path in folder.iterdir():
         assert b"fA_du" not in path.read_bytes()
 
@@ -104,7 +104,7 @@ def test_frames_come_at_their_cycle_times_with_jitter(
 def test_log_starts_at_zero_and_time_only_advances(recording: tuple[Path, Path]) -> None:
     lines = (recording[0] / "can.log").read_text().splitlines()
     stamps = [float(line[1 : line.index(")")]) for line in lines]
-    assert stamps[0] == loggers.START
+    assert stamps[0] == can_logger.START
     assert stamps[-1] - stamps[0] == pytest.approx(DURATION, abs=0.1)
     assert (np.diff(stamps) > 2e-4).all()  # a frame takes its time on the bus
 
@@ -112,16 +112,16 @@ def test_log_starts_at_zero_and_time_only_advances(recording: tuple[Path, Path])
 def test_signals_agree_across_frames_and_have_sane_values(
     signals: dict[str, list[tuple[float, dict[str, float]]]],
 ) -> None:
-    ecu = [values for t, values in signals["UDS_ECU"] if t - loggers.START > 62]
+    ecu = [values for t, values in signals["UDS_ECU"] if t - can_logger.START > 62]
     assert np.mean([v["y_p_du"] for v in ecu]) == pytest.approx(1000, abs=20)
     assert np.mean([v["n_p"] for v in ecu]) == pytest.approx(33, abs=1)
     assert {v["dc_dose"] for v in ecu} == {100.0}
-    start = [values for t, values in signals["UDS_ECU"] if t - loggers.START < 10]
+    start = [values for t, values in signals["UDS_ECU"] if t - can_logger.START < 10]
     assert np.mean([v["y_p_du"] for v in start]) == pytest.approx(101.3, abs=1)
     assert {v["n_p"] for v in start} == {0.0}
-    coarse = [values["def_doser_pressure"] for t, values in signals["A1SCRDSI1"] if t - loggers.START > 62]
+    coarse = [values["def_doser_pressure"] for t, values in signals["A1SCRDSI1"] if t - can_logger.START > 62]
     assert np.mean(coarse) == pytest.approx(1000, abs=20)
-    rpm = [values["def_pump_speed"] for t, values in signals["A1DEFSI"] if t - loggers.START > 62]
+    rpm = [values["def_pump_speed"] for t, values in signals["A1DEFSI"] if t - can_logger.START > 62]
     assert np.mean(rpm) == pytest.approx(33 * 60, rel=0.03)
 
 
@@ -159,53 +159,6 @@ def test_external_sensors_have_noise_and_a_zero_error_at_rest(recording: tuple[P
         pascal = np.interp(rest[:, column], table["volts"], table["pascal"])
         assert pascal.std() == pytest.approx(noise, rel=0.3)
         assert 100 < abs(pascal.mean() - 101_325) < 1e4
-
-
-def test_second_logger_has_its_own_start_drift_jitter_and_losses(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = simulate(VEHICLES["bench"], CYCLES["validation"], (), seed=3, duration=60.0)
-
-    def times(seed: int) -> tuple[list[float], float]:
-        """The logger's time stamps, and its time when p_ap passes 2.4 V (7.6 bar)."""
-        text = loggers.external_csv(run, VEHICLES["bench"].external, (), 60.0, np.random.default_rng(seed))
-        rows = [(float(r["time_s"]), float(r["p_ap_V"])) for r in csv.DictReader(io.StringIO(text))]
-        return [t for t, _ in rows], next(t for t, volts in rows if volts > 2.4)
-
-    true = float(run.t[np.argmax(run.pressures[:, 2] > 7.575e5)])
-    offsets = [true - times(seed)[1] for seed in range(12)]
-    assert max(offsets) > 1
-    assert min(offsets) < -1
-    assert max(map(abs, offsets)) < loggers.START_SPREAD + 0.3
-    gaps = np.diff(times(0)[0])
-    assert (gaps > 0).all()
-    assert gaps.std() > 1e-3
-    assert (gaps > 0.15).any()  # a dropped sample
-    monkeypatch.setattr(loggers, "JITTER", 0.0)
-    monkeypatch.setattr(loggers, "DROPPED", 0.0)
-    drifts = [times(seed)[0][-1] / (0.1 * (len(times(seed)[0]) - 1)) - 1 for seed in range(8)]
-    assert 1e-5 < max(map(abs, drifts)) < 6e-5
-
-
-def test_second_logger_never_reads_beyond_the_run() -> None:
-    """Interpolation would repeat the last pressure there without a word."""
-    assert loggers.START_SPREAD + loggers.JITTER < MARGIN
-
-
-def test_external_sensor_fault_shifts_the_reading_from_its_onset_on() -> None:
-    run = simulate(VEHICLES["bench"], CYCLES["validation"], (), seed=3, duration=60.0)
-    sensor = VEHICLES["bench"].external
-    fault = (Fault("fy_p_tp", 2e4, 30.0),)
-    healthy, faulty = (
-        np.loadtxt(
-            io.StringIO(loggers.external_csv(run, sensor, faults, 60.0, np.random.default_rng(1))),
-            delimiter=",",
-            skiprows=1,
-        )
-        for faults in ((), fault)
-    )
-    early, late = healthy[:, 0] < 25, healthy[:, 0] > 35
-    assert (faulty[early] == healthy[early]).all()
-    assert (faulty[late, 1] - healthy[late, 1]).mean() == pytest.approx(2e4 / 62_500, rel=0.02)
-    assert (faulty[:, 2] == healthy[:, 2]).all()
 
 
 def test_controller_sensor_saturates_and_has_twelve_bits() -> None:

@@ -1,15 +1,12 @@
-"""The two loggers: the bus in candump's format, and the external sensors in volts on a clock of their own."""
+"""The CAN logger: the bus as candump's text, or in another format of python-can's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from testbench.bus import Knowledge, Sender
-from testbench.faults import Fault, strength
-from testbench.plant import Array
-from testbench.sensors import ExternalSensor
 from testbench.simulation import Run
 
 START = (
@@ -20,15 +17,6 @@ CHANNEL = "can0"
 FORMATS = ("log", "asc", "blf", "csv", "trc")
 """Of the CAN log: candump's text, and what python-can writes."""
 FRAME_TIME = 0.00027  # s on the bus: 29-bit identifier, 8 bytes and some stuffing at 500 kbit/s
-
-PERIOD = 0.1  # s, of the second logger
-JITTER = 0.005  # s, half width: its task has others beside it
-DROPPED = 0.005  # share of its samples that are lost
-START_SPREAD = 3.0  # s, half width: it is started and stopped by hand
-DRIFT = 50e-6  # half width: two ordinary quartzes against each other
-
-COLUMN_OF = {"y_p_tp": 0, "y_p_ap": 2}
-"""Where each external sensor sits in `Run.pressures`."""
 
 
 def can_log(run: Run, senders: Sequence[Sender], duration: float, rng: np.random.Generator, delay: float = 0.0) -> str:
@@ -69,21 +57,3 @@ def in_format(candump: str, wanted: str) -> bytes:
             for message in reader:
                 logger(message)
         return path.read_bytes()
-
-
-def external_csv(
-    run: Run, sensors: Mapping[str, ExternalSensor], faults: Sequence[Fault], duration: float, rng: np.random.Generator
-) -> str:
-    """The second logger's CSV: `time_s` since its own start on its own clock, one column of volts a sensor."""
-    start, stop = rng.uniform(-START_SPREAD, START_SPREAD), duration + rng.uniform(-START_SPREAD, START_SPREAD)
-    drift = rng.uniform(-DRIFT, DRIFT)
-    t = start + np.arange(int((stop - start) / PERIOD)) * PERIOD
-    t += rng.uniform(-JITTER, JITTER, len(t))
-    t = t[rng.random(len(t)) >= DROPPED]
-    columns = [f"{value:.4f}" for value in ((t - start + JITTER) * (1 + drift)).tolist()]
-    for signal, sensor in sensors.items():
-        true: Array = np.interp(t, run.t, run.pressures[:, COLUMN_OF[signal]])
-        offset = np.array([strength(faults, f"f{signal}", time) for time in t.tolist()])
-        columns = [f"{row},{volt:.4f}" for row, volt in zip(columns, sensor.read(true, offset, rng), strict=True)]
-    header = ",".join(["time_s", *(sensor.column for sensor in sensors.values())])
-    return "\n".join([header, *columns, ""])
