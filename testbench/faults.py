@@ -24,6 +24,7 @@ RESTRICTIONS = {
 _AREA, _FLOW, _PASCAL = "fraction of the area lost, 0..1", "fraction of the flow lost, 0..1", "Pa added to the reading"
 _LEAK = "mL/s that flow out at 10 bar"
 _SILENT = "1: its messages say not available, 2: they say error"
+_WIRE = "1: its wire is off (0 V; on CAN not available), 2: shorted to the supply (5 V; on CAN error)"
 
 FAULTS = {
     "fA_t": ("tank filter clogged", _AREA),
@@ -37,6 +38,8 @@ FAULTS = {
     "fy_p_du": ("sensor in the dosing unit reads wrong", _PASCAL),
     "off_p_du": ("sensor in the dosing unit is off", _SILENT),
     "off_n_p": ("speed sensor is off", _SILENT),
+    "off_p_tp": ("sensor between the filters is off", _WIRE),
+    "off_p_ap": ("sensor after the pump is off", _WIRE),
     "leak_ap": ("leak after the pump, which no fault of the diagnosis model covers", _LEAK),
 }
 """Name of each fault: what it is, and what its size means."""
@@ -47,7 +50,7 @@ LARGEST_OFFSET = 5e5  # Pa
 LARGEST_LEAK = 5.0  # mL/s: more than the pump delivers
 
 CODES = {1.0: NOT_AVAILABLE, 2.0: ERROR}
-"""What the controller has instead of a value, by the size of the fault that takes it away."""
+"""What a controller or the sensor box has instead of a value, by the size of the fault that takes it away."""
 
 Course = Literal["abrupt", "growing", "intermittent"]
 GROWTH_S = 120.0
@@ -58,7 +61,9 @@ ON_S, PERIOD_S = 20.0, 60.0
 
 def limit(name: str) -> float:
     """The largest size of fault `name`."""
-    return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK, _SILENT: max(CODES)}.get(FAULTS[name][1], LARGEST_LOSS)
+    return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK, _SILENT: max(CODES), _WIRE: max(CODES)}.get(
+        FAULTS[name][1], LARGEST_LOSS
+    )
 
 
 @dataclass(frozen=True)
@@ -83,7 +88,7 @@ class Fault:
         self._check_size(FAULTS[self.name][1])
         if self.profile not in get_args(Course):
             raise RigError(f"profile {self.profile!r} of {self.name} is not known; use {', '.join(get_args(Course))}")
-        if FAULTS[self.name][1] == _SILENT and self.profile == "growing":
+        if FAULTS[self.name][1] in (_SILENT, _WIRE) and self.profile == "growing":
             raise RigError(f"profile growing of {self.name}: a sensor is on or off; use abrupt or intermittent")
 
     def _check_size(self, meaning: str) -> None:
@@ -92,7 +97,7 @@ class Fault:
                 raise RigError(
                     f"size {self.size:g} of {self.name} is not within +-{LARGEST_OFFSET:.0f} Pa and other than 0"
                 )
-        elif meaning == _SILENT:
+        elif meaning in (_SILENT, _WIRE):
             if self.size not in CODES:
                 raise RigError(f"size {self.size:g} of {self.name} is neither 1 nor 2 ({meaning})")
         elif not 0 < self.size <= limit(self.name):
@@ -116,7 +121,7 @@ def strength(faults: Sequence[Fault], name: str, t: float) -> float:
 
 
 def reading(faults: Sequence[Fault], signal: str, value: float, t: float) -> float:
-    """What the controller reads of its own sensor of `signal` at `t` [s]: the value, or why there is none."""
+    """What a controller or the sensor box knows of `signal` at `t` [s]: the value, or why there is none."""
     code = strength(faults, f"off_{signal}", t)
     return CODES[code] if code else value
 

@@ -26,6 +26,9 @@ DRIFT_PPM = 50.0  # half width: two ordinary quartzes against each other
 COLUMN_OF = {"y_p_tp": 0, "y_p_ap": 2}
 """Where each external sensor sits in `Run.pressures`."""
 
+OFF_VOLTS = {1.0: 0.0, 2.0: 5.0}
+"""What the converter reads of a sensor that is off, by the size of that fault: both beyond the table of any sensor."""
+
 RANGES = {
     "starts_s": (-150.0, 150.0), "stops_s": (-150.0, 150.0),  # somebody walked from one logger to the other
     "drift_ppm": (-500.0, 500.0),  # ten times what a quartz may do: a resonator's
@@ -125,7 +128,11 @@ def external_csv(
     for signal, plain in sensors.items():
         sensor = replace(plain, noise=clocking.noise * plain.noise)
         true: Array = np.interp(t, run.t, run.pressures[:, COLUMN_OF[signal]])
-        offset = np.array([strength(faults, f"f{signal}", time) for time in t.tolist()])
-        columns = [f"{row},{volt:.4f}" for row, volt in zip(columns, sensor.read(true, offset, rng), strict=True)]
+        offset, off = (
+            np.array([strength(faults, name, time) for time in t.tolist()])
+            for name in (f"f{signal}", f"off_{signal.removeprefix('y_')}")
+        )
+        volts = np.select([off == size for size in OFF_VOLTS], [*OFF_VOLTS.values()], sensor.read(true, offset, rng))
+        columns = [f"{row},{volt:.4f}" for row, volt in zip(columns, volts.tolist(), strict=True)]
     header = ",".join(["time_s", *(sensor.column for sensor in sensors.values())])
     return "\n".join([header, *columns, ""])

@@ -121,6 +121,19 @@ def test_external_sensor_fault_shifts_the_reading_from_its_onset_on(run: Run) ->
     assert (faulty[:, 2] == healthy[:, 2]).all()
 
 
+@pytest.mark.parametrize(("size", "volts"), [(1.0, 0.0), (2.0, 5.0)])
+@pytest.mark.parametrize(("name", "column"), [("off_p_tp", 1), ("off_p_ap", 2)])
+def test_a_sensor_that_is_off_leaves_its_table(run: Run, name: str, column: int, size: float, volts: float) -> None:
+    logger = SecondLogger(starts_s=0.0)
+    found, _ = rows(run, logger, faults=(Fault(name, size, 30.0),))
+    healthy, _ = rows(run, logger)
+    late = found[:, 0] > 30.1
+    assert set(found[late, column]) == {volts}
+    assert (found[~late][:-1] == healthy[~late][:-1]).all()
+    assert (found[:, 3 - column] == healthy[:, 3 - column]).all()
+    assert not SENSORS["y_p_tp"].volts[0] <= volts <= SENSORS["y_p_tp"].volts[-1]
+
+
 def test_columns_are_named(run: Run) -> None:
     clocking = SecondLogger().clocking(DURATION, np.random.default_rng(1))
     text = external_csv(run, SENSORS, (), DURATION, clocking, np.random.default_rng(1))
