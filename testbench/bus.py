@@ -1,4 +1,4 @@
-"""What the controllers put on the bus: each message's content, period and jitter, encoded from a DBC by cantools."""
+"""What is put on the bus: each message's content, period and jitter, encoded from a DBC by cantools."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,20 +19,23 @@ from testbench.units import ATMOSPHERE, ML
 RATED_DOSE = 1.2 * ML  # m^3/s with the valve held open at SYSTEM_PRESSURE, as the controller believes
 DENSITY = 1090e3  # g/m^3, ISO 22241-1 at 20 degC
 NOT_AVAILABLE, ERROR = nan, inf
-"""What the controller knows of a quantity whose sensor is off, and of one whose sensor it has found at fault."""
+"""What is known of a quantity whose sensor is off, and of one whose sensor has been found at fault."""
 TANK = {"def_tank_volume": 75.2, "def_tank_temperature": 22.0}  # %, degC: a supply so large that dosing does not show
 
 
 class Knowledge(NamedTuple):
-    """What the controller knows at an instant: y_p_du [Pa], n_p [rev/s], dc_dose and the requested dose [0..1].
+    """What the senders know at an instant.
 
-    Where it knows nothing, a value is `NOT_AVAILABLE` or `ERROR`.
+    The controller: y_p_du [Pa], n_p [rev/s], dc_dose and the requested dose [0..1]. The sensor box, where there is one:
+    y_p_tp and y_p_ap [Pa]. Where nothing is known, a value is `NOT_AVAILABLE` or `ERROR`.
     """
 
     p_du: float
     n_p: float
     duty: float
     request: float
+    p_tp: float = NOT_AVAILABLE
+    p_ap: float = NOT_AVAILABLE
 
 
 def _dosing(duty: float, p_du: float) -> float:
@@ -50,11 +53,17 @@ CONTENT: Mapping[str, Callable[[Knowledge], dict[str, float]]] = {
     "A1SCRDSR3": lambda k: {"def_valve_command": 100 * k.duty},
     "A1DEFSI": lambda k: {"def_pump_speed": 60 * k.n_p},
     "AT1T1I1": lambda _: dict(TANK),
+    "UDS_SENSORS": lambda k: {"y_p_tp": k.p_tp / 1e3, "y_p_ap": k.p_ap / 1e3},
 }
 """The signals of each message, in the DBC's units."""
 
 BROADCAST_JITTER = 0.001  # s, sd: sent from a timer
-DIAGNOSTIC_JITTER = {"UDS_ECU": 0.008}  # s, sd: sent from a background task
+DIAGNOSTIC_JITTER = {
+    # s, sd: sent from a background task, and by a small box with nothing else to do but its converter.
+    "UDS_ECU": 0.008, "UDS_SENSORS": 0.003,
+}  # fmt: skip
+SENSOR_BOX = "UDS_SENSORS"
+"""The message that only an instrumented vehicle has."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +94,14 @@ class Sender:
 
 @dataclass(frozen=True)
 class Dbc:
-    """A DBC file: its bytes, which are copied into every recording, and the messages that the rig sends by it."""
+    """A DBC file: its bytes, which are copied into every recording, and the messages that the rig sends by it.
+
+    `controllers` are on every vehicle, `sensor_box` on an instrumented one besides.
+    """
 
     content: bytes
-    senders: tuple[Sender, ...]
+    controllers: tuple[Sender, ...]
+    sensor_box: Sender
 
     @property
     def sha256(self) -> str:
@@ -113,7 +126,9 @@ def load_dbc(path: Path | None = None) -> Dbc:
     if not isinstance(database, Database):
         raise RigError(f"{where} is not a database of CAN messages")
     by_name = {message.name: message for message in database.messages}
-    return Dbc(content, tuple(_sender(where, name, by_name.get(name)) for name in CONTENT))
+    senders = {name: _sender(where, name, by_name.get(name)) for name in CONTENT}
+    sensor_box = senders.pop(SENSOR_BOX)
+    return Dbc(content, tuple(senders.values()), sensor_box)
 
 
 def _sender(where: str, name: str, message: Message | None) -> Sender:

@@ -1,6 +1,7 @@
 """The files of a recording, and its truth in another folder.
 
     OUT/<id>/recording.toml  can.log  external.csv  uds.dbc          what a bench would hand over (or can.blf ...)
+    OUT/<id>/recording.toml  can.log  uds.dbc                        and an instrumented vehicle, with all on CAN
     TRUTH/<id>.toml                                                  what only the rig knows
 
 Equal requests give equal bytes, but for the head of ASC and TRC logs, where python-can writes the time of writing.
@@ -9,59 +10,18 @@ Equal requests give equal bytes, but for the head of ASC and TRC logs, where pyt
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from testbench.bus import Dbc
-from testbench.can_logger import START_TEXT, can_log, in_format
-from testbench.cycles import Cycle, check_duration
-from testbench.effects import PROFILES, checked, fitted
+from testbench.can_logger import START_TEXT, candump, in_format
+from testbench.effects import checked, fitted
 from testbench.errors import RigError
-from testbench.faults import Fault
-from testbench.second_logger import Clocking, SecondLogger, external_csv
-from testbench.simulation import simulate, stream
+from testbench.request import Request
+from testbench.second_logger import Clocking, external_csv
+from testbench.simulation import MARGIN, simulate, stream
+from testbench.traffic import frames
 from testbench.vehicles import Vehicle
-
-
-@dataclass(frozen=True)
-class Request:
-    """What to record: `duration` [s]; `name` is the recording's id, `effects` are the hidden ones with their sizes.
-
-    `format` is that of the CAN log, one of `FORMATS`.
-
-    Raises:
-        RigError: the duration is too short for a cycle, a fault comes twice or sets in after it, an effect is unknown
-            or has an impossible size.
-    """
-
-    name: str
-    vehicle: Vehicle
-    cycle: Cycle
-    faults: tuple[Fault, ...]
-    seed: int
-    duration: float
-    effects: Mapping[str, float] = field(default_factory=lambda: PROFILES["realistic"])
-    format: str = "log"
-    logger: SecondLogger = field(default_factory=SecondLogger)
-
-    def __post_init__(self) -> None:
-        check_duration(self.duration)
-        checked(self.effects)
-        names = [fault.name for fault in self.faults]
-        for name in names:
-            if names.count(name) > 1:
-                raise RigError(f"fault {name} comes twice; give it once, with the size it is to have")
-        for fault in self.faults:
-            if not 0 <= fault.onset_s < self.duration:
-                raise RigError(
-                    f"onset {fault.onset_s:g} s of {fault.name} is not within the recording's {self.duration:g} s"
-                )
-
-
-def default_name(vehicle: str, cycle: str, seed: int, faults: Sequence[str]) -> str:
-    """The recording's id, such as `bench-validation-s3-fA_du`."""
-    return "-".join([vehicle, cycle, f"s{seed}", *faults])
 
 
 def record(
@@ -98,40 +58,41 @@ def record(
     return folder, truth_file
 
 
+def write_truth(request: Request, path: Path) -> None:
+    """Writes the truth about a run without a second logger; raises `RigError` where that cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_truth_toml(request, None))
+    except OSError as error:
+        raise RigError(f"{error.filename}: {error.strerror}") from error
+
+
 def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> tuple[dict[str, bytes], str]:
     """Content of every file of the recording's folder, and of the truth."""
-    seed, cycle, duration, effects = request.seed, request.cycle, request.duration, request.effects
+    vehicle, seed, cycle, duration = request.vehicle, request.seed, request.cycle, request.duration
     random = stream(seed, cycle.name, "external")
-    clocking = request.logger.clocking(duration, random)
-    after = clocking.needs_after
+    clocking = request.logger.clocking(duration, random) if request.kind == "bench" else None
+    after = clocking.needs_after if clocking else MARGIN
     run = simulate(
-        request.vehicle, cycle, request.faults, seed, duration, effects=effects, after=after, progress=progress
+        vehicle, cycle, request.faults, seed, duration, effects=request.effects, after=after, progress=progress
     )
-    vehicle = fitted(request.vehicle, effects)
-    can = can_log(run, dbc.senders, duration, stream(seed, cycle.name, "can"), vehicle.log_delay)
-    external = external_csv(run, vehicle.external, request.faults, duration, clocking, random)
+    can = candump(frames(request, dbc, [run]))
     files = {
         "recording.toml": _recording_toml(request, dbc).encode(),
         f"can.{request.format}": in_format(can, request.format),
-        "external.csv": external.encode(),
         "uds.dbc": dbc.content,
     }
+    if clocking:
+        sensors = fitted(vehicle, request.effects).external
+        files["external.csv"] = external_csv(run, sensors, request.faults, duration, clocking, random).encode()
     return files, _truth_toml(request, clocking)
 
 
 def _recording_toml(request: Request, dbc: Dbc) -> str:
-    tables = "".join(
-        f"""
-[external.tables.{signal}]
-column = {json.dumps(sensor.column)}
-volts = {list(sensor.volts)}
-pascal = {list(sensor.pascal)}
-"""
-        for signal, sensor in request.vehicle.external.items()
-    )
+    external = "" if request.kind == "instrumented" else _external_toml(request.vehicle)
     return f"""schema = 1
 id = {json.dumps(request.name)}
-kind = "bench"
+kind = "{request.kind}"
 source = "simulated by the faultline rig"
 vehicle = {json.dumps(request.vehicle.name)}
 cycle = {json.dumps(request.cycle.name)}
@@ -142,7 +103,20 @@ sensor_set = "instrumented"
 file = "can.{request.format}"
 dbc = "uds.dbc"
 dbc_sha256 = "{dbc.sha256}"
+{external}"""
 
+
+def _external_toml(vehicle: Vehicle) -> str:
+    tables = "".join(
+        f"""
+[external.tables.{signal}]
+column = {json.dumps(sensor.column)}
+volts = {list(sensor.volts)}
+pascal = {list(sensor.pascal)}
+"""
+        for signal, sensor in vehicle.external.items()
+    )
+    return f"""
 [external]
 file = "external.csv"
 time_column = "time_s"
@@ -150,13 +124,14 @@ unit = "V"
 {tables}"""
 
 
-def _truth_toml(request: Request, clocking: Clocking) -> str:
+def _truth_toml(request: Request, clocking: Clocking | None) -> str:
     """What was in the recording.
 
-    `[logger]` is what the second logger did (`Clocking`), and besides what an ideal synchronisation of its clock would
-    find, exactly: can_time = offset_s + (1 + drift) logger_time, with logger_time as in the CSV (whose samples' own
-    jitter is in it) and can_time in seconds after the first frame. A value in an ECU's frame is older than the frame
-    by up to one of the ECU's periods, and by the effect `log_delay`: that belongs to the ECU, not to the clocks.
+    `[logger]`, for a bench, is what the second logger did (`Clocking`), and besides what an ideal synchronisation of
+    its clock would find, exactly: can_time = offset_s + (1 + drift) logger_time, with logger_time as in the CSV (whose
+    samples' own jitter is in it) and can_time in seconds after the first frame. A value in an ECU's frame is older than
+    the frame by up to one of the ECU's periods, and by the effect `log_delay`: that belongs to the ECU, not to the
+    clocks.
     """
     faults = "".join(
         f"""
@@ -168,15 +143,14 @@ profile = "{fault.profile}"
 """
         for fault in request.faults
     )
+    logger = f"\n[logger]\n{_pairs(clocking.truth())}" if clocking else ""
     return f"""schema = 1
 recording = {json.dumps(request.name)}
 {faults}
 [effects]
 {_pairs(checked(request.effects))}
 [vehicle]
-{_pairs(request.vehicle.scatter)}
-[logger]
-{_pairs(clocking.truth())}"""
+{_pairs(request.vehicle.scatter)}{logger}"""
 
 
 def _pairs(values: Mapping[str, float]) -> str:

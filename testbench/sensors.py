@@ -73,7 +73,10 @@ class ExternalSensor:
     def read(self, true: Array, offset: Array | float, rng: np.random.Generator) -> Array:
         """Volts for the true pressures `true` (n,) [Pa] with an added `offset` [Pa]."""
         zero = self.zero_sd * rng.standard_normal()
-        stretched = true + (self.gain - 1.0) * (true - ATMOSPHERE)
-        seen = stretched + offset + zero + self.noise * rng.standard_normal(len(true))
+        return self.convert(true, offset + zero + self.noise * rng.standard_normal(len(true)))
+
+    def convert(self, true: Array, error: Array | float) -> Array:
+        """Volts for the true pressures `true` (n,) [Pa] felt with an `error` [Pa]."""
+        seen = true + (self.gain - 1.0) * (true - ATMOSPHERE) + error
         step = 5.0 / 2**self.bits
         return np.asarray(np.round(np.interp(seen, self.pascal, self.volts) / step) * step)

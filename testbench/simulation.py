@@ -1,4 +1,4 @@
-"""One run of the rig in memory: plant, drive, valve, controller and faults on one time line.
+"""A run of the rig: plant, drive, valve, controller and faults on one time line, whole or section by section.
 
 Time 0 is the first frame of the CAN log. The run starts `MARGIN` earlier (at rest) and ends `MARGIN` later or when the
 second logger stops, which it does on its own.
@@ -44,6 +44,88 @@ class Run:
     ecu: Array
 
 
+class Simulation:
+    """A run that is advanced section by section; the sections joined are the same run however long they are.
+
+    It covers `MARGIN` before the cycle, the cycle's `duration` [s], and `after` [s] more. Unless `effects` are given,
+    those of the profile `realistic` are there.
+
+    Raises:
+        RigError: the duration is too short for a cycle, or an effect is unknown.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        cycle: Cycle,
+        faults: Sequence[Fault],
+        seed: int,
+        duration: float,
+        *,
+        effects: Mapping[str, float] | None = None,
+        step: float = STEP,
+        after: float = MARGIN,
+    ) -> None:
+        present = checked(PROFILES["realistic"] if effects is None else effects)
+        self._vehicle, self._surroundings = fitted(vehicle, present), Surroundings(present)
+        self._faults, self._step = faults, step
+        self.ticks, self.tick = round((MARGIN + duration + after) / PERIOD), 0
+        self._wanted = _schedule(cycle.segments(duration, stream(seed, cycle.name, "cycle")), self.ticks)
+        self._noise = stream(seed, cycle.name, "ecu")
+        self._plant = Plant(self._vehicle.plant, self._vehicle.pump, branches_of(self._vehicle))
+        self._drive, self._valve, self._ecu = Drive(self._vehicle.pump), PulseWidth(self._vehicle.needle), Ecu()
+        self._membrane = Membrane(self._vehicle.ecu_sensors, PERIOD)
+
+    def advance(self, ticks: int) -> Run:
+        """The next `ticks` periods of the controller, fewer at the end."""
+        first, last = self.tick, min(self.tick + ticks, self.ticks)
+        noise = self._noise.standard_normal((last - first, 2)).tolist()
+        hidden, known = array("d"), array("d")
+        for self.tick, (noise_p, noise_n) in enumerate(noise, start=first):
+            t = self.tick * PERIOD - MARGIN
+            healthy = self._surroundings.step(self._plant, self._vehicle.plant, t, PERIOD)
+            apply(self._faults, self._plant, healthy, t)
+            command = self._control(t, noise_p, noise_n, known)
+            self._move(command, hidden)
+        self.tick = last
+        per_tick = round(PERIOD / self._step)
+        return Run(
+            t=np.arange(first * per_tick + 1, last * per_tick + 1, dtype=np.float64) * self._step - MARGIN,
+            pressures=np.frombuffer(hidden).reshape(-1, 4),
+            ecu_t=np.arange(first, last, dtype=np.float64) * PERIOD - MARGIN,
+            ecu=np.frombuffer(known).reshape(-1, 4),
+        )
+
+    def _control(self, t: float, noise_p: float, noise_n: float, known: "array[float]") -> Command:
+        """What the controller orders at `t` [s]; appends what it knows."""
+        sensors, faults = self._vehicle.ecu_sensors, self._faults
+        felt = self._membrane.feel(self._plant.p_du) + strength(faults, "fy_p_du", t)
+        y_p_du = reading(faults, "p_du", sensors.p_du(felt, noise_p), t)
+        n_p = reading(faults, "n_p", sensors.n_p(self._drive.speed, noise_n), t)
+        setpoint, request = self._wanted[self.tick]
+        command = self._ecu.update(y_p_du, setpoint, request)
+        known.extend((y_p_du, n_p, command.duty, request))
+        return command
+
+    def _move(self, command: Command, hidden: "array[float]") -> None:
+        """The steps of one controller period; appends the four pressures after each."""
+        plant, drive, valve, h = self._plant, self._drive, self._valve, self._step
+        for _ in range(round(PERIOD / h)):
+            speed = drive.step(h, command.speed, plant.p_ap - plant.p_bp)
+            plant.step(h, speed, valve.opening(h, command.duty))
+            hidden.extend((plant.p_tp, plant.p_bp, plant.p_ap, plant.p_du))
+
+
+def joined(sections: Sequence[Run]) -> Run:
+    """Sections that follow each other as one run."""
+    return Run(
+        np.concatenate([section.t for section in sections]),
+        np.concatenate([section.pressures for section in sections]),
+        np.concatenate([section.ecu_t for section in sections]),
+        np.concatenate([section.ecu for section in sections]),
+    )
+
+
 def simulate(
     vehicle: Vehicle,
     cycle: Cycle,
@@ -56,54 +138,13 @@ def simulate(
     after: float = MARGIN,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Run:
-    """Runs `cycle` for `duration` [s] and goes on for `after` [s]; `progress` is called with the part done [0..1].
-
-    Unless `effects` are given, those of the profile `realistic` are there.
-
-    Raises:
-        RigError: the duration is too short for a cycle, or an effect is unknown.
-    """
-    present = checked(PROFILES["realistic"] if effects is None else effects)
-    vehicle, surroundings = fitted(vehicle, present), Surroundings(present)
-    segments = cycle.segments(duration, stream(seed, cycle.name, "cycle"))
-    per_tick = round(PERIOD / step)
-    ticks = round((MARGIN + duration + after) / PERIOD)
-    wanted = _schedule(segments, ticks)
-    noise = stream(seed, cycle.name, "ecu").standard_normal((ticks, 2)).tolist()
-    plant = Plant(vehicle.plant, vehicle.pump, branches_of(vehicle))
-    drive, valve, ecu = Drive(vehicle.pump), PulseWidth(vehicle.needle), Ecu()
-    membrane = Membrane(vehicle.ecu_sensors, PERIOD)
-    hidden, known = array("d"), array("d")
-    for tick in range(ticks):
-        t = tick * PERIOD - MARGIN
-        apply(faults, plant, surroundings.step(plant, vehicle.plant, t, PERIOD), t)
-        felt = membrane.feel(plant.p_du) + strength(faults, "fy_p_du", t)
-        y_p_du = reading(faults, "p_du", vehicle.ecu_sensors.p_du(felt, noise[tick][0]), t)
-        n_p = reading(faults, "n_p", vehicle.ecu_sensors.n_p(drive.speed, noise[tick][1]), t)
-        setpoint, request = wanted[tick]
-        command = ecu.update(y_p_du, setpoint, request)
-        known.extend((y_p_du, n_p, command.duty, request))
-        _advance(plant, drive, valve, command, step, per_tick, hidden)
-        if tick % 500 == 0:
-            progress(tick / ticks)
-    progress(1.0)
-    pressures = np.frombuffer(hidden).reshape(-1, 4)
-    return Run(
-        t=np.arange(1, len(pressures) + 1, dtype=np.float64) * step - MARGIN,
-        pressures=pressures,
-        ecu_t=np.arange(ticks, dtype=np.float64) * PERIOD - MARGIN,
-        ecu=np.frombuffer(known).reshape(-1, 4),
-    )
-
-
-def _advance(
-    plant: Plant, drive: Drive, valve: PulseWidth, command: Command, h: float, steps: int, hidden: "array[float]"
-) -> None:
-    """The steps of one controller period; appends the four pressures after each."""
-    for _ in range(steps):
-        speed = drive.step(h, command.speed, plant.p_ap - plant.p_bp)
-        plant.step(h, speed, valve.opening(h, command.duty))
-        hidden.extend((plant.p_tp, plant.p_bp, plant.p_ap, plant.p_du))
+    """The whole of a `Simulation`; `progress` is called with the part done [0..1]."""
+    simulation = Simulation(vehicle, cycle, faults, seed, duration, effects=effects, step=step, after=after)
+    sections = []
+    while simulation.tick < simulation.ticks:
+        sections.append(simulation.advance(500))
+        progress(simulation.tick / simulation.ticks)
+    return joined(sections)
 
 
 def _schedule(segments: Sequence[Segment], ticks: int) -> list[tuple[float | None, float]]:

@@ -17,7 +17,8 @@ from testbench.bus import Knowledge, load_dbc
 from testbench.cycles import CYCLES
 from testbench.errors import RigError
 from testbench.faults import Fault
-from testbench.recording import Request, record
+from testbench.recording import record
+from testbench.request import Request
 from testbench.second_logger import RANGES
 from testbench.sensors import EcuSensors
 from testbench.vehicles import VEHICLES
@@ -137,7 +138,7 @@ def test_bytes_without_a_signal_are_not_available(recording: tuple[Path, Path]) 
 
 def test_payload_is_limited_to_the_range_that_means_a_value() -> None:
     """A sensor beyond the scale must not turn into J1939's `error` or `not available`."""
-    sender = next(s for s in load_dbc().senders if s.message.name == "UDS_ECU")
+    sender = next(s for s in load_dbc().controllers if s.message.name == "UDS_ECU")
     data = sender.encode(Knowledge(p_du=1e9, n_p=1e9, duty=1e9, request=0.0))
     assert all(int.from_bytes(data[i : i + 2], "little") <= 0xFAFF for i in (0, 2, 4))
 

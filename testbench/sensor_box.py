@@ -1,0 +1,42 @@
+"""The box that puts the added sensors on an instrumented vehicle's bus, in pascal by their tables.
+
+It has zeroed them at rest at atmospheric pressure before the log, over `ZEROED_OVER` samples: what is left of their
+zero error is the mean of that many samples' noise.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from testbench.bus import Knowledge
+from testbench.faults import Fault, reading, strength
+from testbench.sensors import ExternalSensor
+from testbench.simulation import Run
+
+ZEROED_OVER = 100  # 10 s at 10 Hz, within the standstill that a workshop waits for
+
+
+class SensorBox:
+    """State: the zero errors left [Pa], and the noise to come."""
+
+    def __init__(
+        self, sensors: Mapping[str, ExternalSensor], faults: Sequence[Fault], rng: np.random.Generator
+    ) -> None:
+        self._p_tp, self._p_ap = sensors["y_p_tp"], sensors["y_p_ap"]
+        self._faults, self._rng = faults, rng
+        self._zero_tp, self._zero_ap = (
+            float(sensor.noise / ZEROED_OVER**0.5 * rng.standard_normal()) for sensor in (self._p_tp, self._p_ap)
+        )
+
+    def add(self, known: Knowledge, run: Run, t: float) -> Knowledge:
+        """What is `known`, with what the box reads of the run at `t` [s]."""
+        p_tp, _, p_ap, _ = (np.interp(t, run.t, pressure) for pressure in run.pressures.T)
+        return known._replace(
+            p_tp=self._read(self._p_tp, "p_tp", p_tp, self._zero_tp, t),
+            p_ap=self._read(self._p_ap, "p_ap", p_ap, self._zero_ap, t),
+        )
+
+    def _read(self, sensor: ExternalSensor, name: str, true: float, zero: float, t: float) -> float:
+        error = zero + sensor.noise * self._rng.standard_normal() + strength(self._faults, f"fy_{name}", t)
+        volts = sensor.convert(np.array([true]), error)
+        return reading(self._faults, name, float(np.interp(volts, sensor.volts, sensor.pascal)[0]), t)
