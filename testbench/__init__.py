@@ -3,9 +3,10 @@
 It shares nothing with what it tests: own physics, own parameters, own encoding. The rest of the project sees its
 recordings, never its source.
 
-    cycles, faults, vehicles  what is asked for
+    request                   what is asked for, of cycles, faults, effects, vehicles
     plant, pump, valve        the physics;  ecu, sensors: what measures and controls it
-    simulation                one run in memory, hidden state included
-    can_logger, second_logger, recording: what of it reaches the files
-    command                   `faultline rig`
+    simulation                a run in memory, hidden state included
+    traffic, sensor_box       what of it reaches the bus;  second_logger: what reaches the bench's other logger
+    recording, play           the files, or live onto a bus;  recorded, picture: the files seen again
+    command, options          `faultline rig`
 """

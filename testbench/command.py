@@ -31,6 +31,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recs --truth truth
   faultline rig record --cycle drive --kind instrumented --seed 2 --out logs --truth truth
   faultline rig play --cycle drive --vehicle truck --bus udp_multicast:239.74.163.2:43113 --speed 20
+  faultline rig picture recordings/bench-training-s1 --truth truth/bench-training-s1.toml --out training.png
   faultline rig record --cycle drive --logger starts_s=-87.3 --logger drift_ppm=150 --out recordings --truth truth
 """
 
@@ -39,7 +40,7 @@ def main(argv: list[str]) -> int:
     """Runs `faultline rig ARGV`; returns 0, or 2 after an error in one line on stderr."""
     arguments = _parser().parse_args(argv)
     try:
-        return {"list": _list, "record": _record, "play": _play}[arguments.action](arguments)
+        return {"list": _list, "record": _record, "play": _play, "picture": _picture}[arguments.action](arguments)
     except RigError as error:
         print(f"faultline rig: error: {error}", file=sys.stderr)
         return 2
@@ -81,6 +82,10 @@ def _parser() -> argparse.ArgumentParser:
     live.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     live.add_argument("--speed", type=number, default=1.0, help="how many times real time (default: 1)")
     live.add_argument("--truth", type=Path, help="file to write the truth to")
+    drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
+    drawn.add_argument("recording", type=Path, help="its folder")
+    drawn.add_argument("--out", type=Path, required=True, help="PNG file to write")
+    drawn.add_argument("--truth", type=Path, help="its truth, to shade the faults")
     return parser
 
 
@@ -129,6 +134,15 @@ def _play(arguments: argparse.Namespace) -> int:
         f"{played.frames} frames of {played.time_s:.1f} s in {played.wall_s:.1f} s, "
         f"the latest {1e3 * played.worst_s:.1f} ms behind its time"
     )
+    return 0
+
+
+def _picture(arguments: argparse.Namespace) -> int:
+    from testbench.picture import draw  # matplotlib takes a second to load
+    from testbench.recorded import read_recording
+
+    draw(read_recording(arguments.recording), arguments.truth, arguments.out)
+    print(f"picture   {arguments.out}")
     return 0
 
 
