@@ -91,8 +91,8 @@ class Plant:
     def _suction(self, h: float, displaced: float) -> None:
         """p_tp and p_bp, drawn by a pump that would displace `displaced` [m^3/s] if its chambers filled."""
         pump = self._pump
-        # The leak is evaluated at the step's start: h * leakage / C is below 0.01, and it uncouples the two sides.
-        leak = pump.leak(self.p_ap - self.p_bp, self.viscosity)
+        # Taken at the step's start, which uncouples the two sides: h / C times its slope is below 0.04.
+        back = pump.back(self.p_bp, self.p_ap, self.viscosity)
         c_tp, c_bp = self._parameters.compliance_tp / h, self._parameters.compliance_bp / h
         Rt, Rp = self.viscosity * self.tank_filter.R, self.viscosity * self.pump_filter.R
         Kt, Kp, p_tank = self.tank_filter.K, self.pump_filter.K, self.p_tank
@@ -100,7 +100,7 @@ class Plant:
         x, y = p_tp, p_bp
         for _ in range(MAXIMUM_SWEEPS):
             drawn, slope = pump.drawn(displaced, y)
-            drawn -= leak
+            drawn -= back
             gt, gp = 1.0 / (Rt + 2.0 * Kt * abs(qt)), 1.0 / (Rp + 2.0 * Kp * abs(qp))
             et, ep = Kt * qt * abs(qt), Kp * qp * abs(qp)
             a, b = c_tp + gt + gp, c_bp + gp + slope

@@ -1,6 +1,6 @@
-"""The pump: positive displacement with an internal leak, and the drive that turns it.
+"""The pump: positive displacement with an internal leak and a relief valve, and the drive that turns it.
 
-    q = D n filling(p_bp) - L (p_ap - p_bp)                      slot leakage is laminar: linear in the pressure
+    q = D n filling(p_bp) - L (p_ap - p_bp) - relief(p_ap)       slot leakage is laminar: linear in the pressure
     2 pi J dn/dt = T - D (p_ap - p_bp) / (2 pi eta) - b n        T from a speed controller, limited
 
 D [m^3/rev], n [rev/s], L [m^3/(s Pa)], J [kg m^2], T [N m]. Source: J. Ivantysyn, M. Ivantysynova, Hydrostatic Pumps
@@ -20,6 +20,9 @@ class PumpParameters:
     leakage: float = 0.05 * 2.1e-6 / 8.987e5
     slip: float = 0.0  # m^3/(s Pa^1.5): flow through gaps that the pressure widens
     unfilled: float = 0.0  # s^2/rev^2: chambers fill to 1 / (1 + unfilled n^2)
+    # Pa absolute, thesis 4.2: a relief valve in the pump protects the parts; no cycle gets there while all is healthy.
+    relief_pressure: float = 13.5e5
+    relief_slope: float = 6e-11  # m^3/(s Pa): what the pump delivers at full speed within 1 bar, a short stiff spring
     # Pa absolute: chambers fill partly below `fills_above` and not at all at the vapour pressure of the solution (about
     # 2 kPa at 20 degC, and dissolved air comes out earlier). Far below what a healthy suction side reaches.
     fills_above: float = 25e3
@@ -36,10 +39,15 @@ class PumpParameters:
         """What full chambers would carry [m^3/s] at `speed` [rev/s]."""
         return self.displacement * speed / (1.0 + self.unfilled * speed * speed)
 
-    def leak(self, pressure: float, viscosity: float) -> float:
-        """What flows back [m^3/s] under `pressure` [Pa] across the pump; `viscosity` is relative."""
-        leak = self.leakage * pressure / viscosity
-        return leak + self.slip * pressure * abs(pressure) ** 0.5 if self.slip else leak
+    def back(self, p_bp: float, p_ap: float, viscosity: float) -> float:
+        """What flows back [m^3/s] from outlet to inlet [Pa]; `viscosity` is relative."""
+        pressure = p_ap - p_bp
+        back = self.leakage * pressure / viscosity
+        if self.slip:
+            back += self.slip * pressure * abs(pressure) ** 0.5
+        if p_ap > self.relief_pressure:
+            back += self.relief_slope * (p_ap - self.relief_pressure)
+        return back
 
     def drawn(self, displaced: float, p_bp: float) -> tuple[float, float]:
         """The drawn flow as a + b p_bp around the inlet pressure `p_bp` [Pa]: (a [m^3/s], b [m^3/(s Pa)]).

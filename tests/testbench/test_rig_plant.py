@@ -109,7 +109,7 @@ def test_pressure_decays_through_the_return_when_the_pump_stops() -> None:
     last = plant.p_du
     for _ in range(20):
         settle(plant, speed=0.0, opening=0.0, seconds=1)
-        assert ATMOSPHERE - 1 <= plant.p_du <= last
+        assert ATMOSPHERE - 1 <= plant.p_du <= last + 1e-6  # rounding, once it is at rest
         last = plant.p_du
     assert last == pytest.approx(ATMOSPHERE, abs=50)
 
