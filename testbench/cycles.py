@@ -16,8 +16,8 @@ import numpy as np
 from testbench.errors import RigError
 from testbench.units import BAR
 
-STANDING = 15.0  # s, pump off at atmospheric pressure
-DOSING_FROM = 40.0  # s
+STANDING = 15.0  # s, pump off at atmospheric pressure: 150 samples, a zero to a tenth of the noise
+DOSING_FROM = 40.0  # s, ten after the pressure has settled at 10 bar
 SYSTEM = 10 * BAR  # Pa absolute
 SHORTEST = 60.0  # s, room for some dosing
 _RANGES = {"duration_s": (0.1, 36_000.0), "setpoint_bar": (1.5, 13.0), "duty": (0.0, 1.0)}  # of a written segment
@@ -64,7 +64,7 @@ _VALIDATION = (
     (14, 0.0), (16, 0.85), (13, 0.08), (15, 1.0), (16, 0.0), (18, 0.25), (14, 0.65), (16, 1.0), (15, 0.0),
 )  # fmt: skip
 _LADDER = (8.0, 6.0, 7.0, 9.0, 11.0, 12.0, 10.0)  # bar absolute
-_LADDER_SHARE = 0.3  # of the time after the start
+_LADDER_SHARE = 0.3  # of the time after the start: seven rungs of 19 s in 480 s, each several time constants
 
 
 def _training(duration: float, rng: np.random.Generator) -> Iterator[Segment]:

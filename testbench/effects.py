@@ -19,10 +19,10 @@ from testbench.vehicles import Vehicle
 
 LITRE = 1000 * ML
 RATED_SPEED = 33.0  # rev/s, at maximum dose
-CREEP_TIME = 5.0  # s
-WARM_UP_TIME = 600.0  # s
-LEVEL_TIME = 1800.0  # s
-EXHAUST_SWING = 40.0  # s, period of the exhaust's pressure
+CREEP_TIME = 5.0  # s, rubber after a step; longer than the loop's second, shorter than a dose of ten
+WARM_UP_TIME = 600.0  # s, some litres of fluid beside a heated hose
+LEVEL_TIME = 1800.0  # s, so that a recording of minutes shows a part of it, one of hours all
+EXHAUST_SWING = 40.0  # s, period of the exhaust's pressure: a truck on hills, and no simple ratio to any cycle
 ORIFICE_SHARE = 1 / 6  # a bore is less laminar than a filter
 
 

@@ -46,7 +46,7 @@ FAULTS = {
 
 LARGEST_LOSS = 0.98
 """Beyond this a restriction is a plug and a pump is stopped: neither is a fault of this kind."""
-LARGEST_OFFSET = 5e5  # Pa
+LARGEST_OFFSET = 5e5  # Pa, half the system pressure: beyond it the controller could not run at all
 LARGEST_LEAK = 5.0  # mL/s: more than the pump delivers
 
 CODES = {1.0: NOT_AVAILABLE, 2.0: ERROR}
@@ -54,9 +54,9 @@ CODES = {1.0: NOT_AVAILABLE, 2.0: ERROR}
 
 Course = Literal["abrupt", "growing", "intermittent"]
 GROWTH_S = 120.0
-"""A growing fault has its size this long after its onset [s]."""
+"""A growing fault has its size this long after its onset [s]: several doses later, and well within a recording."""
 ON_S, PERIOD_S = 20.0, 60.0
-"""An intermittent fault is there for so long in each period [s]."""
+"""An intermittent fault is there for so long in each period [s]: longer than a dose, gone before most are told."""
 
 
 def limit(name: str) -> float:

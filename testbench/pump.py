@@ -29,7 +29,7 @@ class PumpParameters:
     vapour: float = 5e3
     inertia: float = 5e-6  # kg m^2: rotor of a 30 W brushless motor with the eccentric
     mechanical_efficiency: float = 0.8  # small pumps: 0.7 to 0.9
-    friction: float = 2e-5  # N m s/rev, bearings
+    friction: float = 2e-5  # N m s/rev, bearings and shaft seal: 2 % of the load at 10 bar and 20 rev/s
     maximum_torque: float = 0.06  # N m: three times the load at 10 bar
     # The speed controller, laid out for about 3 Hz: stiff against the load, slow against the commutation.
     speed_gain: float = 6e-4  # N m s/rev
