@@ -1,5 +1,7 @@
 """A recording read back and drawn: every signal on its logger's clock, faults shaded where the truth says."""
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.image
@@ -18,11 +20,11 @@ FAULT = ["--fault", "off_p_du", "--size", "1", "--onset", "60"]
 SIGNALS = {"y_p_tp", "y_p_ap", "y_p_du", "n_p", "dc_dose"}
 
 
-def made(folder: Path, *options: str, name: str = "r") -> tuple[Path, Path]:
-    common = ["--cycle", "validation", "--seed", "3", "--duration", str(DURATION), "--id", name]
+def made(folder: Path, *options: str) -> tuple[Path, Path]:
+    common = ["--cycle", "validation", "--seed", "3", "--duration", str(DURATION), "--id", "r"]
     out, truth = folder / "out", folder / "truth"
     assert main(["record", *common, *options, "--out", str(out), "--truth", str(truth)]) == 0
-    return out / name, truth / f"{name}.toml"
+    return out / "r", truth / "r.toml"
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +93,14 @@ def test_faults_are_shaded_where_the_truth_says(tmp_path: Path, bench: tuple[Pat
     ],
 )
 def test_what_cannot_be_read_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: object, said: str
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    bench: tuple[Path, Path],
+    spoil: Callable[[Path], object],
+    said: str,
 ) -> None:
-    folder, _ = made(tmp_path)
-    assert callable(spoil)
+    folder = Path(shutil.copytree(bench[0], tmp_path / "r"))
     spoil(folder)
-    capsys.readouterr()
     assert main(["picture", str(folder), "--out", str(tmp_path / "p.png")]) == 2
     error = capsys.readouterr().err
     assert said in error
@@ -107,6 +111,7 @@ def test_what_cannot_be_read_is_one_line(
 def test_the_truth_must_be_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], bench: tuple[Path, Path]
 ) -> None:
-    _, other = made(tmp_path, name="other")
+    other = tmp_path / "other.toml"
+    other.write_text(bench[1].read_text().replace('recording = "r"', 'recording = "other"'))
     assert main(["picture", str(bench[0]), "--truth", str(other), "--out", str(tmp_path / "p.png")]) == 2
     assert "is about 'other', not about 'r'; give its own truth" in capsys.readouterr().err
