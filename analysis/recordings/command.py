@@ -1,6 +1,7 @@
 """Turn a bench recording (two loggers, two clocks) into an instrumented log."""
 
 import argparse
+import math
 import shutil
 import tempfile
 from pathlib import Path
@@ -8,11 +9,13 @@ from pathlib import Path
 import msgspec
 
 from analysis.progress import Progress
-from analysis.recordings.ingest import Report, ingest
+from analysis.recordings.ingest import ingest
+from analysis.recordings.report import sentences
 from service.core.errors import InputError
 
 EXAMPLE = """example:
   faultline ingest recordings/bench-training-s1 --out logs
+  faultline ingest recordings/bench-training-s1 --out logs --offset -87.3  # seen at a pressure step
 """
 
 
@@ -24,13 +27,34 @@ def main(argv: list[str]) -> int:
     parser.add_argument("recording", type=Path, help="folder of the bench recording")
     parser.add_argument("--out", type=Path, required=True, help="writes OUT/<id>, the instrumented recording")
     parser.add_argument("--force", action="store_true", help="replace what is already there")
+    parser.add_argument(
+        "--offset", type=_number, metavar="SECONDS", help="CAN time at the second logger's zero, where you know it"
+    )
+    parser.add_argument(
+        "--drift",
+        type=_number,
+        default=0.0,
+        metavar="PPM",
+        help="what CAN time gains on it, with --offset (default: 0)",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     options = parser.parse_args(argv)
+    if options.drift and options.offset is None:
+        parser.error("--drift goes with --offset SECONDS: alone it says nothing")
+    by_hand = None if options.offset is None else (options.offset, options.drift * 1e-6)
     with Progress(f"ingesting {options.recording}") as progress:
-        result = ingest(options.recording, progress.say)
+        result = ingest(options.recording, progress.say, by_hand)
         folder = _write(result.files, options.out / result.report.id, options.recording, force=options.force)
-    print(msgspec.json.encode(result.report).decode() if options.json else _sentences(result.report, folder))
+    told = f"wrote {folder}: " + "\n".join(sentences(result.report))
+    print(msgspec.json.encode(result.report).decode() if options.json else told)
     return 0
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
 
 
 def _write(files: dict[str, bytes], folder: Path, bench: Path, *, force: bool) -> Path:
@@ -52,24 +76,3 @@ def _write(files: dict[str, bytes], folder: Path, bench: Path, *, force: bool) -
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
     return folder
-
-
-def _sentences(report: Report, folder: Path) -> str:
-    zero = ", ".join(
-        f"{signal} {error / 100:+.1f} mbar" if error is not None else f"{signal} not calibrated (datasheet)"
-        for signal, error in report.zero_pa.items()
-    )
-    lines = [
-        f"wrote {folder}: {report.can_frames} CAN frames, {report.samples - report.outside} sensor frames",
-        f"clock: offset {report.offset_s:+.3f} s, drift {report.drift_ppm:+.1f} ppm "
-        f"({report.clock_windows} windows, correlation {report.correlation:.3f})",
-        f"zero ({report.standstill_s:.1f} s standstill): {zero}",
-    ]
-    if not report.standstill_s:
-        lines.append("no standstill at atmospheric pressure at the start: the sensors keep their datasheet's zero")
-    if report.bad_rows or report.bad_cells:
-        first = f" (first: {report.first_bad_row})" if report.first_bad_row else ""
-        lines.append(f"second logger: {report.bad_rows} bad rows{first}, {report.bad_cells} cells without a value")
-    if report.can_lost:
-        lines.append(f"CAN log: {report.can_lost}")
-    return "\n".join(lines)

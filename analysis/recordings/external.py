@@ -1,100 +1,80 @@
-"""Reads the second logger's CSV and turns its volts into pascal; a bad row costs that row, a bad cell that cell."""
+"""The second logger's volts as pressures: each column through its sensor's table, and what of it cannot be believed."""
 
-import csv
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from analysis.recordings.rows import read_rows
+from service.core.errors import InputError
 from service.core.signals import Vector
-from service.logs import LogError
 from service.logs.recording import External, Table
 
+OTHER_UNIT = 20.0  # times the table's highest voltage: no sensor gives that, another unit does
+STUCK = 1e-6  # of the pressure: a sensor's noise is more
 
-@dataclass
+
+class ChannelError(InputError):
+    """A column that cannot be what `recording.toml` says it is."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """An added sensor's pressures (N,) [Pa], NaN where it has none.
+
+    `blank` cells held no number, `outside` ones lay beyond its `table`, as with a wire that is off or shorted.
+    """
+
+    pressure: Vector
+    table: Table
+    blank: int
+    outside: int
+
+
+@dataclass(frozen=True)
 class Samples:
-    """Samples on the second logger's clock: `t` (N,) [s], increasing; per signal (N,) [Pa], NaN where it has none.
+    """Samples on the second logger's clock: `t` (N,) [s], increasing, and the sensors by signal.
 
-    `bad_rows` had no usable time or too few cells, `told` is the first of them; `bad_cells` held no number or lay
-    outside the sensor's table.
+    `bad_rows` of the file could not be used; `told` is the first of them.
     """
 
     t: Vector
-    pressures: dict[str, Vector]
+    channels: dict[str, Channel]
     bad_rows: int
-    bad_cells: int
     told: str
-
-
-@dataclass
-class _Rows:
-    """Rows while they are read."""
-
-    cells: list[list[float]] = field(default_factory=list)
-    bad: int = 0
-    told: str = ""
-
-    def reject(self, number: int, reason: str) -> None:
-        self.bad += 1
-        self.told = self.told or f"line {number}: {reason}"
 
 
 def read_external(folder: Path, external: External) -> Samples:
     """The samples of a bench recording's second logger.
 
     Raises:
-        LogError: the file is not such a CSV, lacks a column, or has no usable row.
+        LogError: the file is not such a CSV, lacks a column, has too many bad rows or a clock that was set.
+        ChannelError: a column is in another unit, or its sensor is stuck.
     """
     path = folder / external.file
-    rows = _read(path, [external.time_column, *(table.column for table in external.tables.values())])
-    if len(rows.cells) < 2:
-        raise LogError(f"{path}: no two rows can be read{'; ' + rows.told if rows.told else ''}; record again")
-    columns = np.array(rows.cells).T  # (1 + signals, N)
-    pressures = {
-        signal: _pascal(volts, table)
-        for (signal, table), volts in zip(external.tables.items(), columns[1:], strict=True)
+    rows = read_rows(path, external.time_column, [table.column for table in external.tables.values()])
+    channels = {
+        signal: _channel(volts, table, f"{path}: {table.column} ({signal})")
+        for (signal, table), volts in zip(external.tables.items(), rows.columns[1:], strict=True)
     }
-    blank = sum(int(np.isnan(pressure).sum()) for pressure in pressures.values())
-    return Samples(columns[0], pressures, rows.bad, blank, rows.told)
+    return Samples(rows.columns[0], channels, rows.bad, rows.told)
 
 
-def _read(path: Path, names: list[str]) -> _Rows:
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    reader = csv.reader(text.replace("\0", "").splitlines())
-    header = [name.strip() for name in next(reader, [])]
-    absent = [name for name in names if name not in header]
-    if absent:
-        raise LogError(
-            f"{path}: line 1: no column {', '.join(absent)}; recording.toml names it, the file has: "
-            f"{', '.join(header)[:80] or 'nothing'}"
-        )
-    places = [header.index(name) for name in names]
-    rows, last = _Rows(), -np.inf
-    for row in reader:
-        number = reader.line_num
-        if len(row) != len(header):
-            rows.reject(number, f"{len(row)} cells instead of {len(header)}")
-            continue
-        cells = [_number(row[place]) for place in places]
-        if not cells[0] > last:  # also where it is no number
-            rows.reject(number, f"time {row[places[0]][:20]!r} is not after the one before")
-            continue
-        last = cells[0]
-        rows.cells.append(cells)
-    return rows
-
-
-def _number(cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        return np.nan
-    return value if np.isfinite(value) else np.nan
-
-
-def _pascal(volts: Vector, table: Table) -> Vector:
+def _channel(volts: Vector, table: Table, where: str) -> Channel:
     """Piecewise linear; NaN outside the table, where the sensor or its wire is broken."""
-    return np.interp(volts, table.volts, table.pascal, left=np.nan, right=np.nan)
+    known = np.isfinite(volts)
+    pressure = np.interp(volts, table.volts, table.pascal, left=np.nan, right=np.nan)
+    outside = int((known & np.isnan(pressure)).sum())
+    if np.isfinite(pressure).sum() < 2:
+        middle = float(np.median(volts[known])) if known.any() else np.nan
+        likely = ", which looks like mV, give V" if middle > OTHER_UNIT * table.volts[-1] else ""
+        raise ChannelError(
+            f"{where}: no value within its table, {table.volts[0]:g} to {table.volts[-1]:g} V; the median is "
+            f"{middle:g}{likely}; check column, unit and table, or leave the sensor out of external.tables"
+        )
+    if np.nanmax(pressure) - np.nanmin(pressure) <= STUCK * abs(float(np.nanmax(pressure))):
+        raise ChannelError(
+            f"{where}: is constant at {np.nanmax(pressure) / 1e5:.3f} bar; the sensor or the logger's channel is "
+            "stuck: check it, or leave the sensor out of external.tables"
+        )
+    return Channel(pressure, table, int((~known).sum()), outside)

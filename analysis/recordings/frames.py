@@ -6,6 +6,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
+from analysis.recordings.track import Mask
 from service.core.errors import InputError
 from service.core.signals import Vector
 from service.logs import Frame
@@ -50,15 +51,31 @@ def sensor_frames(message: Message, t: Vector, pressures: Mapping[str, Vector]) 
     ]
 
 
+def clipped(message: Message, pressures: Mapping[str, Vector]) -> dict[str, int]:
+    """How many values of each signal lie beyond its range, and so are not available on the bus."""
+    signals = {signal.name: signal for signal in message.signals}
+    return {
+        name: int((np.isfinite(pressure) & ~_within(signals[name], _in_unit(signals[name], pressure))).sum())
+        for name, pressure in pressures.items()
+    }
+
+
 def _raw(signal: Signal, pressure: Vector) -> list[int]:
     """Raw values: rounded, all ones (not available, SAE J1939-71) where there is no value within the signal's range."""
-    value = pressure / PASCAL.get(signal.unit or "", 1.0)
+    value = _in_unit(signal, pressure)
+    raw, known = np.round((value - float(signal.offset)) / float(signal.scale)), _within(signal, value)
+    return [int(number) if good else (1 << signal.length) - 1 for number, good in zip(raw, known, strict=True)]
+
+
+def _in_unit(signal: Signal, pressure: Vector) -> Vector:
+    return pressure / PASCAL.get(signal.unit or "", 1.0)
+
+
+def _within(signal: Signal, value: Vector) -> Mask:
+    """Which values are numbers in the signal's range."""
     top = float(signal.maximum if signal.maximum is not None else np.inf)
     bottom = float(signal.minimum if signal.minimum is not None else -np.inf)
-    with np.errstate(invalid="ignore"):
-        known = (value >= bottom) & (value <= top)
-        raw = np.round((value - float(signal.offset)) / float(signal.scale))
-    return [int(number) if good else (1 << signal.length) - 1 for number, good in zip(raw, known, strict=True)]
+    return np.asarray((value >= bottom) & (value <= top))
 
 
 def candump(frames: Iterable[Frame]) -> str:

@@ -5,16 +5,23 @@ The error of an added sensor is mostly its zero (mounting, ageing); the slope is
 
 import numpy as np
 
+from service.core.errors import InputError
 from service.core.signals import Vector
 
 ATMOSPHERE = 101_325.0  # Pa, what the project's model takes for the tank too
 TURNING = 0.5  # rev/s, from which the pump runs
 LEAST_S = 5.0  # a shorter standstill is not averaged over
+LEAST_COUNT = 10  # readings
 MARGIN_S = 1.0  # before the pump starts; also covers the clocks' alignment
 PRESSURISED = 0.2e5  # Pa: y_p_du this far from atmospheric is a system that has not drained
 STEADY = 0.05e5  # Pa: a standing column is quieter
 PLAUSIBLE = 0.5e5  # Pa: a larger error is no zero error but a fault
+IMPOSSIBLE = 0.8e5  # Pa: and a still larger one is another sensor, unit or table
 OUTLIER = 4.0  # standard deviations
+
+
+class LevelError(InputError):
+    """A sensor that reads at atmospheric pressure what it cannot."""
 
 
 def standstill(t: Vector, n_p: Vector, y_p_du: Vector) -> float:
@@ -30,13 +37,27 @@ def standstill(t: Vector, n_p: Vector, y_p_du: Vector) -> float:
     return end
 
 
+def check_level(pressure: Vector, where: str) -> None:
+    """Refuses readings (N,) [Pa] at standstill, NaN left out, that are steady and far from atmospheric.
+
+    Raises:
+        LevelError: the message starts with `where`.
+    """
+    known = pressure[np.isfinite(pressure)]
+    if len(known) >= LEAST_COUNT and abs(float(np.median(known)) - ATMOSPHERE) > IMPOSSIBLE:
+        raise LevelError(
+            f"{where} reads {np.median(known) / 1e5:.2f} bar at standstill, where it is 1.01 bar; check that column, "
+            "unit and table are this sensor's and not another's, or leave a broken sensor out of external.tables"
+        )
+
+
 def zero_error(pressure: Vector) -> float | None:
     """Mean reading less atmospheric pressure [Pa], without outliers; None where it cannot be a zero error.
 
     `pressure` (N,) [Pa] are the sensor's readings at standstill; NaN are left out.
     """
     known = pressure[np.isfinite(pressure)]
-    if len(known) < 10:
+    if len(known) < LEAST_COUNT:
         return None
     middle = float(np.median(known))
     spread = 1.4826 * float(np.median(np.abs(known - middle)))

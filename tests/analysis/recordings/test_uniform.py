@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.recordings.clock import Track
+from analysis.recordings.track import Track
 from analysis.recordings.uniform import PERIOD_S, uniform
 
 
@@ -22,6 +22,21 @@ def test_what_would_alias_is_filtered_out() -> None:
     t, signals = uniform({"x": _sine(4.5)})  # would show at 0.5 Hz
     middle = (t > 5) & (t < 55)
     assert np.sqrt(np.mean(signals["x"][middle] ** 2)) < 0.1  # of 0.7
+
+
+def test_the_pulses_of_the_dosing_valve_are_filtered_out() -> None:
+    t, signals = uniform({"x": _sine(3.3)})
+    middle = (t > 5) & (t < 55)
+    assert np.sqrt(np.mean(signals["x"][middle] ** 2)) < 0.05  # of 0.7; what is left comes of the uneven sampling
+
+
+def test_a_silence_is_empty_and_its_neighbours_know_nothing_of_the_other_side() -> None:
+    t = np.concatenate([np.arange(0.0, 20.0, 0.1), np.arange(30.0, 60.0, 0.1)])
+    at, signals = uniform({"x": Track(t, np.where(t < 25.0, 1.0, 5.0))})
+    x = signals["x"]
+    assert np.isnan(x[(at > 20.0) & (at < 29.9)]).all()
+    assert np.allclose(x[at < 19.85], 1.0)
+    assert np.allclose(x[at > 30.05], 5.0)
 
 
 def test_the_grid_is_what_all_tracks_span() -> None:

@@ -1,0 +1,101 @@
+"""A bench recording in memory: the controller's samples from the CAN log, and the second logger's."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from analysis.recordings.external import Samples, read_external
+from analysis.recordings.track import Track, known_part
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.core.signals import Quality, Vector
+from service.logs import Frame, LogReport, Recording, load_recording, read_log
+
+REFERENCE = "y_p_ap"
+"""The added sensor that the controller's own y_p_du can be aligned with."""
+
+ECU_UNITS = {"y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}
+STUCK = 1e-6  # of the pressure: a sensor's noise is more
+
+
+@dataclass(frozen=True)
+class Ecu:
+    """The controller's own samples: `t` (N,) [s] after the first frame; by signal (N,) in SI units, NaN where off."""
+
+    t: Vector
+    values: dict[str, Vector]
+
+    def track(self, name: str) -> Track:
+        """The samples of a signal that have a value."""
+        return known_part(self.t, self.values[name])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All of a bench recording; `where` names the folder in errors."""
+
+    where: Path
+    recording: Recording
+    dbc: bytes
+    frames: list[Frame]
+    log: LogReport
+    ecu: Ecu
+    samples: Samples
+
+    @property
+    def p_ap(self) -> Track:
+        """What the clocks are aligned by, on the second logger's clock."""
+        return known_part(self.samples.t, self.samples.channels[REFERENCE].pressure)
+
+    @property
+    def p_du(self) -> Track:
+        """And on the CAN clock."""
+        return self.ecu.track("y_p_du")
+
+    @property
+    def length_s(self) -> float:
+        """From the first frame to the last [s]."""
+        return self.frames[-1].t - self.frames[0].t
+
+
+def read_bench(folder: Path) -> Bench:
+    """The bench recording in `folder`.
+
+    Raises:
+        InputError: it is no bench recording, lacks a file, column, message or signal, or has one that cannot be used.
+    """
+    recording = load_recording(folder)
+    if recording.external is None:
+        raise InputError(f"{folder}: kind is {recording.kind}, already ingested; use it as it is")
+    if REFERENCE not in recording.external.tables:
+        raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
+    dbc = (folder / recording.can.dbc).read_bytes()
+    frames, log = read_log(folder / recording.can.file)
+    ecu = _ecu(frames, dbc, folder / recording.can.dbc, folder / recording.can.file)
+    return Bench(folder, recording, dbc, frames, log, ecu, read_external(folder, recording.external))
+
+
+def _ecu(frames: list[Frame], dbc: bytes, dbc_path: Path, log_path: Path) -> Ecu:
+    """The frames that carry all signals; what is off in one is NaN."""
+    table = compile_dbc(dbc.decode(errors="replace"), ECU_UNITS, str(dbc_path))
+    rows = []
+    for t, can_id, extended, data in frames:
+        signals = {
+            name: value if quality is Quality.GOOD else np.nan
+            for name, value, quality in table.decode(can_id, extended, data)
+        }
+        if len(signals) == len(ECU_UNITS):
+            rows.append((t - frames[0].t, *(signals[name] for name in ECU_UNITS)))
+    columns = np.array(rows).reshape(-1, 1 + len(ECU_UNITS))
+    columns = columns[np.diff(columns[:, 0], prepend=-1.0) > 0]
+    if (np.isfinite(columns).sum(axis=0) < 2).any():
+        raise InputError(f"{log_path}: no frame carries {', '.join(ECU_UNITS)}; was the dosing controller on?")
+    ecu = Ecu(columns[:, 0], dict(zip(ECU_UNITS, columns.T[1:], strict=True)))
+    p_du = ecu.track("y_p_du").value
+    if np.ptp(p_du) <= STUCK * abs(float(p_du.max())):
+        raise InputError(
+            f"{log_path}: y_p_du is constant at {p_du[0] / 1e5:.3f} bar; the controller's sensor is stuck, and nothing "
+            "else tells the second logger's clock: give it with --offset SECONDS"
+        )
+    return ecu

@@ -1,0 +1,91 @@
+"""The synchronisation at a glance: both pressures before and after, the windows' offsets, the correlation."""
+
+import io
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from analysis.recordings.band import gridded
+from analysis.recordings.clock import Clock
+from analysis.recordings.track import Track
+
+P_DU, P_AP, LINE, QUIET = "#1f4e79", "#e07b00", "#c62828", "#8a8a8a"
+SECTION_S = 40.0
+NEAR_S = 15.0  # around the peak of the correlation
+
+
+def picture(p_ap: Track, p_du: Track, clock: Clock, name: str) -> bytes:
+    """A PNG; the same input gives the same bytes. `p_ap` is on the logger's clock."""
+    figure = Figure(figsize=(12, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = figure.subplots(2, 2)
+    aligned = p_ap._replace(t=clock.can_time(p_ap.t))
+    begin = _telling(aligned, p_du)
+    _overlay(rows[0, 0], p_ap, p_du, begin, "before: the second logger's time as if it were CAN time")
+    _overlay(rows[0, 1], aligned, p_du, begin, "after: aligned")
+    _offsets(rows[1, 0], clock)
+    _correlation(rows[1, 1], clock)
+    for axes in rows.flat:
+        axes.grid(visible=True, alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+    error = "given by hand" if clock.error_s is None else f"standard error {1e3 * clock.error_s:.0f} ms"
+    figure.suptitle(
+        f"{name}: offset {clock.offset_s:+.3f} s, drift {clock.drift * 1e6:+.1f} ppm ({error})", fontweight="bold"
+    )
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _telling(aligned: Track, p_du: Track) -> float:
+    """When the section begins [s] in which p_du, known to both, moves most."""
+    grid = gridded(p_du, 0.2).fast(1.0)
+    moves = np.abs(grid.value) * aligned.known(grid.t)
+    width = min(round(SECTION_S / 0.2), len(moves))
+    sums = np.convolve(moves, np.ones(width), mode="valid")
+    return float(grid.t[int(np.argmax(sums))])
+
+
+def _overlay(axes: Axes, p_ap: Track, p_du: Track, begin: float, title: str) -> None:
+    for track, color, label in ((p_du, P_DU, "y_p_du (CAN)"), (p_ap, P_AP, "y_p_ap (second logger)")):
+        inside = (track.t >= begin) & (track.t <= begin + SECTION_S)
+        axes.plot([], [], ".-", color=color, label=label)
+        for piece in Track(track.t[inside], track.value[inside]).pieces() if inside.any() else []:
+            axes.plot(piece.t, piece.value / 1e5, ".-", color=color, markersize=3, linewidth=1)
+    axes.set(title=title, xlabel="CAN time [s]", ylabel="pressure [bar]", xlim=(begin, begin + SECTION_S))
+    if not (p_ap.known(np.array([begin, begin + SECTION_S]))).any():
+        axes.annotate(
+            "the second logger has nothing here", (0.5, 0.06), xycoords="axes fraction", ha="center", color=P_AP
+        )
+    axes.legend(loc="best", frameon=False)
+
+
+def _offsets(axes: Axes, clock: Clock) -> None:
+    axes.set(title="offset in windows of 40 s, and the line through them", xlabel="CAN time [s]")
+    if not clock.windows:
+        axes.annotate("the clock was given", (0.5, 0.5), xycoords="axes fraction", ha="center", color=QUIET)
+        return
+    t, offset, sd = (np.array(column) for column in zip(*clock.windows, strict=True))
+    slope = 1.0 - 1.0 / (1.0 + clock.drift)
+    ends = np.array([t[0] - 20.0, t[-1] + 20.0])
+    level = clock.offset_s * (1.0 - slope)
+    middle = float(level + slope * t.mean())
+    axes.errorbar(t, 1e3 * (offset - middle), 1e3 * sd, fmt="o", color=P_DU, markersize=4, linewidth=1)
+    axes.plot(ends, 1e3 * (level + slope * ends - middle), color=LINE, linewidth=1.5)
+    axes.set_ylabel(f"offset less {middle:.3f} s [ms]")
+
+
+def _correlation(axes: Axes, clock: Clock) -> None:
+    axes.set(title="correlation of the high-passed pressures over the lag", xlabel="CAN time less logger time [s]")
+    if clock.likeness is None:
+        axes.annotate("the clock was given", (0.5, 0.5), xycoords="axes fraction", ha="center", color=QUIET)
+        return
+    lag, rho = clock.likeness.lag, clock.likeness.correlation
+    known = np.isfinite(rho)
+    near = int(np.nanargmax(np.where(np.abs(lag - clock.offset_s) < NEAR_S, rho, np.nan)))
+    axes.plot(lag[known], rho[known], color=P_DU, linewidth=0.8)
+    axes.plot(lag[near], rho[near], "o", color=LINE)
+    axes.annotate(f"{lag[near]:.1f} s", (lag[near], rho[near]), xytext=(8, -4), textcoords="offset points", color=LINE)
+    axes.set_ylim(-1.05, 1.15)

@@ -1,0 +1,160 @@
+"""What `ingest` found and did, to each channel and to the clocks: for a program, and in sentences."""
+
+import msgspec
+
+from analysis.recordings.bench import ECU_UNITS, Bench
+from analysis.recordings.clock import Clock
+from analysis.recordings.track import Track, known_part
+from analysis.recordings.uniform import PERIOD_S
+from service.logs.recording import Table
+
+RESAMPLED = f"{1 / PERIOD_S:g} Hz behind a zero-phase FIR low-pass, empty in gaps"
+
+
+class ChannelReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One channel. `clock` is whose times its samples came with; all times here are CAN times [s].
+
+    `samples` have a value, at a median of `rate_hz`; each of `gaps` is a silence from, to [s]. Of an added sensor:
+    `table` is what its volts went through, `blank` cells held no number, `outside_table` ones lay beyond the table,
+    `clipped` samples beyond the range of the signal on CAN, where they are not available. `zero_pa` was taken off every
+    sample, null where the datasheet's zero stands.
+    """
+
+    signal: str
+    clock: str
+    samples: int
+    rate_hz: float
+    gaps: list[tuple[float, float]]
+    table: str | None = None
+    blank: int = 0
+    outside_table: int = 0
+    clipped: int = 0
+    zero_pa: float | None = None
+    resampled: str = RESAMPLED
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True):
+    """What `ingest` found. CAN time = `offset_s` + (1 + `drift_ppm` / 1e6) * logger time, as in the logger's file.
+
+    `clock` says how these were found: synchronised, or given. `clock_error_s` is the standard error of the alignment,
+    null where given; `correlation` that of the aligned, high-passed pressures; of `clock_windows_telling` windows
+    `clock_windows` agree. `slow_p_du_s` is the time constant that y_p_du's sensor seems to have. `standstill_s` is the
+    length of the section that the zeros come from. `outside` samples lay beyond the CAN log's ends.
+    """
+
+    id: str
+    clock: str
+    offset_s: float
+    drift_ppm: float
+    clock_error_s: float | None
+    correlation: float
+    clock_windows: int
+    clock_windows_telling: int
+    slow_p_du_s: float
+    standstill_s: float
+    can_frames: int
+    can_lost: str | None
+    samples: int
+    outside: int
+    bad_rows: int
+    first_bad_row: str | None
+    channels: list[ChannelReport]
+
+
+def report(
+    bench: Bench, clock: Clock, standstill_s: float, zero: dict[str, float | None], clipped: dict[str, int]
+) -> Report:
+    """The report; `zero` [Pa] and the `clipped` samples are by added sensor."""
+    t = clock.can_time(bench.samples.t)
+    inside = (t >= 0) & (t <= bench.length_s)
+    added = [
+        _channel(signal, "second logger", known_part(t, channel.pressure),
+            table=_table(channel.table),
+            blank=channel.blank,
+            outside_table=channel.outside,
+            clipped=clipped[signal],
+            zero_pa=_rounded(zero[signal], 1),
+        )
+        for signal, channel in bench.samples.channels.items()
+    ]  # fmt: skip
+    return Report(
+        id=bench.recording.id,
+        clock="given" if clock.error_s is None else "synchronised",
+        offset_s=round(clock.offset_s, 4),
+        drift_ppm=round(clock.drift * 1e6, 2),
+        clock_error_s=_rounded(clock.error_s, 4),
+        correlation=round(clock.correlation, 4),
+        clock_windows=len(clock.windows),
+        clock_windows_telling=clock.telling,
+        slow_p_du_s=round(clock.slow_s, 3),
+        standstill_s=round(standstill_s, 3),
+        can_frames=bench.log.frames,
+        can_lost=bench.log.summary() if bench.log.lost else None,
+        samples=len(t),
+        outside=int((~inside).sum()),
+        bad_rows=bench.samples.bad_rows,
+        first_bad_row=bench.samples.told or None,
+        channels=[*added, *(_channel(name, "CAN", bench.ecu.track(name)) for name in ECU_UNITS)],
+    )
+
+
+def _channel(signal: str, clock: str, track: Track, **more: object) -> ChannelReport:
+    gaps = [(round(begin, 2), round(end, 2)) for begin, end in track.gaps()]
+    rate = round(1.0 / track.period_s, 2)
+    fields = {"signal": signal, "clock": clock, "samples": len(track.t), "rate_hz": rate, "gaps": gaps}
+    return msgspec.convert({**fields, **more}, ChannelReport)
+
+
+def _table(table: Table) -> str:
+    return (
+        f"{table.column}: {len(table.volts)} points, {table.volts[0]:g}..{table.volts[-1]:g} V to "
+        f"{table.pascal[0] / 1e5:g}..{table.pascal[-1] / 1e5:g} bar"
+    )
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
+
+
+def sentences(found: Report) -> list[str]:
+    """The report for a reader, a line a matter."""
+    clock = f"clock: offset {found.offset_s:+.3f} s, drift {found.drift_ppm:+.1f} ppm "
+    if found.clock_error_s is None:
+        clock += f"(given; correlation {found.correlation:.3f})"
+    else:
+        clock += (
+            f"(standard error {1e3 * found.clock_error_s:.0f} ms; {found.clock_windows} of "
+            f"{found.clock_windows_telling} windows agree, correlation {found.correlation:.3f})"
+        )
+    lines = [f"{found.can_frames} CAN frames, {found.samples - found.outside} sensor frames", clock]
+    if found.slow_p_du_s:
+        lines.append(f"the sensor of y_p_du is slow: time constant about {found.slow_p_du_s:.2f} s")
+    if not found.standstill_s:
+        lines.append("no standstill at atmospheric pressure at the start: the sensors keep their datasheet's zero")
+    lines += [_line(channel) for channel in found.channels]
+    if found.bad_rows:
+        lines.append(f"second logger: {found.bad_rows} bad rows (first: {found.first_bad_row})")
+    if found.can_lost:
+        lines.append(f"CAN log: {found.can_lost}")
+    return lines
+
+
+def _line(channel: ChannelReport) -> str:
+    parts = [f"{channel.signal}: {channel.samples} samples at {channel.rate_hz:g} Hz on the clock of {channel.clock}"]
+    if channel.table:
+        parts += [channel.table]
+        zero = channel.zero_pa
+        parts += ["zero not calibrated (datasheet)" if zero is None else f"zero {zero / 100:+.1f} mbar taken off"]
+    for count, what in (
+        (channel.blank, "cells without a value"),
+        (channel.outside_table, "cells outside the table"),
+        (channel.clipped, "samples outside the range on CAN"),
+    ):
+        if count:
+            parts.append(f"{count} {what}")
+    if channel.gaps:
+        shown = ", ".join(f"{begin:.1f}..{end:.1f}" for begin, end in channel.gaps[:3])
+        more = ", ..." if len(channel.gaps) > 3 else ""
+        silent = sum(end - begin for begin, end in channel.gaps)
+        parts.append(f"silent {len(channel.gaps)} times for {silent:.1f} s ({shown}{more} s), left empty")
+    return "; ".join(parts)

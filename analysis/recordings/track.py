@@ -1,0 +1,54 @@
+"""A signal as it was sampled, and where it was silent: what lies in a gap is not known."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from service.core.signals import Vector
+
+SILENT_S = 1.0
+SILENT_PERIODS = 5.0
+"""Samples further apart than this many periods, and at least `SILENT_S`, have a gap between them."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+class Track(NamedTuple):
+    """A signal at times `t` (N,) [s], increasing, with values (N,)."""
+
+    t: Vector
+    value: Vector
+
+    @property
+    def period_s(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Begin and end [s] of every silence."""
+        ends = [(float(piece.t[0]), float(piece.t[-1])) for piece in self.pieces()]
+        return [(before[1], after[0]) for before, after in pairwise(ends)]
+
+    def pieces(self) -> list["Track"]:
+        """The track cut at its gaps."""
+        wide = np.flatnonzero(np.diff(self.t) > max(SILENT_S, SILENT_PERIODS * self.period_s)) + 1
+        return [Track(*part) for part in zip(np.split(self.t, wide), np.split(self.value, wide), strict=True)]
+
+    def at(self, t: Vector) -> Vector:
+        """Values at times `t` (K,) [s], linear between samples; whether they are known says `known`."""
+        return np.asarray(np.interp(t, self.t, self.value))
+
+    def known(self, t: Vector, margin_s: float = 0.0) -> Mask:
+        """Which of the times `t` (K,) [s] lie within the track, outside its gaps, and `margin_s` away from both."""
+        inside = (t >= self.t[0] + margin_s) & (t <= self.t[-1] - margin_s)
+        for begin, end in self.gaps():
+            inside &= (t <= begin - margin_s) | (t >= end + margin_s)
+        return np.asarray(inside)
+
+
+def known_part(t: Vector, value: Vector) -> Track:
+    """The samples that have a value."""
+    good = np.isfinite(value)
+    return Track(t[good], value[good])

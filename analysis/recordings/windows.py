@@ -1,0 +1,87 @@
+"""The offset of two clocks in windows of a recording: where p_ap explains most of p_du.
+
+In a window of 40 s, at CAN times t:  p_du(t) = gain p_ap(t - offset) + c + d t,  without what is slower than a second:
+there a sensor that sticks looks like one that is late, and filters make a difference. (The dose as another input made
+it worse: it comes as a step that the valve takes at its next pulse.) An offset's log likelihood is -n/2 log of the mean
+square that stays unexplained; taken against p_ap explaining nothing it is 0 there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.recordings.band import Grid, gridded
+from analysis.recordings.track import Mask, Track
+from service.core.signals import Vector
+
+STEP_S = 0.02  # of the offsets
+SMOOTH_S = 0.15  # of p_ap, one or two samples of the second logger
+SLOW_S = 1.0
+EDGE_S = 4.0  # so far from a silence the high-passed signals are not alike
+WINDOW_S = 40.0
+LEAST = 50  # samples of p_du in a window: less than 10 s tells nothing
+GAINS = (0.8, 1.2)  # both sensors are calibrated, and a filter between them takes a little
+
+
+class Window(NamedTuple):
+    """A window: its middle `t` [s, CAN time], and the log likelihood (S,) of each offset that was tried."""
+
+    t: float
+    likelihood: Vector
+
+
+class Pressures(NamedTuple):
+    """Both pressures, ready: p_ap on a fine grid of the logger's clock, and p_du at its own samples (CAN time).
+
+    Both are clear where they are known, and high-passing them has not met a silence.
+    """
+
+    p_ap: Grid
+    clear_p_ap: Mask
+    t: Vector
+    p_du: Vector
+    clear_p_du: Mask
+
+    def windows(self, offsets: Vector, lag_s: float = 0.0) -> list[Window]:
+        """The windows over all that both know, for offsets (S,) [s] and a sensor of p_du that is this slow [s]."""
+        felt = self.p_ap.slowed(lag_s).fast(SLOW_S)
+        usable = self.clear_p_du & self._meets(self.t - offsets[0]) & self._meets(self.t - offsets[-1])
+        if usable.sum() < LEAST:
+            return []
+        start, end = float(self.t[usable][0]), float(self.t[usable][-1])
+        which = np.floor((self.t - start) / ((end - start) / max(1, round((end - start) / WINDOW_S)) + 1e-6))
+        found = []
+        for number in np.unique(which[usable]).tolist():
+            inside = usable & (which == number)
+            if inside.sum() >= LEAST:
+                t = self.t[inside]
+                x = np.array([np.interp(t - offset, felt.t, felt.value) for offset in offsets])  # (S, n)
+                found.append(Window(float(t.mean()), _likelihood(self.p_du[inside], x, t - t.mean())))
+        return found
+
+    def _meets(self, t: Vector) -> Mask:
+        """Which logger times fall where p_ap is clear."""
+        place = np.searchsorted(self.p_ap.t, t)
+        inside = (place > 0) & (place < len(self.p_ap.t))
+        return np.asarray(inside & self.clear_p_ap[np.minimum(place, len(self.p_ap.t) - 1)])
+
+
+def pressures(p_ap: Track, p_du: Track, smooth_s: float = SMOOTH_S) -> Pressures:
+    """Of the second logger's p_ap, under a bell of deviation `smooth_s` [s], and p_du on the CAN clock."""
+    grid, slow = gridded(p_ap, STEP_S, smooth_s), gridded(p_du, STEP_S)
+    return Pressures(
+        p_ap=grid,
+        clear_p_ap=p_ap.known(grid.t, EDGE_S),
+        t=p_du.t,
+        p_du=p_du.value - np.interp(p_du.t, slow.t, slow.slow(SLOW_S)),
+        clear_p_du=p_du.known(p_du.t, EDGE_S),
+    )
+
+
+def _likelihood(y: Vector, x: Vector, t: Vector) -> Vector:
+    """(S,) of the model above: samples `y` (n,), candidates `x` (S, n) for p_ap, times `t` (n,) of mean 0."""
+    q = np.column_stack([np.full(len(t), len(t) ** -0.5), t / np.linalg.norm(t)])
+    x, y = x - (x @ q) @ q.T, y - q @ (q.T @ y)
+    gain = np.clip(x @ y / np.maximum((x**2).sum(axis=1), 1.0), *GAINS)[:, None]
+    rest, alone = np.mean((y - gain * x) ** 2, axis=1), np.mean(y**2)
+    return np.asarray(0.5 * len(y) * np.log((alone + 1.0) / (rest + 1.0)))  # 1 Pa^2: neither is ever nothing
