@@ -29,7 +29,8 @@ from testbench.bus import Dbc, load_dbc
 from testbench.cycles import CYCLES
 from testbench.effects import EFFECTS, PROFILES
 from testbench.faults import Course, Fault
-from testbench.recording import Request, record
+from testbench.recording import record
+from testbench.request import Request
 from testbench.second_logger import SecondLogger
 from testbench.sizes import frozen
 from testbench.vehicles import vehicle
@@ -98,8 +99,8 @@ def run(asked: Request) -> Result:
         known = tomllib.loads(truth_file.read_text())["logger"]
     try:
         clock = synchronise(bench.p_ap, bench.p_du, asked.name)
-    except ClockError as error:
-        return Result(asked, math.nan, math.nan, str(error))
+    except ClockError as refusal:
+        return Result(asked, math.nan, math.nan, str(refusal))
     offset, drift = known["offset_s"] + asked.effects.get("log_delay", 0.0), known["drift"]
     t = np.clip(bench.samples.t[[0, -1]], -offset, (bench.length_s - offset) / (1 + drift))  # both run
     error = float(np.abs(clock.can_time(t) - offset - (1 + drift) * t).max())
@@ -109,7 +110,7 @@ def run(asked: Request) -> Result:
 def _dbc() -> Dbc:
     """Only the frames with the controller's pressure: the rest of the bus says nothing of the clocks and takes long."""
     dbc = load_dbc()
-    return replace(dbc, senders=tuple(sender for sender in dbc.senders if sender.message.name == "UDS_ECU"))
+    return replace(dbc, controllers=tuple(sender for sender in dbc.controllers if sender.message.name == "UDS_ECU"))
 
 
 def wilson(found: int, of: int) -> tuple[float, float]:
