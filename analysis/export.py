@@ -10,10 +10,11 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
+from analysis.calibration.provenance import recordings_of
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.model import dump_model
 from analysis.structure.lint import sound_model
-from analysis.tuning.file import Tuning, load_tuning, model_digest, recordings_of
+from analysis.tuning.file import Tuning, load_tuning, model_digest
 from service.bundle import (
     MANIFEST,
     SEAL,

@@ -8,7 +8,7 @@ sharp orifice the linear part is the fall of the discharge coefficient at small 
 
 from dataclasses import dataclass
 
-TURBULENT = 0.002
+TURBULENT = 1e-5
 """The laminar share of what counts as turbulent: none at all would have no slope at rest to compute with."""
 
 

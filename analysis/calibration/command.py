@@ -1,21 +1,29 @@
-"""Fit a model's parameters to a fault-free recording."""
+"""Fit a model's parameters to fault-free recordings of one vehicle."""
 
 import argparse
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
-from analysis.calibration.fit import Fit, fit
-from analysis.graph.bank import Bank, build_bank
-from analysis.model import dump_model
+from analysis.calibration.fit import fit
+from analysis.calibration.identify import identify
+from analysis.calibration.provenance import check_vehicle, entry
+from analysis.calibration.report import Report, draw, page, report, sentences
+from analysis.calibration.sections import Section, sections
+from analysis.calibration.validate import Validation, validate
+from analysis.model import Model, dump_model
 from analysis.progress import Progress
-from analysis.recordings.observe import observe, open_known
+from analysis.recordings.observe import open_known
+from analysis.simulation import system_of
 from analysis.structure.lint import sound_model
 from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.logs import Log
 
 EXAMPLE = """example:
-  faultline calibrate uds4 logs/bench-training-s1 --out calibrated.toml
+  faultline calibrate uds4 logs/bench-training-s1 --validate logs/bench-validation-s2 --out calibrated.toml --report out
 """
 
 
@@ -25,32 +33,78 @@ def main(argv: list[str]) -> int:
         "faultline calibrate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="a model file, or the name of a shipped model")
-    parser.add_argument("recording", type=Path, help="an instrumented, fault-free recording")
+    parser.add_argument("recording", type=Path, nargs="+", help="an instrumented, fault-free recording")
+    parser.add_argument("--validate", type=Path, nargs="+", default=[], help="others, which the fit does not see")
     parser.add_argument("--out", type=Path, required=True, help="where to write the calibrated model file")
+    parser.add_argument("--report", type=Path, help="folder for report.md, its picture and calibration.json")
+    parser.add_argument("--beside", help="another calibrated model, drawn beside this one")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
     model = sound_model(options.model)
-    bank = build_bank(model)
     with Progress(f"calibrating {model.name}") as progress:
-        log = open_known(options.recording, progress.note)
-        table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, str(options.recording))
-        result = fit(bank, observe(bank, table, log.relative()), str(options.recording), progress.say)
-    entry = {"command": "calibrate", "recordings": [log.sha256], "blocks": result.blocks}
-    text = dump_model(model.with_parameters(result.values, entry))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text)
-    print(msgspec.json.encode(result).decode() if options.json else _table(bank, result, options.out, text))
+        data = _Data(model, options.recording, options.validate, progress)
+        result = fit(model, data.system, data.fitted, progress.say)
+        calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
+        progress.say("free runs")
+        zero, delay = result.unknowns.zero(result.x), result.unknowns.delay(result.x)
+        runs = data.run(calibrated, delay, zero)
+        told = report(model, data.vehicle, data.sources, result, identify(result), runs)
+        text = dump_model(calibrated)
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(text)
+        if options.report:
+            progress.say("report")
+            drawn = {model.name: runs}
+            if options.beside:
+                other = sound_model(options.beside)
+                drawn[other.name] = _Data(other, options.recording, options.validate, progress).run(other, delay, zero)
+            _write(told, model, drawn, options.report)
+    if options.json:
+        print(msgspec.json.encode(told).decode())
+    else:
+        print("\n".join(sentences(told, model.known)))
+        print(f"wrote {options.out} (sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]})")
     return 0
 
 
-def _table(bank: Bank, result: Fit, out: Path, text: str) -> str:
-    lines = [f"{'parameter':<10}{'datasheet':>14}{'calibrated':>14}{'spread':>9}  unit"]
-    for name, value in result.values.items():
-        parameter = bank.model.parameters[name]
-        lines.append(f"{name:<10}{parameter.value:>14.4g}{value:>14.4g}{result.spread[name]:>8.1%}  {parameter.unit}")
-    units = dict(zip((test.name for test in bank.tests), bank.units, strict=True))
-    lines.append("residual (RMS of 5 s means): " + ", ".join(f"{t} {v:.3g} {units[t]}" for t, v in result.rms.items()))
-    lines.append(
-        f"wrote {out} (sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]}), from {result.blocks} steady blocks"
-    )
-    return "\n".join(lines)
+class _Data:
+    """The recordings' sections for a model's system, those to fit and the rest."""
+
+    def __init__(self, model: Model, fitted: Sequence[Path], others: Sequence[Path], progress: Progress) -> None:
+        free = [name for name, p in model.parameters.items() if p.prior is not None]
+        if not free:
+            raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
+        self.system = system_of(model, free)
+        self.logs: list[Log] = []
+        self._found: dict[str, list[Section]] = {}
+        for path in (*fitted, *others):
+            progress.say(str(path))
+            log = open_known(path, progress.note)
+            if log.sha256 in (other.sha256 for other in self.logs):
+                raise InputError(f"{path}: this recording is given twice; validate on recordings that are not fitted")
+            self.logs.append(log)
+            check_vehicle(log, path, self.vehicle, str(fitted[0]))
+            table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(path))
+            self._found[log.id] = sections(model, self.system, table, log.relative(), str(path))
+        self.sources = sorted({log.recording.source for log in self.logs if log.recording})
+        del self.logs[len(fitted) :]
+        self.fitted = [section for log in self.logs for section in self._found[log.id]]
+
+    @property
+    def vehicle(self) -> str | None:
+        """The vehicle of the first recording."""
+        return self.logs[0].recording.vehicle if self.logs[0].recording else None
+
+    def run(self, model: Model, delay: dict[str, float], zero: dict[str, float]) -> dict[str, Validation]:
+        """The free runs of a calibrated model over every recording."""
+        values = {name: model.parameters[name].value for name in self.system.parameters}
+        return {name: validate(model, self.system, found, values, delay, zero) for name, found in self._found.items()}
+
+
+def _write(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = folder / "free-run.png"
+    by_recording = {r: {name: runs[r] for name, runs in drawn.items()} for r in drawn[model.name]}
+    draw(told, model, by_recording, picture)
+    (folder / "report.md").write_text(page(told, model.known, picture.name))
+    (folder / "calibration.json").write_bytes(msgspec.json.format(msgspec.json.encode(told)) + b"\n")

@@ -1,160 +1,262 @@
-"""Maximum a posteriori calibration with the generators' own graph.
+"""Maximum a posteriori calibration of a model's free run.
 
-The parameters theta = value * exp(prior * xi), xi ~ N(0, 1), minimise
+The unknowns are x = (xi, zeros, delays), each N(0, 1) beforehand: the parameters theta = value * exp(prior * xi) within
+their bounds; the zero error that calibration at atmosphere has left of every sensor; and by how much the
+commands act later than they are logged. They minimise
 
-    sum_b,t ( mean_b(r_t) / w_tc )^2 + sum xi^2
+    sum over sections |Sigma^(-1/2) (y - y_hat(x))|^2 + |x|^2
 
-over blocks b of 5 s in a steady mode c and over numerically independent tests t, chosen anew with the fitted parameters
-until the choice stands. The weight w_tc is the RMS of the
-block means of test and mode after a first fit, so that what the model cannot do counts as spread and does not bend
-parameters. Block means, because the valve's ripple is no information and its samples are not independent. Gauss-Newton
-with Levenberg's damping (scipy); the whole Jacobian is one batch through the graph.
+with Sigma as in `noise`, from several starts (the datasheet, and draws from the prior), by scipy's trust region method
+with exact derivatives. What Sigma is follows from the data: first from how the measurements flicker in each operating
+mode, then from what a fit leaves. The covariance is the inverse of the curvature there, with each standard error at
+least what the scatter between blocks of `BLOCK_S` says (the sandwich of White 1982): noise may be worse than thought.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
-from analysis.graph.bank import Bank
-from analysis.graph.independence import independent
+from analysis.calibration.noise import (
+    Levels,
+    Whitening,
+    by_median,
+    by_square,
+    commands_of,
+    disturbances,
+    levels_of,
+    stacked,
+)
+from analysis.calibration.sections import Section
+from analysis.model import Model
+from analysis.simulation import Drive, System, Trajectory, run
 from service.core.errors import InputError
-from service.core.manifest import MODES
-from service.core.modes import EDGE
-from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 
-BLOCK_TICKS = 25
-STEP = 1e-3  # of xi, for the Jacobian
-MINIMUM_BLOCKS = 20
-TOLERANCE = 1e-4  # relative change of the cost at which the fit ends
+DELAY_S = 0.3
+"""Prior standard deviation of a command's delay: a period of the valve."""
+
+ROUGH, FINE = 1e-3, 1e-7
+"""Relative change of the cost at which the search ends: from a start, and at last."""
+
+ROUNDS = 3
+"""How often the weights are made anew from what the fit leaves; the last two differ by little."""
+
+SAME = 5.0
+"""Two searches whose costs (half a chi square) differ by less have come to the same place, for all `ROUGH` can tell."""
+
+BLOCK_S = 20.0
+"""Longer than anything here remembers."""
+
+AT_BOUND = 1e-3
+"""So near to a bound in standard deviations of the prior, a parameter has run into it."""
+
+
+class Unknowns(NamedTuple):
+    """What is fitted, by name: `parameters`, `zeros` of outputs, `delays` of inputs, with their sizes at x = 1."""
+
+    parameters: tuple[str, ...]
+    values: Array
+    priors: Array
+    zeros: dict[str, float]
+    delays: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """The length of x."""
+        return len(self.parameters) + len(self.zeros) + len(self.delays)
+
+    def theta(self, x: Array) -> dict[str, float]:
+        """The parameters' values."""
+        xi = x[: len(self.parameters)]
+        return dict(zip(self.parameters, (self.values * np.exp(self.priors * xi)).tolist(), strict=True))
+
+    def zero(self, x: Array) -> dict[str, float]:
+        """The sensors' zero errors, in their units."""
+        part = x[len(self.parameters) : len(self.parameters) + len(self.zeros)].tolist()
+        return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part, strict=True)}
+
+    def delay(self, x: Array) -> dict[str, float]:
+        """The commands' delays [s]."""
+        part = DELAY_S * x[len(self.parameters) + len(self.zeros) :]
+        return dict(zip(self.delays, part.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The result: value and spread of the logarithm per parameter, RMS of the tests' block means [unit of y].
+    """The result: x and its covariance (n, n), the `information` (n, n) of the data without the priors, and the noise.
 
-    The spread takes the blocks for independent, which they are not quite: on made drives it was 1.3 to 1.7 times too
-    small.
+    `starts` is how many searches there were and how many of them came to the best place; `at_bound` the parameters that
+    have run into a bound.
     """
 
-    values: dict[str, float]
-    spread: dict[str, float]
-    rms: dict[str, float]
-    blocks: int
+    model: Model
+    unknowns: Unknowns
+    system: System
+    x: Array
+    covariance: Array
+    information: Array
+    levels: Levels
+    starts: tuple[int, int]
+    at_bound: tuple[str, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The calibrated parameters."""
+        return self.unknowns.theta(self.x)
 
 
-def fit(bank: Bank, ticks: list[Tick], where: str, progress: Callable[[str], None]) -> Fit:
-    """Calibrates the parameters that have a prior, on a fault-free recording seen as `ticks`.
-
-    Raises:
-        InputError: the recording has fewer than 20 steady blocks, or the model has no parameter with a prior.
-    """
-    free = {name: p for name, p in bank.model.parameters.items() if p.prior is not None}
-    if not free:
-        raise InputError(f"{bank.model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
-    data = _blocks(ticks)
-    if len(data.blocks) < MINIMUM_BLOCKS:
-        raise InputError(
-            f"{where}: only {len(data.blocks)} steady blocks of 5 s; record some minutes within the operating ranges"
-        )
-    values = np.array([p.value for p in free.values()])
-    priors = np.array([p.prior for p in free.values()], dtype=np.float64)
-
-    def residuals(of: Bank, xi: Array) -> Array:
-        """Residuals (K, batch, T) for a batch of xi (batch, P)."""
-        trials = [dict(zip(free, values * np.exp(priors * row), strict=True)) for row in xi]
-        return of.simulate(trials, data.z, of.start(data.z[0]))
-
-    def means(of: Bank, xi: Array) -> Array:
-        """Block means (batch, blocks, T)."""
-        r = residuals(of, xi)
-        return np.array([r[block].mean(axis=0) for block in data.blocks]).swapaxes(0, 1)
-
-    xi = np.zeros(len(free))
-    rows = independent(np.array([tick.residuals.r for tick in ticks if tick.residuals.usable.all()]))
-    tried: list[list[int]] = []
-    while (
-        rows not in tried
-    ):  # what a wrong parameter does to all tests alike hides, before the fit, what each one knows
-        tried.append(rows)
-        used = bank.only(rows)
-        weight = np.tile(used.sigma, (len(data.blocks), 1))
-        for title in ("first fit", "second fit"):
-            xi = _solve(partial(means, used), xi, weight, partial(_say, progress, title))
-            left = means(used, xi[None])[0]
-            weight = _spread(left, data.modes, used.sigma)
-        rows = independent(residuals(bank, xi[None])[data.told, 0])
-    J = _jacobian(partial(means, used), xi, weight)
-    return Fit(
-        values=dict(zip(free, (values * np.exp(priors * xi)).tolist(), strict=True)),
-        spread=dict(zip(free, (priors * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))).tolist(), strict=True)),
-        rms=dict(zip((t.name for t in used.tests), np.sqrt((left**2).mean(axis=0)).tolist(), strict=True)),
-        blocks=len(data.blocks),
+def unknowns_of(model: Model, system: System, commands: tuple[str, ...]) -> Unknowns:
+    """The unknowns of a model whose system has its calibrated parameters as symbols."""
+    chosen = [model.parameters[name] for name in system.parameters]
+    return Unknowns(
+        parameters=system.parameters,
+        values=np.array([p.value for p in chosen]),
+        priors=np.array([p.prior for p in chosen], dtype=np.float64),
+        zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
+        delays=commands,
     )
 
 
-def _say(progress: Callable[[str], None], title: str, cost: float) -> None:
-    progress(f"{title}: cost {cost:.1f}")
+def fit(model: Model, system: System, sections: Sequence[Section], say: Callable[[str], None], starts: int = 4) -> Fit:
+    """Calibrates the parameters that are symbols of `system`, on fault-free sections; `say` hears how it goes.
+
+    Raises:
+        InputError: the model cannot be run from any start.
+    """
+    problem = _Problem(model, system, sections)
+    measured = [np.concatenate([s.value for s in section.samples.values()]) for section in sections]
+    levels = levels_of(model, sections, measured, by_median)
+    weights = problem.weights(np.zeros(problem.unknowns.size), levels)
+    rng = np.random.default_rng(1)
+    found: list[OptimizeResult] = []
+    for number in range(starts):
+        x = np.zeros(problem.unknowns.size)
+        if number:
+            x[: len(system.parameters)] = rng.standard_normal(len(system.parameters))
+        say(f"start {number + 1} of {starts}")
+        try:
+            found.append(problem.search(np.clip(x, *problem.bounds), weights, ROUGH))
+        except InputError:  # from there the model cannot be run; at least one start must
+            if number + 1 == starts and not found:
+                raise
+    best = min(found, key=lambda result: float(result.cost))
+    same = sum(float(result.cost - best.cost) < SAME for result in found)
+    x = best.x
+    for number in range(ROUNDS):
+        say(f"weights from what is left, round {number + 1} of {ROUNDS}")
+        levels = levels_of(model, sections, problem.left(x), by_square)
+        x = problem.search(x, problem.weights(x, levels), FINE).x
+    return problem.result(x, levels, (starts, same))
 
 
-class _Data(NamedTuple):
-    """Samples z (K, nz), at which of them all tests told (K,), the runs of 25 in one steady mode, the mode of each."""
+class _Problem:
+    """The sections with the model, evaluated at one x at a time."""
 
-    z: Array
-    told: npt.NDArray[np.bool_]
-    blocks: list[slice]
-    modes: npt.NDArray[np.int64]
+    def __init__(self, model: Model, system: System, sections: Sequence[Section]) -> None:
+        self._model, self._system, self._sections = model, system, sections
+        self._commands = commands_of(system, sections)
+        self.unknowns = unknowns_of(model, system, self._commands)
+        self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
+        for k, name in enumerate(system.parameters):
+            p = model.parameters[name]
+            for side, limit in enumerate((p.min, p.max)):
+                if limit is not None and limit > 0:
+                    self.bounds[side, k] = np.log(limit / p.value) / self.unknowns.priors[k]
+        self._at: Array | None = None
+        self._runs: list[Trajectory] = []
+
+    def weights(self, x: Array, levels: Levels) -> list[Whitening]:
+        """Those that hold at `x`."""
+        return [
+            Whitening(section, levels, disturbances(self._model, section, trajectory, self._commands))
+            for section, trajectory in zip(self._sections, self._trajectories(x), strict=True)
+        ]
+
+    def search(self, x: Array, whitenings: Sequence[Whitening], tolerance: float) -> OptimizeResult:
+        """The optimum near `x`."""
+
+        def residual(x: Array) -> Array:
+            return np.concatenate([*(white(e) for white, e in zip(whitenings, self.left(x), strict=True)), x])
+
+        def slope(x: Array) -> Array:
+            parts = [white(J) for white, J in zip(whitenings, self._slopes(x), strict=True)]
+            return np.concatenate([*parts, np.eye(len(x))])
+
+        return least_squares(residual, x, jac=slope, bounds=self.bounds, ftol=tolerance, xtol=1e-8, gtol=1e-10)
+
+    def left(self, x: Array) -> list[Array]:
+        """The differences y - y_hat of every section (N,)."""
+        zero = self.unknowns.zero(x)
+        found = []
+        for section, trajectory in zip(self._sections, self._trajectories(x), strict=True):
+            measured = [s.value - zero.get(name, 0.0) for name, s in section.samples.items()]
+            found.append(np.concatenate(measured) - stacked(section, trajectory.outputs()))
+        return found
+
+    def _slopes(self, x: Array) -> list[Array]:
+        """Their derivatives (N, n)."""
+        unknowns, found = self.unknowns, []
+        scale = np.array([*unknowns.theta(x).values()]) * unknowns.priors
+        for section, trajectory in zip(self._sections, self._trajectories(x), strict=True):
+            columns = [stacked(section, trajectory.by_parameters()) * scale]
+            for name, sd in unknowns.zeros.items():
+                parts = [np.full((len(s.t), 1), sd if other == name else 0.0) for other, s in section.samples.items()]
+                columns.append(np.concatenate(parts))
+            for name in unknowns.delays:
+                u = section.drive.inputs[:, self._system.inputs.index(name)]
+                lost = -DELAY_S * np.gradient(u, section.drive.step_s)
+                columns.append(stacked(section, trajectory.by_input(name, lost[:, None])))
+            found.append(-np.concatenate(columns, axis=1))
+        return found
+
+    def _trajectories(self, x: Array) -> list[Trajectory]:
+        if self._at is None or not np.array_equal(x, self._at):
+            theta, delay = self.unknowns.theta(x), self.unknowns.delay(x)
+            near: Sequence[Trajectory | None] = self._runs or [None] * len(self._sections)
+            self._runs = [
+                run(self._system, delayed(section, self._system, delay), theta, other)
+                for section, other in zip(self._sections, near, strict=True)
+            ]
+            self._at = x.copy()
+        return self._runs
+
+    def result(self, x: Array, levels: Levels, starts: tuple[int, int]) -> Fit:
+        """The fit at `x`."""
+        information, scores = np.zeros((len(x), len(x))), []
+        parts = zip(self._sections, self.weights(x, levels), self._slopes(x), self.left(x), strict=True)
+        for section, whitening, J, e in parts:
+            J, e = whitening(J), whitening(e)
+            information += J.T @ J
+            block = (np.concatenate([s.t for s in section.samples.values()]) / BLOCK_S).astype(int)
+            scores += [J[block == k].T @ e[block == k] for k in np.unique(block)]
+        prior = np.eye(len(x))
+        covariance = np.linalg.inv(information + prior)
+        between = np.array(scores).T @ np.array(scores) * len(scores) / (len(scores) - 1)
+        scattered = np.diag(covariance @ (between + prior) @ covariance)
+        inflation = np.sqrt(np.maximum(1.0, scattered / np.diag(covariance)))
+        near = np.abs(self.bounds - x).min(axis=0)[: len(self._system.parameters)] < AT_BOUND
+        return Fit(
+            model=self._model,
+            unknowns=self.unknowns,
+            system=self._system,
+            x=x,
+            covariance=covariance * np.outer(inflation, inflation),
+            information=information,
+            levels=levels,
+            starts=starts,
+            at_bound=tuple(name for name, there in zip(self._system.parameters, near, strict=True) if there),
+        )
 
 
-def _blocks(ticks: Sequence[Tick]) -> _Data:
-    z = np.array([tick.z for tick in ticks])
-    good = next((k for k, tick in enumerate(ticks) if tick.usable.all()), len(ticks))
-    mode = np.array([tick.mode if tick.residuals.usable.all() else EDGE for tick in ticks])
-    blocks, modes = [], []
-    start = good
-    while start + BLOCK_TICKS <= len(ticks):
-        if mode[start] != EDGE and (mode[start : start + BLOCK_TICKS] == mode[start]).all():
-            blocks.append(slice(start - good, start - good + BLOCK_TICKS))
-            modes.append(mode[start])
-            start += BLOCK_TICKS
-        else:
-            start += 1
-    told = np.array([tick.residuals.usable.all() for tick in ticks[good:]], dtype=np.bool_)
-    return _Data(z[good:], told, blocks, np.array(modes))
-
-
-def _spread(left: Array, modes: npt.NDArray[np.int64], floor: Array) -> Array:
-    """The weight of every block mean (blocks, T): the RMS of its test in its mode, at least a tenth of the sensor's."""
-    weight = np.empty_like(left)
-    for mode in range(len(MODES)):
-        inside = modes == mode
-        if inside.any():
-            weight[inside] = np.maximum(np.sqrt((left[inside] ** 2).mean(axis=0)), floor / 10)
-    return weight
-
-
-def _solve(means: Callable[[Array], Array], start: Array, weight: Array, progress: Callable[[float], None]) -> Array:
-    """One weighted fit."""
-
-    def residual(xi: Array) -> Array:
-        value = np.concatenate([(means(xi[None])[0] / weight).ravel(), xi])
-        progress(float(value @ value))
-        return value
-
-    fitted = least_squares(residual, start, jac=lambda xi: _jacobian(means, xi, weight), method="lm", ftol=TOLERANCE)
-    solution: Array = fitted.x
-    return solution
-
-
-def _jacobian(means: Callable[[Array], Array], xi: Array, weight: Array) -> Array:
-    """Central differences of the weighted block means and of the prior, (blocks * T + P, P), as one batch."""
-    steps = STEP * np.eye(len(xi))
-    both = means(np.concatenate([xi + steps, xi - steps]))
-    slope = (both[: len(xi)] - both[len(xi) :]) / (2 * STEP)
-    return np.vstack([(slope / weight).reshape(len(xi), -1).T, np.eye(len(xi))])
+def delayed(section: Section, system: System, delay: Mapping[str, float]) -> Drive:
+    """The section's drive with the commands in `delay` acting so much later [s]."""
+    inputs = section.drive.inputs.copy()
+    for name, seconds in delay.items():
+        k = system.inputs.index(name)
+        inputs[:, k] -= seconds * np.gradient(inputs[:, k], section.drive.step_s)
+    return replace(section.drive, inputs=inputs)

@@ -3,7 +3,7 @@
     schema = 1
     name = "uds4"
     warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
-    [known.y_p_tp]           unit, description, min, max, noise
+    [known.y_p_tp]           unit, description, min, max, noise, zero  (zero may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior, source  (min, max and prior may be absent)
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
@@ -156,12 +156,15 @@ def _known(table: Table) -> Known:
         min=table.number("min"),
         max=table.number("max"),
         noise=table.number("noise"),
+        zero=table.optional_number("zero") or 0.0,
     )
     table.done()
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
     if known.noise <= 0:
         raise table.fail("noise", "must be positive: it is the scale of the sensor's residuals")
+    if known.zero < 0:
+        raise table.fail("zero", f"{known.zero:g} is no standard deviation; give a positive one, or none")
     return known
 
 

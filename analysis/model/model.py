@@ -17,13 +17,17 @@ from analysis.model.errors import ModelError
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """A measured or commanded signal: operating range [min, max] and standard deviation `noise`, in `unit`."""
+    """A measured or commanded signal, in `unit`: operating range [min, max], standard deviation `noise` of a sample.
+
+    `zero` is the standard deviation of the zero error that a calibration of the sensor has left; 0 is none.
+    """
 
     unit: str
     description: str
     min: float
     max: float
     noise: float
+    zero: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

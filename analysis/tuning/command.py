@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
 from analysis.graph.bank import Bank, build_bank
 from analysis.model import dump_model
 from analysis.progress import Progress
@@ -13,7 +14,7 @@ from analysis.recordings.modes import modes_of, stand_ins
 from analysis.recordings.observe import START_WITHIN_S, observe, open_known
 from analysis.structure.lint import sound_model
 from analysis.tuning.evidence import gather
-from analysis.tuning.file import SCHEMA, Tuning, model_digest, recordings_of
+from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.thresholds import Seen, seen, tune_detectors
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -48,8 +49,8 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
     """The tuning of a bank from fault-free recordings.
 
     Raises:
-        InputError: a recording was used for calibration or is named twice, its tests could hardly ever tell, or an
-            operating mode is missing.
+        InputError: a recording was used for calibration, is named twice or is of another vehicle, its tests could
+            hardly ever tell, or an operating mode is missing.
     """
     calibrated = recordings_of(bank.model)
     units = {channel.signal: channel.unit for channel in bank.inputs}
@@ -59,6 +60,7 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
         if log.sha256 in calibrated or log.sha256 in digests:
             used = "for calibration" if log.sha256 in calibrated else "twice"
             raise InputError(f"{path}: this recording is used {used}; tune on fault-free recordings of their own")
+        check_vehicle(log, path, vehicle_of(bank.model), f"the calibration of {bank.model.name}")
         progress.say(log.id)
         table = compile_dbc(log.dbc, units, str(path))
         watched.append(seen(log.id, observe(bank, table, log.relative())))

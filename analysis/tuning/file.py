@@ -5,7 +5,6 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.model import Model
 from service.core.errors import InputError
 from service.core.manifest import Detector, Evidence, Modes
 
@@ -33,12 +32,6 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 def model_digest(text: str) -> str:
     """The SHA-256 by which tuning and bundle know the model file."""
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def recordings_of(model: Model) -> list[str]:
-    """The SHA-256 of the recordings that the model was calibrated on, from its provenance."""
-    entries = [entry.get("recordings", []) for entry in model.provenance if entry.get("command") == "calibrate"]
-    return [str(sha) for entry in entries if isinstance(entry, (list, tuple)) for sha in entry]
 
 
 def load_tuning(path: Path) -> Tuning:

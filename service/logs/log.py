@@ -2,24 +2,27 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from service.logs.candump import Frame, LogError, LogReport
 from service.logs.formats import read_log
-from service.logs.recording import load_recording
+from service.logs.recording import Recording, load_recording
 
 
 @dataclass(frozen=True)
 class Log:
-    """Frames in time order under an id; `sha256` is the hash of the log's bytes, `dbc_sha256` None for a bare file."""
+    """Frames in time order under an id; `sha256` is the hash of the log's bytes.
+
+    Of a bare file neither its DBC is known nor what `recording.toml` says: they are None.
+    """
 
     id: str
     frames: list[Frame]
     report: LogReport
     sha256: str
-    dbc_sha256: str | None
-    dbc_path: Path | None
+    dbc_path: Path | None = None
+    recording: Recording | None = None
 
     @property
     def dbc(self) -> str:
@@ -41,9 +44,10 @@ class Log:
         Raises:
             LogError: the recording names another DBC.
         """
-        if self.dbc_sha256 not in (None, sha256):
+        used = self.recording.can.dbc_sha256 if self.recording else sha256
+        if used != sha256:
             raise LogError(
-                f"{self.dbc_path}: recorded with DBC {self.dbc_sha256[:12]}, the bundle was made for {sha256[:12]}; "
+                f"{self.dbc_path}: recorded with DBC {used[:12]}, the bundle was made for {sha256[:12]}; "
                 "export a bundle for this vehicle's DBC"
             )
 
@@ -65,17 +69,18 @@ def open_log(path: Path) -> Log:
         LogError: it is neither, or a bench recording, which has first to be ingested.
     """
     if not path.is_dir():
-        return _open(path.stem, path, None, None)
+        return _bare(path)
     recording = load_recording(path)
     if recording.kind == "bench":
         raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
-    return _open(recording.id, path / recording.can.file, recording.can.dbc_sha256, path / recording.can.dbc)
+    log = _bare(path / recording.can.file)
+    return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
 
 
-def _open(name: str, path: Path, dbc_sha256: str | None, dbc_path: Path | None) -> Log:
+def _bare(path: Path) -> Log:
     try:
         content = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     frames, report = read_log(path)
-    return Log(name, frames, report, hashlib.sha256(content).hexdigest(), dbc_sha256, dbc_path)
+    return Log(path.stem, frames, report, hashlib.sha256(content).hexdigest())

@@ -8,10 +8,11 @@ import pytest
 from made_drive import HOLD_TICKS, freed, samples, write_recording
 
 from analysis.calibration.command import main as calibrate
+from analysis.calibration.provenance import recordings_of
 from analysis.graph.bank import build_bank
 from analysis.model import dump_model, load_model
 from analysis.tuning.command import main as tune
-from analysis.tuning.file import load_tuning, model_digest, recordings_of
+from analysis.tuning.file import load_tuning, model_digest
 from service.core.errors import InputError
 from service.core.manifest import MODES
 from service.logs import open_log

@@ -125,7 +125,7 @@ WRONG = [
     (
         "unknown key in a signal",
         change("noise = 0.01", "noise = 0.01\nnosie = 1"),
-        "m.toml: known.y.nosie: unknown key; allowed here are unit, description, min, max, noise",
+        "m.toml: known.y.nosie: unknown key; allowed here are unit, description, min, max, noise, zero",
     ),
     (
         "unknown key in a fault",

@@ -1,0 +1,150 @@
+"""What makes a right model differ from a measurement, and the weights that follow from it.
+
+    e = v + B w,    v ~ N(0, R) independent,    w ~ N(0, 1)
+
+v is the sensors' own noise and, by operating mode, what else changes from sample to sample (the valve's ripple). w are
+errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL_S`; what a pulsed
+valve makes of a commanded level, which stays with the level; and the time of each step, which is known to no better
+than a sample and a period of the valve. B is the run's exact
+derivative. Without w, minutes of one and the same wandering would count as thousands of independent samples, and an
+uncertain dose step as evidence for a softer hose.
+
+The weights are Sigma^(-1/2) for Sigma = R + B B', by way of the eigenvectors of B'R^(-1)B.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.sections import Section, is_command
+from analysis.graph.bank import PERIOD_S
+from analysis.model import Model
+from analysis.simulation import System, Trajectory
+from service.core.manifest import MODES
+
+Array = npt.NDArray[np.float64]
+Spread = Callable[[Array], float]
+Levels = Mapping[str, Array]
+"""Standard deviation of v by output and mode (modes,), in the output's unit."""
+
+CELL_S = 2.0
+"""Shorter than any time constant that integrates."""
+
+STEP_TIME_S = 0.12
+"""Standard deviation of the time of an input's step: half a sample either way, and when the valve's period ends."""
+
+FAINT = 0.05
+"""A direction whose disturbance is this part of the samples' noise has no weight to lose."""
+
+SLOW_S = 3.0
+"""What changes more slowly than this is no sample's noise."""
+
+LEAST_RUN = 5
+"""Samples in one mode on end, from which a level can be had."""
+
+
+class Whitening:
+    """Turns the differences of a section, all outputs one after the other (N,), into unit independent noise."""
+
+    def __init__(self, section: Section, levels: Levels, disturbed: Array) -> None:
+        self._weight = 1.0 / np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
+        C = disturbed * self._weight[:, None]
+        power, V = np.linalg.eigh(C.T @ C)
+        seen = power > FAINT**2
+        self._U = C @ (V[:, seen] / np.sqrt(power[seen]))
+        self._less = 1.0 - 1.0 / np.sqrt(1.0 + power[seen])
+
+    def __call__(self, e: Array) -> Array:
+        """The differences (N, ...) whitened."""
+        weighted = (e.T * self._weight).T
+        lessened = self._U @ ((self._U.T @ weighted).T * self._less).T
+        return np.asarray(weighted - lessened)
+
+
+def stacked(section: Section, by_output: Mapping[str, Array]) -> Array:
+    """Values (K, ...) on the grid at the samples' times, all outputs one after the other (N, ...)."""
+    return np.concatenate([_at(section, s.t, by_output[name]) for name, s in section.samples.items()])
+
+
+def _at(section: Section, t: Array, values: Array) -> Array:
+    """Between the grid's instants on straight lines."""
+    place = t / section.drive.step_s
+    k = np.minimum(place.astype(int), len(values) - 2)
+    share = (place - k).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray((1.0 - share) * values[k] + share * values[k + 1])
+
+
+def commands_of(system: System, sections: Sequence[Section]) -> tuple[str, ...]:
+    """The inputs that are commands."""
+    inputs = np.concatenate([section.drive.inputs for section in sections])
+    return tuple(name for name, value in zip(system.inputs, inputs.T, strict=True) if is_command(value))
+
+
+def disturbances(model: Model, section: Section, trajectory: Trajectory, commands: Sequence[str]) -> Array:
+    """B (N, D) at the trajectory."""
+    columns = []
+    for name in trajectory.system.inputs:
+        u, h = trajectory.drive.inputs[:, trajectory.system.inputs.index(name)], trajectory.drive.step_s
+        errors = (
+            _of_command(u, h, model.known[name].noise)
+            if name in commands
+            else _of_sensor(u, h, model.known[name].noise)
+        )
+        columns.append(stacked(section, trajectory.by_input(name, errors)))
+    return np.concatenate(columns, axis=1)
+
+
+def _of_sensor(u: Array, step_s: float, noise: float) -> Array:
+    """The errors (K, D) of a measured input: the mean of its samples' noise over every `CELL_S`."""
+    cell = (np.arange(len(u)) * step_s / CELL_S).astype(int)
+    return np.asarray(noise * np.sqrt(PERIOD_S / CELL_S) * _marks(cell, cell[-1] + 1))
+
+
+def _of_command(u: Array, step_s: float, noise: float) -> Array:
+    """The errors (K, D) of a command: one of each level, and for each step what so much delay takes away."""
+    slope = np.gradient(u, step_s)
+    moves = slope != 0.0
+    begins = np.diff(moves, prepend=False) & moves
+    step = np.cumsum(begins)
+    levels = noise * _marks(step, step[-1] + 1)
+    steps = STEP_TIME_S * _marks(step * moves, step[-1] + 1)[:, 1:] * slope[:, None]
+    return np.concatenate([levels, steps], axis=1)
+
+
+def _marks(number: npt.NDArray[np.int64], count: int) -> Array:
+    """A column of ones and zeros for every number from 0 on, (K, count)."""
+    return np.asarray(number[:, None] == np.arange(count), dtype=np.float64)
+
+
+def levels_of(model: Model, sections: Sequence[Section], left: Sequence[Array], spread: Spread) -> Levels:
+    """The levels that the differences `left` (N,) of each section show, at least the sensors' noise."""
+    fast: dict[str, list[list[Array]]] = {name: [[] for _ in MODES] for name in sections[0].samples}
+    for section, e in zip(sections, left, strict=True):
+        ends = np.cumsum([len(s.t) for s in section.samples.values()])
+        for (name, s), part in zip(section.samples.items(), np.split(e, ends[:-1]), strict=True):
+            for run in np.split(np.arange(len(part)), np.flatnonzero(np.diff(s.mode)) + 1):
+                if len(run) >= LEAST_RUN:
+                    fast[name][s.mode[run[0]]].append(_fast(part[run], float(np.median(np.diff(s.t[run])))))
+    return {
+        name: np.array([max(model.known[name].noise, spread(np.concatenate([*parts, [0.0]]))) for parts in by_mode])
+        for name, by_mode in fast.items()
+    }
+
+
+def _fast(e: Array, period_s: float) -> Array:
+    """What changes faster than `SLOW_S`, made as large as it is in white noise."""
+    width = min(max(3, round(SLOW_S / period_s)), len(e))
+    kernel = np.ones(width)
+    slow = np.convolve(e, kernel, "same") / np.convolve(np.ones_like(e), kernel, "same")
+    return np.asarray((e - slow) / np.sqrt(1.0 - 1.0 / width))
+
+
+def by_median(e: Array) -> float:
+    """The standard deviation of (N,) zero-mean noise in which there may be steps that are none."""
+    return 1.4826 * float(np.median(np.abs(e)))
+
+
+def by_square(e: Array) -> float:
+    """The standard deviation of (N,) zero-mean noise."""
+    return float(np.sqrt(np.mean(e**2)))

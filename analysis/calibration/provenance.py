@@ -1,0 +1,38 @@
+"""What a calibrated model says of the recordings that it was calibrated on."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.model import Model
+from service.core.errors import InputError
+from service.logs import Log
+
+COMMAND = "calibrate"
+
+
+def entry(logs: Sequence[Log], sections: int) -> dict[str, object]:
+    """What a calibration adds to a model's provenance."""
+    recording = logs[0].recording
+    vehicle = {"vehicle": recording.vehicle} if recording else {}
+    return {"command": COMMAND, "recordings": [log.sha256 for log in logs], "sections": sections, **vehicle}
+
+
+def recordings_of(model: Model) -> list[str]:
+    """The SHA-256 of the recordings that the model was calibrated on."""
+    entries = [entry.get("recordings", []) for entry in model.provenance if entry.get("command") == COMMAND]
+    return [str(sha) for entry in entries if isinstance(entry, (list, tuple)) for sha in entry]
+
+
+def vehicle_of(model: Model) -> str | None:
+    """The vehicle that the model was last calibrated for, if it says so."""
+    named = [entry["vehicle"] for entry in model.provenance if entry.get("command") == COMMAND and "vehicle" in entry]
+    return str(named[-1]) if named else None
+
+
+def check_vehicle(log: Log, path: Path, expected: str | None, what: str) -> None:
+    """Raises InputError if the log is of another vehicle than `expected`, that of `what`; a bare log names none."""
+    if log.recording is not None and expected is not None and log.recording.vehicle != expected:
+        raise InputError(
+            f"{path}: recorded on vehicle {log.recording.vehicle!r}, {what} is of {expected!r}; every vehicle has "
+            "parameters of its own, give a recording of this one"
+        )

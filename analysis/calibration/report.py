@@ -1,0 +1,196 @@
+"""What a calibration found, as JSON, as text and as a picture like the thesis's Fig. 5.10."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import msgspec
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from analysis.calibration.fit import Fit
+from analysis.calibration.identify import Identified
+from analysis.calibration.validate import STEADY, Agreement, Validation
+from analysis.model import Known, Model
+
+BAR = 1e5
+STYLES: tuple[dict[str, Any], ...] = (
+    {"color": "#e5a58a", "linewidth": 2.2},
+    {"color": "#1b4332", "linewidth": 0.8, "linestyle": "--"},
+)
+"""Of the models in a picture: the one calibrated, and the one beside it."""
+
+
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """One parameter, in `unit`: 95 % intervals by itself and with the anchors as they are; whether the data tell it."""
+
+    unit: str
+    datasheet: float
+    value: float
+    interval: tuple[float, float]
+    relative_interval: tuple[float, float]
+    told: bool
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True):
+    """What `calibrate` tells. `agreement` is by recording, output and mode, all in the output's unit.
+
+    `anchors` name what only the prior scales, with the parameters known relative to it; `zeros` are the sensors' zero
+    errors, `delays` the commands' [s]; of `starts` searches so many came to the best place.
+    """
+
+    model: str
+    vehicle: str | None
+    sources: tuple[str, ...]
+    parameters: dict[str, Parameter]
+    anchors: dict[str, tuple[str, ...]]
+    correlated: tuple[tuple[str, str, float], ...]
+    at_bound: tuple[str, ...]
+    zeros: dict[str, float]
+    delays: dict[str, float]
+    starts: tuple[int, int]
+    agreement: dict[str, dict[str, dict[str, Agreement]]]
+
+
+def report(
+    model: Model,
+    vehicle: str | None,
+    sources: Sequence[str],
+    fit: Fit,
+    found: Identified,
+    validations: Mapping[str, Validation],
+) -> Report:
+    """The report of a fit of `model`, with the free runs over each recording; `sources` say where those come from."""
+    return Report(
+        model=model.name,
+        vehicle=vehicle,
+        sources=tuple(sources),
+        parameters={
+            name: Parameter(
+                unit=model.parameters[name].unit,
+                datasheet=model.parameters[name].value,
+                value=e.value,
+                interval=e.interval(e.spread),
+                relative_interval=e.interval(e.relative_spread),
+                told=e.told,
+            )
+            for name, e in found.estimates.items()
+        },
+        anchors=found.anchors,
+        correlated=found.correlated,
+        at_bound=fit.at_bound,
+        zeros=fit.unknowns.zero(fit.x),
+        delays=fit.unknowns.delay(fit.x),
+        starts=fit.starts,
+        agreement={recording: validation.agreement for recording, validation in validations.items()},
+    )
+
+
+def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
+    """The report as lines of text."""
+    lines = [f"{'parameter':<10}{'datasheet':>12}{'calibrated':>12}{'95 %':>9}  unit"]
+    lines += [_row(name, p, r) for name, p in r.parameters.items()]
+    for anchor, others in r.anchors.items():
+        lines.append(
+            f"only ratios to {anchor} can be told of {', '.join(others)}: "
+            f"the 95 % are with {anchor} as it is, by itself known to {_percent(r.parameters[anchor].interval):.0f} %"
+        )
+    for first, second, correlation in r.correlated:
+        lines.append(f"{first} and {second} are hard to tell apart (correlation {correlation:+.2f})")
+    for name in r.at_bound:
+        lines.append(f"{name} has run into its bound: the data want a value that the model file does not allow")
+    lines += [f"sensor {name}: zero error {value:+.3g} {known[name].unit}" for name, value in r.zeros.items()]
+    lines += [f"command {name}: acts {value:+.3f} s after it is logged" for name, value in r.delays.items()]
+    lines.append(f"{r.starts[1]} of {r.starts[0]} searches came to the same place")
+    for recording, by_output in r.agreement.items():
+        lines.append(f"free run over {recording}, RMS error (noise floor; with the inputs' noise) by mode:")
+        for name, by_mode in by_output.items():
+            cells = [f"{mode} {a.rms:.3g} ({a.floor:.3g}; {a.expected:.3g})" for mode, a in by_mode.items()]
+            lines.append(f"  {name} [{known[name].unit}]: " + ", ".join(cells))
+    return lines
+
+
+def _row(name: str, p: Parameter, r: Report) -> str:
+    if name in r.anchors:
+        tells = "anchor"
+    elif not p.told:
+        tells = "not told"
+    else:
+        tells = f"{_percent(p.relative_interval):.2g} %"
+    return f"{name:<10}{p.datasheet:>12.4g}{p.value:>12.4g}{tells:>9}  {p.unit}"
+
+
+def _percent(interval: tuple[float, float]) -> float:
+    """Half the width of an interval, of its middle."""
+    low, high = interval
+    return 50.0 * float(np.log(high / low))
+
+
+def page(r: Report, known: Mapping[str, Known], picture: str) -> str:
+    """The report as Markdown, with its picture."""
+    body = "\n".join(sentences(r, known))
+    of = f" of vehicle {r.vehicle}" if r.vehicle else ""
+    steady = [
+        f"| {recording} | {name} | {a.rms:.4g} | {a.floor:.4g} | {a.rms / a.floor:.2f} | {a.expected:.4g} |"
+        for recording, by_output in r.agreement.items()
+        for name, by_mode in by_output.items()
+        if (a := by_mode.get(STEADY)) is not None
+    ]
+    head = "| recording | output | RMS, steady | noise floor | ratio | with the inputs' noise |"
+    table = "\n".join([head, "|---|---|---|---|---|---|", *steady])
+    origin = f"Recordings: {'; '.join(r.sources)}.\n\n" if r.sources else ""
+    return f"# Calibration of {r.model}{of}\n\n{origin}![Free run]({picture})\n\n{table}\n\n```\n{body}\n```\n"
+
+
+def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]], path: Path) -> None:
+    """Writes the free runs as a PNG: for each recording (a column) its outputs, measured and predicted, and its inputs.
+
+    `runs` are by recording and by the model's name.
+    """
+    mpl.use("Agg")
+    first = next(iter(next(iter(runs.values())).values()))
+    outputs = list(first.sections[0].samples)
+    inputs = list(first.trajectories[0].system.inputs)
+    figure = Figure(figsize=(8 * len(runs), 2.2 * len(outputs) + 2.6), layout="constrained")
+    rows = [2.0] * len(outputs) + [1.3]
+    grid = figure.subplots(len(rows), len(runs), sharex="col", squeeze=False, height_ratios=rows)
+    for column, (recording, by_model) in enumerate(runs.items()):
+        for axes, name in zip(grid[:, column], outputs, strict=False):
+            _output(axes, name, model.known[name], by_model)
+        _inputs(grid[-1, column], inputs, model, next(iter(by_model.values())))
+        grid[0, column].set_title(recording, fontsize=11)
+        grid[-1, column].set_xlabel("log time [s]")
+    figure.suptitle(f"Free run on {' and '.join(inputs)} alone; {'; '.join(told.sources)}", fontsize=12)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100)
+
+
+def _output(axes: Axes, name: str, known: Known, by_model: Mapping[str, Validation]) -> None:
+    scale, unit = (BAR, "bar") if known.unit == "Pa" else (1.0, known.unit)
+    measured = next(iter(by_model.values()))
+    for k, section in enumerate(measured.sections):
+        s = section.samples[name]
+        label = "measured" if k == 0 else None
+        axes.plot(section.start_s + s.t, s.value / scale, ".", color="#9db7d5", markersize=2, label=label)
+    for (title, validation), style in zip(by_model.items(), STYLES, strict=False):
+        for k, (section, trajectory) in enumerate(zip(validation.sections, validation.trajectories, strict=True)):
+            label = title if k == 0 else None
+            inside = section.t > section.samples[name].t[0]
+            y = trajectory.outputs()[name][inside] / scale
+            axes.plot(section.start_s + section.t[inside], y, label=label, **style)
+    axes.set_ylabel(f"{name} [{unit}]")
+    axes.grid(visible=True, alpha=0.25)
+    axes.margins(x=0)
+    axes.legend(loc="upper left", ncols=3, fontsize=8)
+
+
+def _inputs(axes: Axes, names: Sequence[str], model: Model, validation: Validation) -> None:
+    for k, (name, color) in enumerate(zip(names, ("#444444", "#6a4c93", "#2e7d32"), strict=False)):
+        side = axes if k == 0 else axes.twinx()
+        for section in validation.sections:
+            side.plot(section.start_s + section.t, section.drive.inputs[:, k], color=color, linewidth=0.9)
+        side.set_ylabel(f"{name} [{model.known[name].unit}]", color=color)
+    axes.grid(visible=True, alpha=0.25)
+    axes.margins(x=0)

@@ -1,0 +1,195 @@
+"""Cuts a recording into sections in which a model can be run freely and compared.
+
+A section is a stretch in which every input tells and every signal that tells is within its range; at its start the
+measured pressures say where the states are, and the model's warm-up passes before a sample counts. Inputs are
+interpolated, outputs are compared at their own times: nothing is filtered.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import sympy as sp
+from scipy.interpolate import CubicSpline
+
+from analysis.graph.bank import PERIOD_S
+from analysis.model import Model
+from analysis.recordings.modes import modes_of
+from analysis.simulation import Drive, System
+from service.core.decode import DecodeTable
+from service.core.errors import InputError
+from service.core.manifest import Input
+from service.core.modes import ModeTracker
+from service.core.signals import Quality
+from service.logs import Frame
+
+Array = npt.NDArray[np.float64]
+
+STEP_S = 0.05
+"""Of the free run: half a period of the bus."""
+
+GAP_S = 1.0
+"""An input that is silent for longer is unknown: five of its periods."""
+
+LONGEST_S = 300.0
+"""A longer stretch is cut: the memory that its noise takes grows with the square."""
+
+STILL = 0.5
+"""An input that moves in a smaller part of all samples is a command."""
+
+BLIND_S = 0.5
+"""From a sample before a command's step until so long after it no sample counts: when it acted is not known so well."""
+
+SHORTEST_S = 30.0
+"""Beyond the warm-up; less is not worth a run."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """An output as measured: times `t` (N,) [s] after the section's start, values (N,), operating modes (N,)."""
+
+    t: Array
+    value: Array
+    mode: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a free run from `start_s` [s] after the log's first frame needs, and what it is compared with."""
+
+    start_s: float
+    drive: Drive
+    samples: Mapping[str, Samples]
+
+    @property
+    def t(self) -> Array:
+        """The instants of the free run [s], after the section's start."""
+        return np.asarray(np.arange(len(self.drive.inputs)) * self.drive.step_s)
+
+
+def is_command(value: Array) -> bool:
+    """Whether an input (K,) holds still between its steps: a command, no measurement."""
+    return bool(np.mean(np.diff(value) != 0.0) < STILL)
+
+
+class _Track:
+    """What a signal said: times (N,) [s], increasing, and values (N,)."""
+
+    def __init__(self, rows: Sequence[tuple[float, float]]) -> None:
+        self.t, self.value = np.array(rows, dtype=np.float64).reshape(-1, 2).T
+        later = np.diff(self.t, prepend=-np.inf) > 0
+        self.t, self.value = self.t[later], self.value[later]
+
+    def at(self, t: Array) -> Array:
+        """On straight lines between the samples."""
+        return np.interp(t, self.t, self.value)
+
+
+def sections(model: Model, system: System, table: DecodeTable, frames: Iterable[Frame], where: str) -> list[Section]:
+    """The sections of a log, whose frames' times are from its start on.
+
+    Raises:
+        InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
+    """
+    tracks = _tracks(model, table, frames, where)
+    found = [
+        _section(model, system, tracks, low, high)
+        for low, high in _stretches(model, system, tracks)
+        if high - low >= model.warm_up_s + SHORTEST_S
+    ]
+    if not found:
+        raise InputError(
+            f"{where}: in no {model.warm_up_s + SHORTEST_S:g} s on end do all inputs tell and all signals keep within "
+            "their ranges; record some minutes of undisturbed operation"
+        )
+    return found
+
+
+def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: str) -> dict[str, _Track]:
+    rows: dict[str, list[tuple[float, float]]] = {name: [] for name in model.known}
+    for t, can_id, extended, data in frames:
+        for name, value, quality in table.decode(can_id, extended, data):
+            if quality is Quality.GOOD:
+                rows[name].append((t, value))
+    silent = [name for name, told in rows.items() if len(told) < 2]
+    if silent:
+        raise InputError(f"{where}: {', '.join(silent)} never tells; calibrate on a recording that has all signals")
+    return {name: _Track(told) for name, told in rows.items()}
+
+
+def _stretches(model: Model, system: System, tracks: Mapping[str, _Track]) -> list[tuple[float, float]]:
+    """Times between which nothing is missing or out of range, at most `LONGEST_S` apart."""
+    start = max(track.t[0] for track in tracks.values())
+    end = min(tracks[name].t[-1] for name in system.inputs)
+    bad = [(-np.inf, start), (end, np.inf)]
+    for name in system.inputs:
+        t = tracks[name].t
+        bad += [(float(a), float(b)) for a, b in pairwise(t) if b - a > GAP_S]
+    for name, known in model.known.items():
+        track = tracks[name]
+        bad += [(float(t), float(t)) for t in track.t[(track.value < known.min) | (track.value > known.max)]]
+    found = []
+    last = -np.inf
+    for low, high in sorted(bad):
+        if low - last > PERIOD_S and np.isfinite(last):
+            pieces = int(np.ceil((low - last) / LONGEST_S))
+            edges = np.linspace(last, low, pieces + 1)
+            found += [(float(a), float(b)) for a, b in pairwise(edges)]
+        last = max(last, high)
+    return found
+
+
+def _section(model: Model, system: System, tracks: Mapping[str, _Track], low: float, high: float) -> Section:
+    t = np.arange(low, high, STEP_S)
+    inputs = np.column_stack([_input(tracks[name], t) for name in system.inputs])
+    measured = {name: tracks[name].at(t) for name in system.outputs}
+    states = np.column_stack([_state(model, name, measured, len(t)) for name in system.states])
+    mode = _modes(model, tracks, t)
+    commands = [tracks[name] for name in system.inputs if is_command(tracks[name].value)]
+    stepped = np.concatenate([[-np.inf], *(track.t[1:][np.diff(track.value) != 0.0] for track in commands)])
+    stepped.sort()
+    samples = {}
+    for name in system.outputs:
+        track = tracks[name]
+        last = stepped[np.searchsorted(stepped, track.t + PERIOD_S, side="right") - 1]
+        inside = (track.t >= low + model.warm_up_s) & (track.t <= t[-1]) & (track.t > last + BLIND_S)
+        at = np.searchsorted(t, track.t[inside], side="right") - 1
+        samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
+    return Section(low, Drive(STEP_S, inputs, states[0], states), samples)
+
+
+def _input(track: _Track, t: Array) -> Array:
+    """A command on straight lines, a measurement on a cubic spline: chords would flatten each of its swings."""
+    if is_command(track.value):
+        return track.at(t)
+    near = (track.t > t[0] - GAP_S) & (track.t < t[-1] + GAP_S)
+    return np.asarray(CubicSpline(track.t[near], track.value[near])(t))
+
+
+def _state(model: Model, name: str, measured: Mapping[str, Array], count: int) -> Array:
+    """A state's values where the sensors see it, by the first of its initial expressions that they can give."""
+    at_hand = {**{parameter: p.value for parameter, p in model.parameters.items()}, **measured}
+    for expression in model.unknown[name].initial:
+        needed = sorted(symbol.name for symbol in expression.free_symbols)
+        if set(needed) <= at_hand.keys():
+            value = sp.lambdify(needed, expression)(*(at_hand[symbol] for symbol in needed))
+            return np.broadcast_to(value, count)
+    raise InputError(
+        f"{model.name}: unknown.{name}.initial: no expression uses only sensors' signals; add one, a parameter will do"
+    )
+
+
+def _modes(model: Model, tracks: Mapping[str, _Track], t: Array) -> npt.NDArray[np.int64]:
+    """The operating mode at the times `t`, as the vehicle's own tracker follows it."""
+    inputs = [
+        Input(signal=name, unit=k.unit, maximum_age_s=GAP_S, lower=k.min, upper=k.max)
+        for name, k in model.known.items()
+    ]
+    tracker = ModeTracker(modes_of(model), inputs)
+    ticks = np.arange(t[0], t[-1] + PERIOD_S, PERIOD_S)
+    z = np.column_stack([tracks[name].at(ticks) for name in model.known])
+    told = np.ones(len(inputs), dtype=np.bool_)
+    mode = np.array([tracker.update(row, told) for row in z], dtype=np.int64)
+    return np.asarray(mode[np.minimum(np.round((t - t[0]) / PERIOD_S).astype(int), len(mode) - 1)])

@@ -1,0 +1,120 @@
+"""A calibrated model's free run beside measurements: how far apart, in each operating mode, and how far noise alone is.
+
+The *noise floor* of a channel is how it flickers by itself, sensor and valve's ripple together, whatever the model: the
+standard deviation around straight lines of `BLOCK_S`, by the median of them, as some bend. The *expected* error adds
+what the inputs' own errors make of a free run, even of a right model's (see `noise`): the speed's noise, which the run
+integrates, a command's imprecision, and what is left of steps whose time is not known better than a sample.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.fit import delayed
+from analysis.calibration.noise import commands_of, disturbances, stacked
+from analysis.calibration.sections import Section
+from analysis.model import Model
+from analysis.simulation import System, Trajectory, run
+from service.core.manifest import MODES
+from service.core.modes import EDGE
+
+Array = npt.NDArray[np.float64]
+
+BLOCK_S = 5.0
+
+LEAST = 5
+"""Samples in a block."""
+
+STEADY = "steady"
+"""All modes but edges."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """In one mode of one output, all in the output's unit: RMS and mean of the error, noise floor, expected error."""
+
+    samples: int
+    rms: float
+    bias: float
+    floor: float
+    expected: float
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The runs over the sections, and `agreement` by output and mode; modes without samples are left out."""
+
+    sections: tuple[Section, ...]
+    trajectories: tuple[Trajectory, ...]
+    agreement: dict[str, dict[str, Agreement]]
+
+
+def validate(
+    model: Model,
+    system: System,
+    sections: Sequence[Section],
+    values: Mapping[str, float],
+    delay: Mapping[str, float],
+    zero: Mapping[str, float],
+) -> Validation:
+    """Runs the model with calibrated `values`, `delay` of commands [s] and `zero` errors of sensors over the sections.
+
+    Raises:
+        InputError: the model cannot be run with them.
+    """
+    trajectories = [run(system, delayed(section, system, delay), values) for section in sections]
+    commands = commands_of(system, sections)
+    gathered: dict[str, list[tuple[npt.NDArray[np.int64], Array, Array, Array]]] = {name: [] for name in system.outputs}
+    for section, trajectory in zip(sections, trajectories, strict=True):
+        B = disturbances(model, section, trajectory, commands)
+        predicted = stacked(section, trajectory.outputs())
+        ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
+        parts = zip(np.split(predicted, ends), np.split((B**2).sum(axis=1), ends), strict=True)
+        for (name, s), (y, disturbed) in zip(section.samples.items(), parts, strict=True):
+            gathered[name].append((s.mode, s.value - zero.get(name, 0.0) - y, _blocks(s.t, s.value, s.mode), disturbed))
+    agreement = {}
+    for name, found in gathered.items():
+        mode, error, blocks, disturbed = (np.concatenate(column) for column in zip(*found, strict=True))
+        flicker = _typical(blocks, mode)
+        by_mode = {MODES[k]: mode == k for k in range(len(MODES))} | {STEADY: mode != EDGE}
+        agreement[name] = {
+            title: _agreement(error[there], flicker[there], disturbed[there])
+            for title, there in by_mode.items()
+            if there.any()
+        }
+    return Validation(tuple(sections), tuple(trajectories), agreement)
+
+
+def _agreement(error: Array, flicker: Array, disturbed: Array) -> Agreement:
+    floor = float(np.sqrt(np.mean(flicker)))
+    return Agreement(
+        samples=len(error),
+        rms=float(np.sqrt(np.mean(error**2))),
+        bias=float(np.mean(error)),
+        floor=floor,
+        expected=float(np.sqrt(floor**2 + np.mean(disturbed))),
+    )
+
+
+def _blocks(t: Array, value: Array, mode: npt.NDArray[np.int64]) -> Array:
+    """For every sample the variance around its block's straight line; NaN in blocks that are too short for one."""
+    found = np.full(len(t), np.nan)
+    block = np.cumsum((np.diff(mode, prepend=mode[:1]) != 0) | (np.diff(t // BLOCK_S, prepend=-1.0) != 0))
+    for k in np.unique(block):
+        there = np.flatnonzero(block == k)
+        if len(there) > LEAST:
+            A = np.column_stack([np.ones(len(there)), t[there] - t[there[0]]])
+            rest = value[there] - A @ np.linalg.lstsq(A, value[there], rcond=None)[0]
+            found[there] = np.sum(rest**2) / (len(there) - 2)
+    return found
+
+
+def _typical(variance: Array, mode: npt.NDArray[np.int64]) -> Array:
+    """For every sample the median variance of its mode."""
+    found = np.full(len(variance), np.nan)
+    for k in np.unique(mode):
+        told = variance[(mode == k) & np.isfinite(variance)]
+        found[mode == k] = np.median(told) if len(told) else np.nan
+    return found

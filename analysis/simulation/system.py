@@ -1,0 +1,236 @@
+"""A model as what a solver needs: equations in as few variables as can be, with all their derivatives.
+
+The sensors' equations are set aside: what they measure are the *outputs*; the other known signals are the *inputs*.
+What is left is a differential-algebraic system
+
+    G(w, d, u, theta) = 0,    d = derivatives of the states
+
+in states and algebraic variables w. Two rewritings make it fit for Newton's method. A variable that some equation gives
+as a plain sum is put in where it is used, so that what cancels does (the pump's efficiency divides by its speed, the
+flow does not). And a root, steep at zero, becomes a variable s of its own with the parabola that defines it,
+s |s| = argument, which is smooth where the flow turns (Nagel 1975 solves diodes the same way: for the current).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import sympy as sp
+
+from analysis.model import Model
+from analysis.model.expression import sgsqrt
+from service.core.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+Evaluation = Callable[..., list[float | Array]]
+
+LAMINAR = 1e-4
+"""The slope of a root's parabola at zero, where it would have none: of an orifice's velocity in m/s, a laminar part."""
+
+
+@dataclass(frozen=True)
+class System:
+    """`residuals` (n) in `variables` (n: the states first, then the rest) and `derivatives`; `outputs` by signal.
+
+    `roots` are those variables that stand for the root of an argument, which may use variables before them.
+    `parameters` are the names that stay symbols; all others have their values.
+    """
+
+    model: Model
+    states: tuple[str, ...]
+    variables: tuple[sp.Symbol, ...]
+    derivatives: tuple[sp.Symbol, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    residuals: tuple[sp.Expr, ...]
+    outputs: dict[str, sp.Expr]
+    roots: dict[sp.Symbol, sp.Expr]
+
+    @property
+    def arguments(self) -> list[sp.Symbol]:
+        """What the functions below take, arrays over time or numbers: variables, derivatives, inputs, parameters."""
+        known = [sp.Symbol(name) for name in (*self.inputs, *self.parameters)]
+        return [*self.variables, *self.derivatives, *known]
+
+    def compiled(self, expressions: Sequence[sp.Expr]) -> Evaluation:
+        """The values of `expressions` as a function of `arguments`."""
+        meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
+        function: Evaluation = sp.lambdify(self.arguments, expressions, modules=[meaning, "numpy"], cse=True)
+        return function
+
+    def jacobian(self, expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> "Jacobian":
+        """The derivatives of `expressions` to `symbols`."""
+        places, entries = [], []
+        for row, expression in enumerate(expressions):
+            for column, symbol in enumerate(symbols):
+                entry = _derivative(expression, symbol)
+                if entry != 0:
+                    places.append((row, column))
+                    entries.append(entry)
+        return Jacobian((len(expressions), len(symbols)), tuple(places), self.compiled(entries))
+
+    @cached_property
+    def value(self) -> Evaluation:
+        """The residuals' values."""
+        return self.compiled(self.residuals)
+
+    @cached_property
+    def shown(self) -> Evaluation:
+        """The outputs' values."""
+        return self.compiled(list(self.outputs.values()))
+
+    @cached_property
+    def root_arguments(self) -> tuple[Evaluation, ...]:
+        """The values of the roots' arguments, one by one: an argument may use the roots before it."""
+        return tuple(self.compiled([argument]) for argument in self.roots.values())
+
+    @cached_property
+    def by_variable(self) -> "Jacobian":
+        """Of the residuals."""
+        return self.jacobian(self.residuals, self.variables)
+
+    @cached_property
+    def by_derivative(self) -> "Jacobian":
+        """Of the residuals."""
+        return self.jacobian(self.residuals, self.derivatives)
+
+    @cached_property
+    def by_input(self) -> "Jacobian":
+        """Of the residuals."""
+        return self.jacobian(self.residuals, [sp.Symbol(name) for name in self.inputs])
+
+    @cached_property
+    def by_parameter(self) -> "Jacobian":
+        """Of the residuals."""
+        return self.jacobian(self.residuals, [sp.Symbol(name) for name in self.parameters])
+
+    @cached_property
+    def shown_by(self) -> "dict[str, Jacobian]":
+        """Of the outputs, by what the derivative is to: "variables", "inputs" or "parameters"."""
+        to = {"variables": self.variables, "inputs": self.inputs, "parameters": self.parameters}
+        shown = list(self.outputs.values())
+        return {name: self.jacobian(shown, [sp.Symbol(str(s)) for s in symbols]) for name, symbols in to.items()}
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """A matrix of functions of which `places` (row, column) may differ from zero."""
+
+    shape: tuple[int, int]
+    places: tuple[tuple[int, int], ...]
+    entries: Evaluation
+
+    def __call__(self, count: int, arguments: Sequence[Array | float]) -> Array:
+        """The matrix at `count` instants, (count, rows, columns)."""
+        found = np.zeros((count, *self.shape))
+        for (row, column), value in zip(self.places, self.entries(*arguments), strict=True):
+            found[:, row, column] = value
+        return found
+
+
+def system_of(model: Model, parameters: Sequence[str]) -> System:
+    """The model's free-running system, in which `parameters` stay symbols.
+
+    Raises:
+        InputError: the model is not to be run freely: too few or too many equations for its variables.
+    """
+    equations = {name: model.expression(name, with_fault=False) for name in model.equations}
+    outputs = _sensors(model, equations)
+    equations = {name: e for name, e in equations.items() if name not in {place for place, _ in outputs.values()}}
+    numbers = {
+        sp.Symbol(name): sp.Float(p.value) for name, p in model.parameters.items() if name not in set(parameters)
+    }
+    states = [sp.Symbol(d.state) for d in model.differentials]
+    derivatives = [sp.Symbol(d.derivative) for d in model.differentials]
+    unknowns = [sp.Symbol(name) for name in model.unknown]
+    algebraic = [v for v in unknowns if v not in states and v not in derivatives]
+    if len(equations) != len(derivatives) + len(algebraic):
+        raise InputError(
+            f"{model.name}: {len(equations)} equations besides its sensors' for {len(derivatives) + len(algebraic)} "
+            "derivatives and algebraic variables; a model that shall run freely needs as many"
+        )
+    left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
+    shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
+    left, shown, algebraic = _substituted(left, shown, algebraic)
+    left, roots = _without_roots(left)
+    return System(
+        model=model,
+        states=tuple(d.state for d in model.differentials),
+        variables=(*states, *algebraic, *roots),
+        derivatives=tuple(derivatives),
+        inputs=tuple(name for name in model.known if name not in outputs),
+        parameters=tuple(parameters),
+        residuals=(*left, *(s * (sp.Abs(s) + LAMINAR) - argument for s, argument in roots.items())),
+        outputs=shown,
+        roots=roots,
+    )
+
+
+def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str, sp.Expr]]:
+    """By signal that a sensor shows: the equation that says so, and what the signal is in terms of unknowns."""
+    found = {}
+    known = {sp.Symbol(name) for name in model.known}
+    for signal in model.known:
+        y = sp.Symbol(signal)
+        places = [name for name, e in equations.items() if y in e.free_symbols]
+        if len(places) != 1:
+            continue
+        expression = equations[places[0]]
+        slope = sp.diff(expression, y)
+        if slope.is_number and slope != 0 and expression.free_symbols & known == {y}:
+            found[signal] = (places[0], sp.expand(y - expression / slope))
+    return found
+
+
+def _substituted(
+    equations: list[sp.Expr], outputs: dict[str, sp.Expr], algebraic: list[sp.Symbol]
+) -> tuple[list[sp.Expr], dict[str, sp.Expr], list[sp.Symbol]]:
+    """Puts in every algebraic variable that an equation gives as a sum: variable = what does not know it."""
+    left = list(algebraic)
+    while choice := next(((e, v) for e in equations for v in left if _given(e, v)), None):
+        equation, variable = choice
+        value = sp.expand(variable - equation / sp.diff(equation, variable))
+        equations = [sp.expand(e.xreplace({variable: value})) for e in equations if e is not equation]
+        outputs = {signal: sp.expand(e.xreplace({variable: value})) for signal, e in outputs.items()}
+        left.remove(variable)
+    return equations, outputs, left
+
+
+def _given(equation: sp.Expr, variable: sp.Symbol) -> bool:
+    if variable not in equation.free_symbols:
+        return False
+    slope = sp.expand(_derivative(equation, variable))
+    return bool(slope.is_number and slope != 0)
+
+
+def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
+    """The derivative, with |x| as a real function: its slope is its sign."""
+    if symbol not in expression.free_symbols:
+        return sp.Integer(0)
+    found = sp.diff(expression.replace(sp.Abs, _Size), symbol)
+    return found.replace(_Size, sp.Abs)
+
+
+class _Size(sp.Function):  # type: ignore[misc]  # sympy is untyped
+    """|x| for real x: sympy's own Abs does not know that symbols are real."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The sign."""
+        del argindex
+        return sp.sign(self.args[0])
+
+
+def _without_roots(equations: list[sp.Expr]) -> tuple[list[sp.Expr], dict[sp.Symbol, sp.Expr]]:
+    """The equations with a variable for every distinct root, and the roots' arguments, innermost first."""
+    roots: dict[sp.Symbol, sp.Expr] = {}
+    while found := [call for e in equations for call in e.atoms(sgsqrt) if not call.args[0].has(sgsqrt)]:
+        call = min(found, key=str)
+        symbol = sp.Symbol(f"root_{len(roots) + 1}")
+        roots[symbol] = call.args[0]
+        equations = [e.xreplace({call: symbol}) for e in equations]
+    return equations, roots
