@@ -9,9 +9,10 @@ import numpy as np
 from cantools.database import load_string
 from cantools.database.can import Database
 
-from analysis.recordings.bench import ECU_UNITS, Bench, read_bench
+from analysis.recordings.bench import ECU_UNITS, REFERENCE, Bench, read_bench
 from analysis.recordings.clock import Clock, ClockError, given, synchronise
 from analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
+from analysis.recordings.lags import likeness
 from analysis.recordings.picture import picture
 from analysis.recordings.report import Report, report
 from analysis.recordings.track import known_part
@@ -20,6 +21,9 @@ from analysis.recordings.zero import check_level, standstill, zero_error
 from service.core.errors import InputError
 from service.core.signals import Vector
 from service.logs import Recording
+
+SAME_PRESSURE = 0.9
+"""Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""
 
 
 class Ingested(NamedTuple):
@@ -77,13 +81,29 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
                 f"{t[-1]:.1f} s, the CAN log from 0 to {bench.length_s:.1f} s; nothing overlaps: check --offset"
             )
         return clock
-    clock = synchronise(bench.p_ap, bench.p_du, str(bench.where))
+    try:
+        clock = synchronise(bench.p_ap, bench.p_du, str(bench.where))
+    except ClockError:
+        _check_columns(bench)
+        raise
     if not clock.confident:
+        _check_columns(bench)
         raise ClockError(
             f"{bench.where}: the clocks cannot be aligned for certain: {clock.doubt}; the best guess is --offset "
             f"{clock.offset_s:.3f} --drift {clock.drift * 1e6:.0f}: look at a pressure step and give --offset SECONDS"
         )
     return clock
+
+
+def _check_columns(bench: Bench) -> None:
+    """Says so where another column than y_p_ap's follows y_p_du."""
+    for signal, channel in bench.samples.channels.items():
+        track = known_part(bench.samples.t, channel.pressure)
+        if signal != REFERENCE and np.nanmax(likeness(track, bench.p_du).correlation, initial=0.0) > SAME_PRESSURE:
+            raise ClockError(
+                f"{bench.where}: the column of {signal} follows the CAN log's y_p_du, that of {REFERENCE} does not; "
+                "the two are swapped: exchange their columns in external.tables"
+            )
 
 
 def _can_log(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> tuple[str, dict[str, int]]:

@@ -311,6 +311,21 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, bench: Bench, words: str
     assert not (tmp_path / "logs").exists()
 
 
+def test_swapped_columns_are_named(tmp_path: Path) -> None:
+    folder = _write(tmp_path / "bench", Bench())
+    text = (folder / "recording.toml").read_text().replace('"p_tp_V"', '"other"').replace('"p_ap_V"', '"p_tp_V"')
+    (folder / "recording.toml").write_text(text.replace('"other"', '"p_ap_V"'))
+    noise = np.random.default_rng(7)
+    rows = (folder / "external.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows[1:]]
+    tank = [
+        f"{t},{2.1 + 0.005 * noise.standard_normal():.4f},{v}" for t, _, v in cells
+    ]  # hardly anything happens there
+    (folder / "external.csv").write_text("\n".join([rows[0], *tank, ""]))
+    with pytest.raises(InputError, match=r"column of y_p_tp follows .* that of y_p_ap does not; the two are swapped"):
+        main([str(folder), "--out", str(tmp_path / "logs")])
+
+
 def test_a_stuck_sensor_of_the_controller_is_refused(tmp_path: Path) -> None:
     folder = _write(tmp_path / "bench", Bench(duration=120.0))
     lines = (folder / "can.log").read_text().splitlines()
