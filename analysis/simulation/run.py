@@ -71,11 +71,15 @@ class Trajectory:
     def _outputs(self, right: Array, direct: dict[str, Array]) -> dict[str, Array]:
         moved = np.zeros((len(self.w), self.w.shape[1], right.shape[2]))
         moved[1:] = self._band.solve(right)
-        through = self._shown("variables")
-        return {y: np.einsum("kn,knd->kd", through[y], moved) + direct[y] for y in self.system.outputs}
+        rates = _rates(moved[:, : len(self.system.states)], self.drive.step_s)
+        through, by_rate = self._shown("variables"), self._shown("derivatives")
+        return {
+            y: np.einsum("kn,knd->kd", through[y], moved) + np.einsum("kn,knd->kd", by_rate[y], rates) + direct[y]
+            for y in self.system.outputs
+        }
 
     def _shown(self, to: str) -> dict[str, Array]:
-        """The outputs' own derivatives (K, ...) to variables, inputs or parameters."""
+        """The outputs' own derivatives (K, ...), by what they are to (see `System.shown_by`)."""
         found = self.system.shown_by[to](len(self.w), self._arguments)
         return dict(zip(self.system.outputs, found.swapaxes(0, 1), strict=True))
 
@@ -120,11 +124,16 @@ def _guess(system: System, drive: Drive, parameters: Mapping[str, float]) -> Arr
 
 
 def _arguments(system: System, drive: Drive, parameters: Mapping[str, float], w: Array) -> list[Array | float]:
-    s = w[:, : len(system.states)]
+    d = _rates(w[:, : len(system.states)], drive.step_s)
+    return [*w.T, *d.T, *drive.inputs.T, *(parameters[name] for name in system.parameters)]
+
+
+def _rates(s: Array, step_s: float) -> Array:
+    """The derivatives of (K, ...), zero at instant 0."""
     d = np.zeros_like(s)
     d[1:] = np.diff(s, axis=0)
     d[2:] = 1.5 * d[2:] - 0.5 * d[1:-1]
-    return [*w.T, *(d / drive.step_s).T, *drive.inputs.T, *(parameters[name] for name in system.parameters)]
+    return np.asarray(d / step_s)
 
 
 class _Band:
@@ -142,7 +151,8 @@ class _Band:
         before[:, :, states] = np.where(lead > 1.0, -2.0, -1.0) * by_derivative
         earlier = np.zeros_like(now)
         earlier[:, :, states] = np.where(lead > 1.0, 0.5, 0.0) * by_derivative
-        self._columns = np.maximum(np.abs(w).max(axis=0), 1e-300)  # sizes of the variables
+        size = np.abs(w).max(axis=0)
+        self._columns = np.where(size > 0.0, size, 1.0)
         now, before, earlier = now * self._columns, before * self._columns, earlier * self._columns
         self._rows = 1.0 / np.maximum(np.abs(now).max(axis=2), 1e-300)  # (K - 1, n)
         self._lower, self._upper = 3 * n - 1, n - 1

@@ -109,8 +109,13 @@ class System:
 
     @cached_property
     def shown_by(self) -> "dict[str, Jacobian]":
-        """Of the outputs, by what the derivative is to: "variables", "inputs" or "parameters"."""
-        to = {"variables": self.variables, "inputs": self.inputs, "parameters": self.parameters}
+        """Of the outputs, by what the derivative is to: "variables", "derivatives", "inputs" or "parameters"."""
+        to = {
+            "variables": self.variables,
+            "derivatives": self.derivatives,
+            "inputs": self.inputs,
+            "parameters": self.parameters,
+        }
         shown = list(self.outputs.values())
         return {name: self.jacobian(shown, [sp.Symbol(str(s)) for s in symbols]) for name, symbols in to.items()}
 
@@ -155,7 +160,8 @@ def system_of(model: Model, parameters: Sequence[str]) -> System:
     left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
     shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
     left, shown, algebraic = _substituted(left, shown, algebraic)
-    left, roots = _without_roots(left)
+    rootless, roots = _without_roots([*left, *shown.values()])
+    left, shown = rootless[: len(left)], dict(zip(shown, rootless[len(left) :], strict=True))
     return System(
         model=model,
         states=tuple(d.state for d in model.differentials),
@@ -181,7 +187,7 @@ def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str
         expression = equations[places[0]]
         slope = sp.diff(expression, y)
         if slope.is_number and slope != 0 and expression.free_symbols & known == {y}:
-            found[signal] = (places[0], sp.expand(y - expression / slope))
+            found[signal] = (places[0], _solved(expression, y))
     return found
 
 
@@ -192,7 +198,7 @@ def _substituted(
     left = list(algebraic)
     while choice := next(((e, v) for e in equations for v in left if _given(e, v)), None):
         equation, variable = choice
-        value = sp.expand(variable - equation / sp.diff(equation, variable))
+        value = _solved(equation, variable)
         equations = [sp.expand(e.xreplace({variable: value})) for e in equations if e is not equation]
         outputs = {signal: sp.expand(e.xreplace({variable: value})) for signal, e in outputs.items()}
         left.remove(variable)
@@ -204,6 +210,11 @@ def _given(equation: sp.Expr, variable: sp.Symbol) -> bool:
         return False
     slope = sp.expand(_derivative(equation, variable))
     return bool(slope.is_number and slope != 0)
+
+
+def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
+    """The variable from an equation that has a multiple of it; rounding leaves nothing of the variable."""
+    return sp.expand(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
 
 
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
@@ -225,12 +236,12 @@ class _Size(sp.Function):  # type: ignore[misc]  # sympy is untyped
         return sp.sign(self.args[0])
 
 
-def _without_roots(equations: list[sp.Expr]) -> tuple[list[sp.Expr], dict[sp.Symbol, sp.Expr]]:
-    """The equations with a variable for every distinct root, and the roots' arguments, innermost first."""
+def _without_roots(expressions: list[sp.Expr]) -> tuple[list[sp.Expr], dict[sp.Symbol, sp.Expr]]:
+    """The expressions with a variable for every distinct root, and the roots' arguments, innermost first."""
     roots: dict[sp.Symbol, sp.Expr] = {}
-    while found := [call for e in equations for call in e.atoms(sgsqrt) if not call.args[0].has(sgsqrt)]:
+    while found := [call for e in expressions for call in e.atoms(sgsqrt) if not call.args[0].has(sgsqrt)]:
         call = min(found, key=str)
         symbol = sp.Symbol(f"root_{len(roots) + 1}")
         roots[symbol] = call.args[0]
-        equations = [e.xreplace({call: symbol}) for e in equations]
-    return equations, roots
+        expressions = [e.xreplace({call: symbol}) for e in expressions]
+    return expressions, roots
