@@ -46,7 +46,8 @@ def _write(folder: Path, toml: str = TOML) -> Path:
 def test_opens_an_instrumented_recording(tmp_path: Path) -> None:
     log = open_log(_write(tmp_path))
     assert (log.id, log.dbc, log.duration_s) == ("drive-1", DBC, 1.5)
-    assert log.dbc_sha256 == hashlib.sha256(DBC.encode()).hexdigest()
+    assert log.recording is not None
+    assert log.recording.can.dbc_sha256 == hashlib.sha256(DBC.encode()).hexdigest()
     assert log.sha256 == hashlib.sha256(LOG.encode()).hexdigest()
     assert [frame.t for frame in log.frames] == [100.0, 101.5]
     assert [frame.t for frame in log.relative()] == [0.0, 1.5]
@@ -55,7 +56,7 @@ def test_opens_an_instrumented_recording(tmp_path: Path) -> None:
 
 def test_opens_a_bare_log_which_has_no_dbc(tmp_path: Path) -> None:
     log = open_log(_write(tmp_path) / "can.log")
-    assert (log.id, log.dbc_sha256, len(log.frames)) == ("can", None, 2)
+    assert (log.id, log.recording, len(log.frames)) == ("can", None, 2)
     with pytest.raises(LogError, match="names no DBC; give its recording's folder"):
         _ = log.dbc
 
