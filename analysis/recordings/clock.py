@@ -84,8 +84,8 @@ def given(p_ap: Track, p_du: Track, offset_s: float, drift: float) -> Clock:
     return clock._replace(correlation=correlation(_moved(p_ap, clock), p_du))
 
 
-def synchronise(p_ap: Track, p_du: Track, where: str) -> Clock:
-    """The clock of `p_ap` (logger time) on that of `p_du` (CAN time), and whether to believe it.
+def synchronise(p_ap: Track, p_du: Track, dose: Track, where: str) -> Clock:
+    """The clock of `p_ap` (logger time) on that of `p_du` and `dose` (CAN time), and whether to believe it.
 
     Raises:
         ClockError: there is no alignment at all; the message starts with `where`.
@@ -96,7 +96,7 @@ def synchronise(p_ap: Track, p_du: Track, where: str) -> Clock:
             f"{where}: the loggers have less than {MINIMUM_OVERLAP_S:g} s in common at any offset, with both pressures "
             "known and moving; record for longer, or give the clock with --offset SECONDS"
         )
-    ready, span = pressures(p_ap, p_du), float(min(np.ptp(p_ap.t), np.ptp(p_du.t)))
+    ready, span = pressures(p_ap, p_du, dose), float(min(np.ptp(p_ap.t), np.ptp(p_du.t)))
     fits = [fit for lag in found.candidates() if (fit := _fit(ready, lag, 0.0, span)) is not None]
     if not fits:
         raise ClockError(
@@ -104,7 +104,7 @@ def synchronise(p_ap: Track, p_du: Track, where: str) -> Clock:
             "columns, that both files are of one drive, and that the pump ran; or give the clock with --offset SECONDS"
         )
     best, doubt = _chosen(fits, p_ap, p_du)
-    best, lagging = _with_sensor(ready, pressures(p_ap, p_du, CALM_S), best, span)
+    best, lagging = _with_sensor(ready, pressures(p_ap, p_du, dose, CALM_S), best, span)
     slope = best.line.slope
     drift = 1.0 / (1.0 - slope) - 1.0  # the line runs over CAN time
     clock = Clock((best.line.level - slope * best.line.middle) * (1.0 + drift), drift, 0.0)

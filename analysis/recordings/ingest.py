@@ -82,7 +82,7 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
             )
         return clock
     try:
-        clock = synchronise(bench.p_ap, bench.p_du, str(bench.where))
+        clock = synchronise(bench.p_ap, bench.p_du, bench.ecu.track("dc_dose"), str(bench.where))
     except ClockError:
         _check_columns(bench)
         raise

@@ -1,9 +1,11 @@
 """The offset of two clocks in windows of a recording: where p_ap explains most of p_du.
 
-In a window of 40 s, at CAN times t:  p_du(t) = gain p_ap(t - offset) + c + d t,  without what is slower than a second:
-there a sensor that sticks looks like one that is late, and filters make a difference. (The dose as another input made
-it worse: it comes as a step that the valve takes at its next pulse.) An offset's log likelihood is -n/2 log of the mean
-square that stays unexplained; taken against p_ap explaining nothing it is 0 there.
+In a window of 40 s, at CAN times t:  p_du(t) = gain p_ap(t - offset) + extra dose(t - 0.15 s) + c + d t,  without what
+is slower than a second: there a sensor that sticks looks like one that is late. `extra` is by how much more than a
+healthy filter's the drop from p_ap to p_du depends on the dose: a clogged one's comes at once, where p_ap takes its
+time, which looked like a clock 40 ms off. It is read off the raw pressures, where steady ones outweigh steps; as a free
+unknown it would eat up the steps that tell the time. An offset's log likelihood is -n/2 log of the mean square that
+stays unexplained; taken against p_ap explaining nothing it is 0 there.
 """
 
 from typing import NamedTuple
@@ -20,6 +22,8 @@ SLOW_S = 1.0
 EDGE_S = 4.0  # so far from a silence the high-passed signals are not alike
 WINDOW_S = 40.0
 LEAST = 50  # samples of p_du in a window: less than 10 s tells nothing
+VALVE_S = 0.15  # a new dose waits for the valve's next pulse, half a period on average
+HEALTHY = 0.1e5  # Pa from no dose to full dose, twice a clean filter's drop
 GAINS = (0.8, 1.2)  # both sensors are calibrated, and a filter between them takes a little
 
 
@@ -40,6 +44,9 @@ class Pressures(NamedTuple):
     clear_p_ap: Mask
     t: Vector
     p_du: Vector
+    raw_p_du: Vector
+    dose: Vector
+    late_dose: Vector
     clear_p_du: Mask
 
     def windows(self, offsets: Vector, lag_s: float = 0.0) -> list[Window]:
@@ -56,7 +63,12 @@ class Pressures(NamedTuple):
             if inside.sum() >= LEAST:
                 t = self.t[inside]
                 x = np.array([np.interp(t - offset, felt.t, felt.value) for offset in offsets])  # (S, n)
-                found.append(Window(float(t.mean()), _likelihood(self.p_du[inside], x, t - t.mean())))
+                around, y = t - t.mean(), self.p_du[inside]
+                place = t - offsets[int(np.argmax(_likelihood(y, x, around)))]
+                drop = self.raw_p_du[inside] - np.interp(place, self.p_ap.t, self.p_ap.value)
+                slope = _slope(drop, self.dose[inside])
+                y = y - np.sign(slope) * max(abs(slope) - HEALTHY, 0.0) * self.late_dose[inside]
+                found.append(Window(float(t.mean()), _likelihood(y, x, around)))
         return found
 
     def _meets(self, t: Vector) -> Mask:
@@ -66,16 +78,31 @@ class Pressures(NamedTuple):
         return np.asarray(inside & self.clear_p_ap[np.minimum(place, len(self.p_ap.t) - 1)])
 
 
-def pressures(p_ap: Track, p_du: Track, smooth_s: float = SMOOTH_S) -> Pressures:
+def pressures(p_ap: Track, p_du: Track, dose: Track, smooth_s: float = SMOOTH_S) -> Pressures:
     """Of the second logger's p_ap, under a bell of deviation `smooth_s` [s], and p_du on the CAN clock."""
-    grid, slow = gridded(p_ap, STEP_S, smooth_s), gridded(p_du, STEP_S)
+    grid = gridded(p_ap, STEP_S, smooth_s)
     return Pressures(
         p_ap=grid,
         clear_p_ap=p_ap.known(grid.t, EDGE_S),
         t=p_du.t,
-        p_du=p_du.value - np.interp(p_du.t, slow.t, slow.slow(SLOW_S)),
+        p_du=_fast(p_du, p_du.t),
+        raw_p_du=p_du.value,
+        dose=dose.at(p_du.t),
+        late_dose=_fast(dose, p_du.t - VALVE_S),
         clear_p_du=p_du.known(p_du.t, EDGE_S),
     )
+
+
+def _fast(track: Track, t: Vector) -> Vector:
+    """High-passed, at times `t` (N,) [s]; the samples themselves are not smoothed."""
+    grid = gridded(track, STEP_S)
+    return np.asarray(track.at(t) - np.interp(t, grid.t, grid.slow(SLOW_S)))
+
+
+def _slope(y: Vector, x: Vector) -> float:
+    """Of y (n,) over x (n,); 0 where x does not change."""
+    x = x - x.mean()
+    return float(np.sum(x * y) / max(np.sum(x**2), 1e-6))
 
 
 def _likelihood(y: Vector, x: Vector, t: Vector) -> Vector:
