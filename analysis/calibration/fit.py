@@ -208,7 +208,7 @@ class _Problem:
                 parts = [np.full((len(s.t), 1), sd if other == name else 0.0) for other, s in section.samples.items()]
                 columns.append(np.concatenate(parts))
             for name in unknowns.delays:
-                u = section.drive.inputs[:, self._system.inputs.index(name)]
+                u = trajectory.drive.inputs[:, self._system.inputs.index(name)]
                 lost = -DELAY_S * np.gradient(u, section.drive.step_s)
                 columns.append(stacked(section, trajectory.by_input(name, lost[:, None])))
             found.append(-np.concatenate(columns, axis=1))
@@ -258,5 +258,5 @@ def delayed(section: Section, system: System, delay: Mapping[str, float]) -> Dri
     inputs = section.drive.inputs.copy()
     for name, seconds in delay.items():
         k = system.inputs.index(name)
-        inputs[:, k] -= seconds * np.gradient(inputs[:, k], section.drive.step_s)
+        inputs[:, k] = np.interp(section.t - seconds, section.t, inputs[:, k])
     return replace(section.drive, inputs=inputs)
