@@ -172,7 +172,7 @@ def _with_sensor(ready: Pressures, calm: Pressures, best: _Fit, span: float) -> 
     times, values = list(found), list(found.values())
     k = int(np.argmax(values))
     if gain < SLOWER or k == 0:
-        return best, f"y_p_du may be {times[k]:g} s slow, which cannot be told from a late clock here"
+        return best, "the sensor of y_p_du may be slow, which cannot be told from a late clock here"
     near = slice(max(k - 1, 0), k + 2)
     a, b, _ = np.polyfit(times[near], values[near], 2) if 0 < k < len(times) - 1 else (0.0, 0.0, 0.0)
     return _fit(ready, best.lag, float(-b / (2 * a)) if a < 0 else times[k], span) or best, ""

@@ -36,14 +36,13 @@ class _Reading:
     cells: list[list[float]] = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
     bad: int = 0
+    first: int = 0  # bad line
     told: str = ""
 
     def reject(self, line: int, reason: str) -> None:
         if not self.bad or line < self.first:
             self.told, self.first = f"line {line}: {reason}", line
         self.bad += 1
-
-    first: int = 0
 
 
 def read_rows(path: Path, time_column: str, names: list[str]) -> Rows:
