@@ -3,51 +3,49 @@
 import dataclasses
 import hashlib
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import PERIOD_S, Bank
-from analysis.model import Model
-from analysis.recordings.modes import modes_of
-from service.core.generators import GeneratorBank
-from service.core.modes import ModeTracker
-from service.core.observer import Tick
+from analysis.calibration.fit import Fit, fit
+from analysis.calibration.sections import Section, sections
+from analysis.model import Model, load_model
+from analysis.simulation import Drive, System, run, system_of
+from service.core.decode import compile_dbc
+from service.logs import Frame
 
 Array = npt.NDArray[np.float64]
 
 DBC = (Path(__file__).parents[3] / "dbc" / "uds.dbc").read_bytes()
+SENSORS, ECU = 0x18FF20F9, 0x18FF103D
 ATMOSPHERE = 101325.0
 SPEED = (20.0, 20.0, 24.0, 28.0, 30.0, 22.0)
 DOSE = (0.0, 0.0, 0.4, 1.0, 0.7, 0.0)
-HOLD_TICKS = 150
-"""A hold gives four blocks of 5 s once its edge has settled; the first is the warm-up."""
+HOLD_S = 30.0
+
+STEP_S = 0.05
+BUS_S, ECU_S = 0.1, 0.2
+"""Between frames of the added sensors, and of the ECU."""
+
+UDS4 = load_model("uds4")
+UDS4_SYSTEM = system_of(UDS4, [name for name, p in UDS4.parameters.items() if p.prior is not None])
+
+LATE_S = 0.03
+"""The ECU's frame after the sensors'."""
 
 
-def samples(bank: Bank, trial: Mapping[str, float], seed: int) -> Array:
-    """Samples (K, nz), sensor noise included: t19, t20 and t21 use no sensor but their own: the whole plant."""
-    names = [test.name for test in bank.tests]
-    plant = bank.only([names.index(name) for name in ("t20", "t19", "t21")])
-    z = np.zeros((HOLD_TICKS * len(SPEED), 5))
-    z[:, 3], z[:, 4] = np.repeat(SPEED, HOLD_TICKS), np.repeat(DOSE, HOLD_TICKS)
-    start = plant.start(np.array([ATMOSPHERE, ATMOSPHERE, ATMOSPHERE, 0.0, 0.0]))
-    z[:, :3] = -plant.simulate([trial], z, start)[:, 0]
-    noise = [known.noise for known in bank.model.known.values()]
-    z[:, :4] += np.random.default_rng(seed).normal(0.0, noise[:4], (len(z), 4))
-    return z
+class Errors(NamedTuple):
+    """What the vehicle does that a right model does not know: all as large as models say that they are, times these."""
 
-
-def ticks(bank: Bank, z: Array) -> list[Tick]:
-    """The samples as the vehicle's observer sees them."""
-    generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
-    modes = ModeTracker(modes_of(bank.model), bank.inputs)
-    usable = np.ones(len(bank.inputs), dtype=np.bool_)
-    return [
-        Tick(k, PERIOD_S * k, sample, usable, modes.update(sample, usable), generators.step(sample, usable))
-        for k, sample in enumerate(z)
-    ]
+    sensors: float = 1.0
+    speed: float = 1.0
+    level: float = 1.0
+    step_time_s: float = 0.2
+    """A step acts up to so much earlier or later."""
 
 
 def freed(model: Model, names: Collection[str]) -> Model:
@@ -59,20 +57,126 @@ def freed(model: Model, names: Collection[str]) -> Model:
     return dataclasses.replace(model, parameters=parameters)
 
 
-def write_recording(folder: Path, z: Array) -> Path:
-    """An instrumented recording of the samples, both frames of `dbc/uds.dbc` at every tick."""
-    lines = []
-    for k, (tp, ap, du, speed, dose) in enumerate(z):
-        t = 1_767_225_600 + PERIOD_S * k
-        sensors = struct.pack("<HHI", round(tp / 5), round(ap / 50), 0xFFFFFFFF).hex().upper()
-        ecu = struct.pack("<HHHH", round(du / 50), round(speed / 0.002), round(dose / 2.5e-5), 0xFFFF).hex().upper()
-        lines += [f"({t:.6f}) can0 18FF20F9#{sensors}\n", f"({t + 0.001:.6f}) can0 18FF103D#{ecu}\n"]
+def drawn(model: Model, seed: int, share: float = 0.5) -> dict[str, float]:
+    """True parameters: the datasheet's, those with a prior a draw of that `share` of its width away."""
+    rng = np.random.default_rng(seed)
+    return {
+        name: p.value * float(np.exp(share * p.prior * rng.standard_normal())) if p.prior else p.value
+        for name, p in model.parameters.items()
+    }
+
+
+def frames(
+    model: Model,
+    true: Mapping[str, float],
+    seed: int,
+    *,
+    delay_s: float = 0.0,
+    errors: Errors = Errors(),  # noqa: B008  (a named tuple cannot be changed)
+    speed: Sequence[float] = SPEED,
+    dose: Sequence[float] = DOSE,
+    zero: Mapping[str, float] | None = None,
+) -> list[Frame]:
+    """A log of a vehicle that is `model` with `true` parameters, holding each speed and dose for `HOLD_S`.
+
+    The speed wanders; a logged dose step acts `delay_s` after the middle of the two samples that show it, about.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, HOLD_S * len(speed), STEP_S)
+    ecu_t = t[:: round(ECU_S / STEP_S)] + LATE_S
+    n_p = _ramps(t, speed, np.zeros(len(speed)), 2.0) + _wander(t, rng)
+    logged = np.array(dose)[np.minimum((ecu_t / HOLD_S).astype(int), len(dose) - 1)]
+    shifts = delay_s + LATE_S - ECU_S / 2.0 + rng.uniform(-1.0, 1.0, len(dose)) * errors.step_time_s
+    levels = np.array(dose) + errors.level * model.known["dc_dose"].noise * rng.standard_normal(len(dose))
+    acting = _ramps(t, levels, shifts, ECU_S)
+    y = _plant(model, true, np.column_stack([n_p, acting]))
+    shown = {}
+    for name, at in (("y_p_tp", t[::2]), ("y_p_ap", t[::2]), ("y_p_du", ecu_t)):
+        known = model.known[name]
+        offset = rng.standard_normal() * known.zero if zero is None else zero.get(name, 0.0)
+        shown[name] = np.interp(at, t, y[name]) + offset + errors.sensors * rng.normal(0.0, known.noise, len(at))
+    told = np.interp(ecu_t, t, n_p) + errors.speed * rng.normal(0.0, model.known["n_p"].noise, len(ecu_t))
+    return _encoded(t[::2], shown["y_p_tp"], shown["y_p_ap"], ecu_t, shown["y_p_du"], np.abs(told), logged)
+
+
+def _ramps(t: Array, values: Sequence[float] | Array, late: Array, width_s: float) -> Array:
+    """Steps at multiples of `HOLD_S` and so much `late`, straight lines of `width_s` with the step in the middle."""
+    value = np.asarray(values, dtype=np.float64)
+    middle = HOLD_S * np.arange(1, len(value)) + late[1:]
+    times = np.column_stack([middle - width_s / 2.0, middle + width_s / 2.0]).ravel()
+    return np.interp(t, times, np.column_stack([value[:-1], value[1:]]).ravel())
+
+
+def _wander(t: Array, rng: np.random.Generator) -> Array:
+    """Slow waves of the speed."""
+    waves = zip(rng.uniform(0.02, 0.3, 6), rng.uniform(0.0, 6.28, 6), strict=True)
+    return 0.15 * np.sum([np.sin(6.28 * f * t + phase) for f, phase in waves], axis=0)
+
+
+def _plant(model: Model, true: Mapping[str, float], u: Array) -> dict[str, Array]:
+    """The outputs, run in with the first inputs."""
+    system = system_of(model, [*true])
+    ran_in = np.concatenate([np.tile(u[0], (round(60.0 / STEP_S), 1)), u])
+    start = np.array([ATMOSPHERE if state in {"p_tp", "p_bp"} else 1e6 for state in system.states])
+    trajectory = run(system, Drive(STEP_S, ran_in, start, np.tile(start, (len(ran_in), 1))), true)
+    return {name: y[-len(u) :] for name, y in trajectory.outputs().items()}
+
+
+def _encoded(t: Array, tp: Array, ap: Array, ecu_t: Array, du: Array, n_p: Array, dose: Array) -> list[Frame]:
+    """Both frames of `dbc/uds.dbc`."""
+    found = [
+        Frame(float(at), SENSORS, True, struct.pack("<HHI", round(a / 5), round(b / 50), 0xFFFFFFFF))
+        for at, a, b in zip(t, tp, ap, strict=True)
+    ]
+    found += [
+        Frame(float(at), ECU, True, struct.pack("<HHHH", round(a / 50), round(b / 0.002), round(c / 2.5e-5), 0xFFFF))
+        for at, a, b, c in zip(ecu_t, du, n_p, dose, strict=True)
+    ]
+    return sorted(found, key=lambda frame: frame.t)
+
+
+def log_sections(model: Model, system: System, log: Sequence[Frame]) -> list[Section]:
+    """The sections of a log in `dbc/uds.dbc`."""
+    table = compile_dbc(DBC.decode(), {name: known.unit for name, known in model.known.items()}, "made")
+    return sections(model, system, table, log, "made")
+
+
+class Case(NamedTuple):
+    """A made vehicle, its sections and what calibration made of them."""
+
+    model: Model
+    system: System
+    true: dict[str, float]
+    sections: list[Section]
+    fit: Fit
+
+
+DELAY_S = 0.1
+
+
+@cache
+def calibrated(name: str, seed: int, starts: int = 1) -> Case:
+    """A shipped model calibrated on a vehicle of its own kind, whose commands act `DELAY_S` late."""
+    model = load_model(name)
+    system = system_of(model, [parameter for parameter, p in model.parameters.items() if p.prior is not None])
+    true = drawn(model, seed)
+    found = log_sections(model, system, frames(model, true, seed, delay_s=DELAY_S))
+    return Case(model, system, true, found, fit(model, system, found, silent, starts))
+
+
+def silent(_: str) -> None:
+    """Progress that nobody watches."""
+
+
+def write_recording(folder: Path, log: Sequence[Frame], vehicle: str = "made") -> Path:
+    """An instrumented recording."""
+    lines = [f"({1_767_225_600 + frame.t:.6f}) can0 {frame.can_id:08X}#{frame.data.hex().upper()}\n" for frame in log]
     folder.mkdir(parents=True)
     (folder / "can.log").write_text("".join(lines))
     (folder / "uds.dbc").write_bytes(DBC)
     (folder / "recording.toml").write_text(
-        f'schema = 1\nid = "{folder.name}"\nkind = "instrumented"\nsource = "made"\nvehicle = "made"\ncycle = "holds"\n'
-        'sensor_set = "instrumented"\n\n[can]\nfile = "can.log"\ndbc = "uds.dbc"\n'
+        f'schema = 1\nid = "{folder.name}"\nkind = "instrumented"\nsource = "made"\nvehicle = "{vehicle}"\n'
+        'cycle = "holds"\nsensor_set = "instrumented"\n\n[can]\nfile = "can.log"\ndbc = "uds.dbc"\n'
         f'dbc_sha256 = "{hashlib.sha256(DBC).hexdigest()}"\n'
     )
     return folder

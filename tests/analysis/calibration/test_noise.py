@@ -1,0 +1,196 @@
+"""The noise that is stated is the noise that is whitened, and its levels are found."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from made_drive import DOSE, UDS4, UDS4_SYSTEM, frames, log_sections
+
+from analysis.calibration.noise import (
+    CELL_S,
+    STEP_TIME_S,
+    Spread,
+    Whitening,
+    by_median,
+    by_square,
+    commands_of,
+    disturbances,
+    levels_of,
+    stacked,
+)
+from analysis.calibration.sections import Section
+from analysis.simulation import Trajectory, run
+from service.core.manifest import MODES
+
+Array = npt.NDArray[np.float64]
+SEEDS = range(5)
+COMMANDS = ("dc_dose",)
+
+
+@pytest.fixture(scope="module")
+def section() -> Section:
+    [found] = log_sections(UDS4, UDS4_SYSTEM, frames(UDS4, {}, seed=1))
+    return found
+
+
+@pytest.fixture(scope="module")
+def trajectory(section: Section) -> Trajectory:
+    values = {name: UDS4.parameters[name].value for name in UDS4_SYSTEM.parameters}
+    return run(UDS4_SYSTEM, section.drive, values)
+
+
+def made_levels(section: Section) -> dict[str, Array]:
+    """Another one for every output and mode, above the sensors' own."""
+    names = list(section.samples)
+    return {name: UDS4.known[name].noise * (1.0 + k + 0.5 * np.arange(len(MODES))) for k, name in enumerate(names)}
+
+
+def drawn_noise(section: Section, levels: dict[str, Array], rng: np.random.Generator) -> Array:
+    """v (N,)."""
+    sd = np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
+    return np.asarray(sd * rng.standard_normal(len(sd)))
+
+
+def test_the_dose_is_the_only_command(section: Section) -> None:
+    assert commands_of(UDS4_SYSTEM, [section]) == COMMANDS
+
+
+def test_noise_of_the_stated_model_becomes_unit_and_independent(section: Section, trajectory: Trajectory) -> None:
+    """Sums of squares, in all and over each output, and neighbours' products lie within 4.5 of their own spreads.
+
+    Directions too faint to be whitened leave up to FAINT^2 of a unit each, far below that.
+    """
+    levels = made_levels(section)
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    white = Whitening(section, levels, B)
+    ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        noise = drawn_noise(section, levels, rng) + B @ rng.standard_normal(B.shape[1])
+        found = white(noise)
+        for part in (found, *np.split(found, ends)):
+            n = len(part)
+            assert abs(np.sum(part**2) - n) < 4.5 * np.sqrt(2 * n), seed
+            for lag in (1, 5, 20):
+                assert abs(np.sum(part[lag:] * part[:-lag])) < 4.5 * np.sqrt(n), (seed, lag)
+        slow = [
+            block.sum() / np.sqrt(len(block)) for part in np.split(found, ends) for block in np.array_split(part, 8)
+        ]
+        assert np.sum(np.square(slow)) < 24 + 4.5 * np.sqrt(2 * 24), seed  # blocks of 20 s wander no more than chance
+
+
+def test_without_the_disturbances_it_would_not_be(section: Section, trajectory: Trajectory) -> None:
+    """So that the test above can fail."""
+    levels = made_levels(section)
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    rng = np.random.default_rng(0)
+    noise = drawn_noise(section, levels, rng) + B @ rng.standard_normal(B.shape[1])
+    plain = Whitening(section, levels, np.zeros((len(B), 1)))(noise)
+    assert np.sum(plain**2) > len(plain) + 10 * np.sqrt(2 * len(plain))
+
+
+def test_whitening_is_the_inverse_of_the_covariance(section: Section, trajectory: Trajectory) -> None:
+    """To the directions that are faint."""
+    levels = made_levels(section)
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    sd = np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
+    e = np.random.default_rng(1).standard_normal((len(sd), 3)) * sd[:, None]
+    white = Whitening(section, levels, B)(e)
+    expected = e.T @ np.linalg.solve(np.diag(sd**2) + B @ B.T, e)
+    assert white.T @ white == pytest.approx(expected, rel=1e-3, abs=1.0)
+    assert Whitening(section, levels, B)(e[:, 0]) == pytest.approx(white[:, 0])
+
+
+def test_the_disturbances_are_those_of_speed_levels_and_steps(section: Section, trajectory: Trajectory) -> None:
+    """One column for each cell of the speed, each level of the dose and each of its steps."""
+    steps = sum(a != b for a, b in zip(DOSE[1:], DOSE[:-1], strict=True))
+    cells = int(np.ceil(len(section.t) * section.drive.step_s / CELL_S))
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    assert B.shape == (sum(len(s.t) for s in section.samples.values()), cells + (steps + 1) + steps)
+
+
+def test_a_late_step_is_its_column(section: Section, trajectory: Trajectory) -> None:
+    """Every step later by a little: the sum of the steps' columns."""
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    u = section.drive.inputs.copy()
+    late = 0.02
+    u[:, 1] = np.interp(section.t - late, section.t, u[:, 1])
+    moved = run(
+        UDS4_SYSTEM, type(section.drive)(0.05, u, section.drive.start, section.drive.guess), trajectory.parameters
+    )
+    change = stacked(section, moved.outputs()) - stacked(section, trajectory.outputs())
+    told = -late / STEP_TIME_S * B[:, -4:].sum(axis=1)
+    assert np.abs(change).max() > 500.0
+    assert min(np.abs(change - told).max(), np.abs(change + told).max()) < 0.05 * np.abs(change).max()
+
+
+def test_a_level_error_stays_with_its_level(section: Section, trajectory: Trajectory) -> None:
+    """It lifts the pressure from its step to the next, and what the hose remembers after."""
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    t = np.concatenate([section.start_s + s.t for s in section.samples.values()])
+    partial = B[:, -8]  # of the second of five levels, 0.4 from 60 s on
+    output = np.repeat(np.arange(3), [len(s.t) for s in section.samples.values()])
+    ap = output == 1
+    assert np.abs(partial[ap & (t < 59.0)]).max() < 1e-6
+    held = partial[ap & (t > 80.0) & (t < 89.0)]
+    assert np.ptp(held) < 0.05 * np.abs(held).mean()
+    assert np.abs(held).mean() > 100.0
+    assert np.abs(partial[ap & (t > 118.0)]).max() < 0.01 * np.abs(held).mean()
+
+
+@pytest.mark.parametrize("spread", [by_square, by_median])
+def test_levels_are_found_by_mode(section: Section, spread: Spread) -> None:
+    levels = made_levels(section)
+    for seed in SEEDS:
+        left = drawn_noise(section, levels, np.random.default_rng(seed))
+        found = levels_of(UDS4, [section], [left], spread)
+        for name, s in section.samples.items():
+            for mode in np.unique(s.mode):
+                n = int((s.mode == mode).sum())
+                bound = 4.5 * (0.71 if spread is by_square else 1.17) / np.sqrt(n) + 0.02
+                assert found[name][mode] == pytest.approx(levels[name][mode], rel=bound), (seed, name, MODES[mode])
+
+
+def test_levels_are_at_least_the_sensors(section: Section) -> None:
+    nothing = np.zeros(sum(len(s.t) for s in section.samples.values()))
+    for name, level in levels_of(UDS4, [section], [nothing], by_square).items():
+        assert (level == UDS4.known[name].noise).all(), name
+
+
+def test_slow_errors_are_no_noise_of_a_sample(section: Section) -> None:
+    """A swing of half a minute, twenty times the noise."""
+    levels = made_levels(section)
+    slow = np.concatenate([20e3 * np.sin(2 * np.pi * s.t / 30.0) for s in section.samples.values()])
+    left = drawn_noise(section, levels, np.random.default_rng(1))
+    found = levels_of(UDS4, [section], [left + slow], by_median)
+    quiet = levels_of(UDS4, [section], [left], by_median)
+    for name, level in found.items():
+        assert (level < 1.6 * quiet[name]).all(), name
+
+
+def test_steps_do_not_fool_the_median(section: Section) -> None:
+    """The measured pressures' own steps, as there is no model at first."""
+    levels = made_levels(section)
+    jumps = np.concatenate([60e3 * (np.floor(s.t / 15.0) % 2.0) for s in section.samples.values()])
+    left = drawn_noise(section, levels, np.random.default_rng(2))
+    found, fooled = (levels_of(UDS4, [section], [left + jumps], spread) for spread in (by_median, by_square))
+    for name, s in section.samples.items():
+        for mode in np.unique(s.mode):
+            assert found[name][mode] < 1.6 * levels[name][mode], (name, MODES[mode])
+        assert (fooled[name] > 2.0 * levels[name]).any(), name
+
+
+def test_speed_noise_is_a_mean_over_its_cell(section: Section, trajectory: Trajectory) -> None:
+    """White noise of the speed's samples moves the pressures after the pump as much as the cells say.
+
+    Before it, where nothing integrates, single samples show; they are a fiftieth of that sensor's noise.
+    """
+    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    cells = B.shape[1] - 9
+    size = np.sqrt((B[:, :cells] ** 2).sum(axis=1))
+    after = np.arange(len(size)) >= len(section.samples["y_p_tp"].t)
+    moved = []
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        noise = np.repeat(UDS4.known["n_p"].noise * rng.standard_normal(len(section.t) // 4 + 1), 4)[: len(section.t)]
+        moved.append(stacked(section, trajectory.by_input("n_p", noise[:, None]))[:, 0] / size)
+    assert np.sqrt(np.mean(np.square(moved)[:, after])) == pytest.approx(1.0, abs=0.2)
