@@ -46,6 +46,8 @@ class Errors(NamedTuple):
     level: float = 1.0
     step_time_s: float = 0.2
     """A step acts up to so much earlier or later."""
+    wander: float = 0.15
+    """The height of each of six slow waves of the true speed [1/s]: no error, but a model has to follow them."""
 
 
 def freed(model: Model, names: Collection[str]) -> Model:
@@ -84,7 +86,7 @@ def frames(
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, HOLD_S * len(speed), STEP_S)
     ecu_t = t[:: round(ECU_S / STEP_S)] + LATE_S
-    n_p = _ramps(t, speed, np.zeros(len(speed)), 2.0) + _wander(t, rng)
+    n_p = _ramps(t, speed, np.zeros(len(speed)), 2.0) + errors.wander * _wander(t, rng)
     logged = np.array(dose)[np.minimum((ecu_t / HOLD_S).astype(int), len(dose) - 1)]
     shifts = delay_s + LATE_S - ECU_S / 2.0 + rng.uniform(-1.0, 1.0, len(dose)) * errors.step_time_s
     levels = np.array(dose) + errors.level * model.known["dc_dose"].noise * rng.standard_normal(len(dose))
@@ -104,13 +106,13 @@ def _ramps(t: Array, values: Sequence[float] | Array, late: Array, width_s: floa
     value = np.asarray(values, dtype=np.float64)
     middle = HOLD_S * np.arange(1, len(value)) + late[1:]
     times = np.column_stack([middle - width_s / 2.0, middle + width_s / 2.0]).ravel()
-    return np.interp(t, times, np.column_stack([value[:-1], value[1:]]).ravel())
+    return np.asarray(np.interp(t, times, np.column_stack([value[:-1], value[1:]]).ravel()))
 
 
 def _wander(t: Array, rng: np.random.Generator) -> Array:
     """Slow waves of the speed."""
     waves = zip(rng.uniform(0.02, 0.3, 6), rng.uniform(0.0, 6.28, 6), strict=True)
-    return 0.15 * np.sum([np.sin(6.28 * f * t + phase) for f, phase in waves], axis=0)
+    return np.asarray(np.sum([np.sin(6.28 * f * t + phase) for f, phase in waves], axis=0))
 
 
 def _plant(model: Model, true: Mapping[str, float], u: Array) -> dict[str, Array]:

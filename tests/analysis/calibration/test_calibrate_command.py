@@ -4,12 +4,12 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
-from made_drive import HOLD_TICKS, freed, samples, write_recording
+from made_drive import DELAY_S, UDS4, frames, freed, write_recording
 
 from analysis.calibration.command import main as calibrate
-from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import build_bank
+from analysis.calibration.provenance import recordings_of, vehicle_of
 from analysis.model import dump_model, load_model
 from analysis.tuning.command import main as tune
 from analysis.tuning.file import load_tuning, model_digest
@@ -17,63 +17,132 @@ from service.core.errors import InputError
 from service.core.manifest import MODES
 from service.logs import open_log
 
-UDS4 = load_model("uds4")
+FREE = ("A_du", "A_ori")
 AREA = 0.8 * UDS4.parameters["A_du"].value
-GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "log"
 
 
 @dataclass(frozen=True)
 class Made:
-    """Two recordings of one vehicle whose filter is narrower than the datasheet's, and the datasheet's model."""
+    """Two recordings of one vehicle whose filter is narrower than the datasheet's, one of another, and the models."""
 
     model: Path
+    beside: Path
     first: Path
     second: Path
+    other: Path
     calibrated: Path
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("made")
-    bank = build_bank(UDS4)
-    model = folder / "datasheet.toml"
-    model.write_text(dump_model(freed(UDS4, ["A_du"])))
-    first, second = (
-        write_recording(folder / f"holds-{seed}", samples(bank, {"A_du": AREA}, seed=seed)) for seed in (3, 4)
+    model, beside = folder / "datasheet.toml", folder / "beside.toml"
+    model.write_text(dump_model(freed(UDS4, FREE)))
+    beside.write_text(dump_model(freed(load_model("uds1"), FREE)))
+    true = {name: p.value for name, p in UDS4.parameters.items()} | {"A_du": AREA}
+    first, second, other = (
+        write_recording(folder / f"holds-{seed}", frames(UDS4, true, seed, delay_s=DELAY_S), vehicle)
+        for seed, vehicle in ((3, "made"), (4, "made"), (5, "another"))
     )
     calibrated = folder / "new" / "calibrated.toml"
     assert calibrate([str(model), str(first), "--out", str(calibrated)]) == 0
-    return Made(model, first, second, calibrated)
+    return Made(model, beside, first, second, other, calibrated)
 
 
 def test_the_calibrated_model_loads_again_with_its_provenance(made: Made) -> None:
     model = load_model(made.calibrated)
-    assert abs(model.parameters["A_du"].value / AREA - 1) < 0.03
+    assert model.parameters["A_du"].value == pytest.approx(AREA, rel=0.06)
     [entry] = model.provenance
     assert entry["command"] == "calibrate"
     assert recordings_of(model) == entry["recordings"] == [open_log(made.first).sha256]
-    blocks = entry["blocks"]
-    assert isinstance(blocks, int)
-    assert blocks >= 20
-    others = {name: p for name, p in model.parameters.items() if name != "A_du"}
-    assert others == {name: p for name, p in load_model(made.model).parameters.items() if name != "A_du"}
+    assert entry["sections"] == 1
+    assert entry["vehicle"] == vehicle_of(model) == "made"
+    others = {name: p for name, p in model.parameters.items() if name not in FREE}
+    assert others == {name: p for name, p in load_model(made.model).parameters.items() if name not in FREE}
 
 
 def test_the_result_is_printed_and_repeats_to_the_byte(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "again.toml"
-    assert calibrate([str(made.model), str(made.first), "--out", str(out), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert out.read_bytes() == made.calibrated.read_bytes()
-    assert list(result["values"]) == ["A_du"]
-    assert result["values"]["A_du"] == load_model(out).parameters["A_du"].value
+    command = [str(made.model), str(made.first), "--validate", str(made.second), "--out", str(out), "--json"]
+    assert calibrate(command) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert out.read_bytes() == made.calibrated.read_bytes()  # what is validated on does not matter
+    assert told["model"] == "uds4"
+    assert told["vehicle"] == "made"
+    assert told["sources"] == ["made"]
+    assert list(told["parameters"]) == list(FREE)
+    model = load_model(out)
+    for name, p in told["parameters"].items():
+        assert p["value"] == model.parameters[name].value
+        assert p["datasheet"] == UDS4.parameters[name].value
+        assert p["interval"][0] < p["value"] < p["interval"][1]
+        assert p["told"] is True
+    assert told["anchors"] == {}
+    assert told["at_bound"] == []
+    assert list(told["zeros"]) == ["y_p_tp", "y_p_ap", "y_p_du"]
+    assert told["delays"]["dc_dose"] == pytest.approx(DELAY_S, abs=0.2)
+    assert told["starts"] == [4, 4]
+    assert list(told["agreement"]) == ["holds-3", "holds-4"]
+    for by_output in told["agreement"].values():
+        assert list(by_output) == ["y_p_tp", "y_p_ap", "y_p_du"]
+        for by_mode in by_output.values():
+            assert set(by_mode) == {*MODES, "steady"}
+            assert 0.3 < by_mode["steady"]["rms"] / by_mode["steady"]["expected"] < 1.5
 
 
-def test_the_golden_log_is_too_short_and_nothing_is_written(tmp_path: Path) -> None:
+def test_a_report_is_a_page_a_picture_and_numbers(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "report", tmp_path / "calibrated.toml"
+    command = [str(made.model), str(made.first), "--out", str(out), "--beside", str(made.beside)]
+    assert calibrate([*command, "--validate", str(made.second), "--report", str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert f"wrote {out}" in printed
+    assert sorted(path.name for path in folder.iterdir()) == ["calibration.json", "free-run.png", "report.md"]
+    picture = (folder / "free-run.png").read_bytes()
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    width, height = np.frombuffer(picture[16:24], dtype=">u4")
+    assert width > 800
+    assert height > 600
+    page = (folder / "report.md").read_text()
+    assert page.startswith("# Calibration of uds4 of vehicle made\n")
+    assert "![Free run](free-run.png)" in page
+    told = json.loads((folder / "calibration.json").read_bytes())
+    assert told["parameters"]["A_du"]["value"] == load_model(out).parameters["A_du"].value
+    for name in (*FREE, "holds-3", "holds-4"):
+        assert name in page
+        assert name in printed
+
+
+def test_a_recording_given_twice_is_refused(made: Made, tmp_path: Path) -> None:
     out = tmp_path / "calibrated.toml"
-    with pytest.raises(InputError, match=r"golden/log: only \d+ steady blocks of 5 s"):
-        calibrate(["uds4", str(GOLDEN), "--out", str(out)])
+    for command in ([str(made.first), str(made.first)], [str(made.first), "--validate", str(made.first)]):
+        with pytest.raises(InputError, match=r"holds-3: this recording is given twice; validate on recordings that"):
+            calibrate([str(made.model), *command, "--out", str(out)])
+    assert not out.exists()
+
+
+def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> None:
+    message = r"holds-5: recorded on vehicle 'another', .*holds-3 is of 'made'; every vehicle has"
+    for command in ([str(made.first), str(made.other)], [str(made.first), "--validate", str(made.other)]):
+        with pytest.raises(InputError, match=message):
+            calibrate([str(made.model), *command, "--out", str(tmp_path / "calibrated.toml")])
+
+
+def test_a_model_without_priors_is_refused(made: Made, tmp_path: Path) -> None:
+    model = tmp_path / "fixed.toml"
+    model.write_text(dump_model(freed(UDS4, ())))
+    with pytest.raises(InputError, match=r"uds4: no parameter has a prior; give `prior` to those that shall be"):
+        calibrate([str(model), str(made.first), "--out", str(tmp_path / "calibrated.toml")])
+
+
+def test_a_recording_that_is_too_short_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    short = write_recording(tmp_path / "short", [frame for frame in frames(UDS4, {}, 6) if frame.t < 45.0])
+    out = tmp_path / "calibrated.toml"
+    with pytest.raises(InputError, match=r"short: in no 50 s on end do all inputs tell"):
+        calibrate(["uds4", str(short), "--out", str(out)])
     assert not out.exists()
 
 
@@ -107,9 +176,15 @@ def test_tuning_refuses_a_recording_named_twice(made: Made, tmp_path: Path) -> N
         tune([str(made.calibrated), str(made.second), str(made.second), "--out", str(tmp_path / "tuning.json")])
 
 
+def test_tuning_refuses_another_vehicle(made: Made, tmp_path: Path) -> None:
+    message = r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'made'"
+    with pytest.raises(InputError, match=message):
+        tune([str(made.calibrated), str(made.other), "--out", str(tmp_path / "tuning.json")])
+
+
 def test_tuning_refuses_recordings_that_never_hold_a_mode(made: Made, tmp_path: Path) -> None:
     """Before the fourth hold the valve has not been held open."""
-    z = samples(build_bank(UDS4), {}, seed=5)[: 3 * HOLD_TICKS]
-    partial = write_recording(tmp_path / "partial", z)
+    log = [frame for frame in frames(UDS4, {}, 6) if frame.t < 90.0]
+    partial = write_recording(tmp_path / "partial", log)
     with pytest.raises(InputError, match=r"tuning data \(partial\): t02.ode saw mode 'maximum' for 0 ticks only; add"):
         tune([str(made.calibrated), str(partial), "--out", str(tmp_path / "tuning.json")])

@@ -41,7 +41,10 @@ def trajectory(section: Section) -> Trajectory:
 def made_levels(section: Section) -> dict[str, Array]:
     """Another one for every output and mode, above the sensors' own."""
     names = list(section.samples)
-    return {name: UDS4.known[name].noise * (1.0 + k + 0.5 * np.arange(len(MODES))) for k, name in enumerate(names)}
+    return {
+        name: np.asarray(UDS4.known[name].noise * (1.0 + k + 0.5 * np.arange(len(MODES))))
+        for k, name in enumerate(names)
+    }
 
 
 def drawn_noise(section: Section, levels: dict[str, Array], rng: np.random.Generator) -> Array:

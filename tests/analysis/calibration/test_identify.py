@@ -1,0 +1,90 @@
+"""What the data tell of each parameter, and what scales them all."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_drive import calibrated, freed
+
+from analysis.calibration.fit import Fit, fit
+from analysis.calibration.identify import QUANTILE, identify
+from analysis.simulation import system_of
+
+SCALED = ("A_t", "A_du", "A_ori", "A_dos", "B_du")
+"""Pressures tell the ratios of these to the flow."""
+
+
+def fixed_scale() -> Fit:
+    case = calibrated("uds1", 0)
+    names = [name for name in case.system.parameters if name != "D_p"]
+    model = freed(case.model.with_parameters({"D_p": case.true["D_p"]}, {}), names)
+    system = system_of(model, names)
+    return fit(model, system, case.sections, lambda _: None, 1)
+
+
+def test_the_displacement_is_the_anchor_of_the_flow() -> None:
+    found = identify(calibrated("uds1", 0).fit)
+    assert found.anchors == {"D_p": SCALED}
+    assert not found.estimates["D_p"].told
+    assert found.estimates["D_p"].relative_spread == 0.0
+
+
+def test_in_four_states_it_is_the_same() -> None:
+    found = identify(calibrated("uds4", 0, 4).fit)
+    assert list(found.anchors) == ["D_p"]
+    assert set(found.anchors["D_p"]) == {"A_t", "A_du", "A_ori", "A_dos", "B_ap"}
+    assert not found.estimates["A_p"].told
+
+
+def test_the_pump_filter_is_not_told() -> None:
+    """No sensor is behind it: its area has no effect on what is measured but through the leak."""
+    found = identify(calibrated("uds1", 0).fit)
+    prior = calibrated("uds1", 0).model.parameters["A_p"].prior
+    assert not found.estimates["A_p"].told
+    assert found.estimates["A_p"].spread == pytest.approx(prior, rel=0.01)
+    assert all(found.estimates[name].told for name in (*SCALED, "C_v"))
+
+
+def test_relative_to_the_anchor_much_more_is_known() -> None:
+    found = identify(calibrated("uds1", 0).fit)
+    anchor = found.estimates["D_p"].spread
+    for name in SCALED:
+        estimate = found.estimates[name]
+        assert estimate.relative_spread < 0.3 * anchor, name
+        assert estimate.spread**2 == pytest.approx(anchor**2 + estimate.relative_spread**2, rel=0.1), name
+
+
+def test_without_a_prior_of_the_displacement_nothing_needs_an_anchor() -> None:
+    found = identify(fixed_scale())
+    whole = identify(calibrated("uds1", 0).fit)
+    assert found.anchors == {}
+    assert "D_p" not in found.estimates
+    for name in SCALED:
+        estimate = found.estimates[name]
+        assert estimate.told, name
+        assert estimate.spread == pytest.approx(estimate.relative_spread)
+        assert estimate.spread == pytest.approx(whole.estimates[name].relative_spread, rel=0.3), name
+
+
+def test_leak_and_orifice_are_hard_to_tell_apart() -> None:
+    [(first, second, correlation)] = identify(calibrated("uds1", 0).fit).correlated
+    assert (first, second) == ("C_v", "A_ori")
+    assert -1.0 < correlation < -0.9
+
+
+def test_an_interval_is_of_the_logarithm() -> None:
+    estimate = identify(calibrated("uds1", 0).fit).estimates["B_du"]
+    low, high = estimate.interval(0.1)
+    assert low * high == pytest.approx(estimate.value**2)
+    assert np.log(high / low) == pytest.approx(2 * QUANTILE * 0.1)
+    assert estimate.interval(0.0) == (estimate.value, estimate.value)
+
+
+def test_without_data_the_priors_are_all_there_is() -> None:
+    given = calibrated("uds1", 0).fit
+    n = len(given.x)
+    nothing = dataclasses.replace(given, x=np.zeros(n), covariance=np.eye(n), information=np.zeros((n, n)))
+    found = identify(nothing)
+    assert not any(estimate.told for estimate in found.estimates.values())
+    for name, estimate in found.estimates.items():
+        assert estimate.spread == pytest.approx(given.model.parameters[name].prior), name
