@@ -14,7 +14,7 @@ from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 UDS1 = load_model("uds1")
-SEEDS = range(6)
+SEEDS = range(4)
 
 
 def relative_z(case: Case) -> dict[str, float]:
@@ -98,11 +98,12 @@ def test_zero_errors_are_found_against_each_other() -> None:
 
 
 def test_searches_from_all_starts_agree() -> None:
-    several, one = calibrated("uds4", 0, 4), calibrated("uds1", 0)
-    assert several.fit.starts == (4, 4)
-    assert one.fit.starts == (1, 1)
-    for name in ("A_ori", "A_dos"):
-        assert several.fit.values[name] > 0
+    """And the model of four states finds what that of one does on a vehicle with the same errors."""
+    four, one = calibrated("uds4", 0, 4).fit, calibrated("uds1", 0).fit
+    assert four.starts == (4, 4)
+    assert one.starts == (1, 1)
+    for name in ("A_t", "A_du", "A_ori", "A_dos"):
+        assert four.values[name] == pytest.approx(one.values[name], rel=0.01), name
 
 
 def test_a_bound_that_excludes_the_truth_is_told() -> None:

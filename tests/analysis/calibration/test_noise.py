@@ -10,7 +10,6 @@ from analysis.calibration.noise import (
     STEP_TIME_S,
     Spread,
     Whitening,
-    by_median,
     by_square,
     commands_of,
     disturbances,
@@ -63,7 +62,7 @@ def test_noise_of_the_stated_model_becomes_unit_and_independent(section: Section
     Directions too faint to be whitened leave up to FAINT^2 of a unit each, far below that.
     """
     levels = made_levels(section)
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     white = Whitening(section, levels, B)
     ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
     for seed in SEEDS:
@@ -84,7 +83,7 @@ def test_noise_of_the_stated_model_becomes_unit_and_independent(section: Section
 def test_without_the_disturbances_it_would_not_be(section: Section, trajectory: Trajectory) -> None:
     """So that the test above can fail."""
     levels = made_levels(section)
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     rng = np.random.default_rng(0)
     noise = drawn_noise(section, levels, rng) + B @ rng.standard_normal(B.shape[1])
     plain = Whitening(section, levels, np.zeros((len(B), 1)))(noise)
@@ -94,7 +93,7 @@ def test_without_the_disturbances_it_would_not_be(section: Section, trajectory: 
 def test_whitening_is_the_inverse_of_the_covariance(section: Section, trajectory: Trajectory) -> None:
     """To the directions that are faint."""
     levels = made_levels(section)
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     sd = np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
     e = np.random.default_rng(1).standard_normal((len(sd), 3)) * sd[:, None]
     white = Whitening(section, levels, B)(e)
@@ -107,13 +106,13 @@ def test_the_disturbances_are_those_of_speed_levels_and_steps(section: Section, 
     """One column for each cell of the speed, each level of the dose and each of its steps."""
     steps = sum(a != b for a, b in zip(DOSE[1:], DOSE[:-1], strict=True))
     cells = int(np.ceil(len(section.t) * section.drive.step_s / CELL_S))
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     assert B.shape == (sum(len(s.t) for s in section.samples.values()), cells + (steps + 1) + steps)
 
 
 def test_a_late_step_is_its_column(section: Section, trajectory: Trajectory) -> None:
     """Every step later by a little: the sum of the steps' columns."""
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     u = section.drive.inputs.copy()
     late = 0.02
     u[:, 1] = np.interp(section.t - late, section.t, u[:, 1])
@@ -128,7 +127,7 @@ def test_a_late_step_is_its_column(section: Section, trajectory: Trajectory) -> 
 
 def test_a_level_error_stays_with_its_level(section: Section, trajectory: Trajectory) -> None:
     """It lifts the pressure from its step to the next, and what the hose remembers after."""
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     t = np.concatenate([section.start_s + s.t for s in section.samples.values()])
     partial = B[:, -8]  # of the second of five levels, 0.4 from 60 s on
     output = np.repeat(np.arange(3), [len(s.t) for s in section.samples.values()])
@@ -187,7 +186,7 @@ def test_speed_noise_is_a_mean_over_its_cell(section: Section, trajectory: Traje
 
     Before it, where nothing integrates, single samples show; they are a fiftieth of that sensor's noise.
     """
-    B = disturbances(UDS4, section, trajectory, COMMANDS)
+    B = disturbances(section, trajectory, COMMANDS)
     cells = B.shape[1] - 9
     size = np.sqrt((B[:, :cells] ** 2).sum(axis=1))
     after = np.arange(len(size)) >= len(section.samples["y_p_tp"].t)
