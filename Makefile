@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench campaign-recordings clean
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -19,6 +19,11 @@ lint: .venv/.test
 bench: .venv/.test .venv-peer/.done  ## cost of a tick and of structural analysis, paired with what it is compared to
 	@$(BIN)/python -m tests.bench
 	@$(BIN)/python tests/analysis/structure/bench_engine.py .venv-peer/bin/python
+
+# One thread each: two processes share the two cores.
+campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameters found? writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/calibration.py --out docs/results/calibration.md
 
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info

@@ -98,7 +98,7 @@ class _Data:
     def run(self, model: Model, delay: dict[str, float], zero: dict[str, float]) -> dict[str, Validation]:
         """The free runs of a calibrated model over every recording."""
         values = {name: model.parameters[name].value for name in self.system.parameters}
-        return {name: validate(model, self.system, found, values, delay, zero) for name, found in self._found.items()}
+        return {name: validate(self.system, found, values, delay, zero) for name, found in self._found.items()}
 
 
 def _write(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> None:

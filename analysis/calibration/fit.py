@@ -23,14 +23,13 @@ from scipy.optimize import OptimizeResult, least_squares
 from analysis.calibration.noise import (
     Levels,
     Whitening,
-    by_median,
     by_square,
     commands_of,
     disturbances,
     levels_of,
     stacked,
 )
-from analysis.calibration.sections import Section
+from analysis.calibration.sections import Section, by_median
 from analysis.model import Model
 from analysis.simulation import Drive, System, Trajectory, run
 from service.core.errors import InputError
@@ -173,7 +172,7 @@ class _Problem:
     def weights(self, x: Array, levels: Levels) -> list[Whitening]:
         """Those that hold at `x`."""
         return [
-            Whitening(section, levels, disturbances(self._model, section, trajectory, self._commands))
+            Whitening(section, levels, disturbances(section, trajectory, self._commands))
             for section, trajectory in zip(self._sections, self._trajectories(x), strict=True)
         ]
 

@@ -81,33 +81,29 @@ def commands_of(system: System, sections: Sequence[Section]) -> tuple[str, ...]:
     return tuple(name for name, value in zip(system.inputs, inputs.T, strict=True) if is_command(value))
 
 
-def disturbances(model: Model, section: Section, trajectory: Trajectory, commands: Sequence[str]) -> Array:
+def disturbances(section: Section, trajectory: Trajectory, commands: Sequence[str]) -> Array:
     """B (N, D) at the trajectory."""
     columns = []
-    for name in trajectory.system.inputs:
-        u, h = trajectory.drive.inputs[:, trajectory.system.inputs.index(name)], trajectory.drive.step_s
-        errors = (
-            _of_command(u, h, model.known[name].noise)
-            if name in commands
-            else _of_sensor(u, h, model.known[name].noise)
-        )
+    for k, name in enumerate(trajectory.system.inputs):
+        u, h, noise = trajectory.drive.inputs[:, k], trajectory.drive.step_s, section.noise[:, k]
+        errors = _of_command(u, h, noise) if name in commands else _of_sensor(h, noise)
         columns.append(stacked(section, trajectory.by_input(name, errors)))
     return np.concatenate(columns, axis=1)
 
 
-def _of_sensor(u: Array, step_s: float, noise: float) -> Array:
+def _of_sensor(step_s: float, noise: Array) -> Array:
     """The errors (K, D) of a measured input: the mean of its samples' noise over every `CELL_S`."""
-    cell = (np.arange(len(u)) * step_s / CELL_S).astype(int)
-    return np.asarray(noise * np.sqrt(PERIOD_S / CELL_S) * _marks(cell, cell[-1] + 1))
+    cell = (np.arange(len(noise)) * step_s / CELL_S).astype(int)
+    return np.asarray(np.sqrt(PERIOD_S / CELL_S) * noise[:, None] * _marks(cell, cell[-1] + 1))
 
 
-def _of_command(u: Array, step_s: float, noise: float) -> Array:
+def _of_command(u: Array, step_s: float, noise: Array) -> Array:
     """The errors (K, D) of a command: one of each level, and for each step what so much delay takes away."""
     slope = np.gradient(u, step_s)
     moves = slope != 0.0
     begins = np.diff(moves, prepend=False) & moves
     step = np.cumsum(begins)
-    levels = noise * _marks(step, step[-1] + 1)
+    levels = noise[:, None] * _marks(step, step[-1] + 1)
     steps = STEP_TIME_S * _marks(step * moves, step[-1] + 1)[:, 1:] * slope[:, None]
     return np.concatenate([levels, steps], axis=1)
 
@@ -138,11 +134,6 @@ def _fast(e: Array, period_s: float) -> Array:
     kernel = np.ones(width)
     slow = np.convolve(e, kernel, "same") / np.convolve(np.ones_like(e), kernel, "same")
     return np.asarray((e - slow) / np.sqrt(1.0 - 1.0 / width))
-
-
-def by_median(e: Array) -> float:
-    """The standard deviation of (N,) zero-mean noise in which there may be steps that are none."""
-    return 1.4826 * float(np.median(np.abs(e)))
 
 
 def by_square(e: Array) -> float:

@@ -5,7 +5,7 @@ measured pressures say where the states are, and the model's warm-up passes befo
 interpolated, outputs are compared at their own times: nothing is filtered.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,12 +17,12 @@ from scipy.interpolate import CubicSpline
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
 from analysis.recordings.modes import modes_of
+from analysis.recordings.track import Track, tracks_of
 from analysis.simulation import Drive, System
 from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.manifest import Input
 from service.core.modes import ModeTracker
-from service.core.signals import Quality
 from service.logs import Frame
 
 Array = npt.NDArray[np.float64]
@@ -57,10 +57,14 @@ class Samples:
 
 @dataclass(frozen=True)
 class Section:
-    """What a free run from `start_s` [s] after the log's first frame needs, and what it is compared with."""
+    """What a free run from `start_s` [s] after the log's first frame needs, and what it is compared with.
+
+    `noise` (K, inputs) is the standard deviation of a sample of each input at the run's instants.
+    """
 
     start_s: float
     drive: Drive
+    noise: Array
     samples: Mapping[str, Samples]
 
     @property
@@ -72,19 +76,6 @@ class Section:
 def is_command(value: Array) -> bool:
     """Whether an input (K,) holds still between its steps: a command, no measurement."""
     return bool(np.mean(np.diff(value) != 0.0) < STILL)
-
-
-class _Track:
-    """What a signal said: times (N,) [s], increasing, and values (N,)."""
-
-    def __init__(self, rows: Sequence[tuple[float, float]]) -> None:
-        self.t, self.value = np.array(rows, dtype=np.float64).reshape(-1, 2).T
-        later = np.diff(self.t, prepend=-np.inf) > 0
-        self.t, self.value = self.t[later], self.value[later]
-
-    def at(self, t: Array) -> Array:
-        """On straight lines between the samples."""
-        return np.interp(t, self.t, self.value)
 
 
 def sections(model: Model, system: System, table: DecodeTable, frames: Iterable[Frame], where: str) -> list[Section]:
@@ -107,26 +98,21 @@ def sections(model: Model, system: System, table: DecodeTable, frames: Iterable[
     return found
 
 
-def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: str) -> dict[str, _Track]:
-    rows: dict[str, list[tuple[float, float]]] = {name: [] for name in model.known}
-    for t, can_id, extended, data in frames:
-        for name, value, quality in table.decode(can_id, extended, data):
-            if quality is Quality.GOOD:
-                rows[name].append((t, value))
-    silent = [name for name, told in rows.items() if len(told) < 2]
+def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: str) -> dict[str, Track]:
+    tracks = tracks_of(table, frames, model.known)
+    silent = [name for name, track in tracks.items() if len(track.t) < 2]
     if silent:
         raise InputError(f"{where}: {', '.join(silent)} never tells; calibrate on a recording that has all signals")
-    return {name: _Track(told) for name, told in rows.items()}
+    return tracks
 
 
-def _stretches(model: Model, system: System, tracks: Mapping[str, _Track]) -> list[tuple[float, float]]:
+def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> list[tuple[float, float]]:
     """Times between which nothing is missing or out of range, at most `LONGEST_S` apart."""
     start = max(track.t[0] for track in tracks.values())
     end = min(tracks[name].t[-1] for name in system.inputs)
     bad = [(-np.inf, start), (end, np.inf)]
     for name in system.inputs:
-        t = tracks[name].t
-        bad += [(float(a), float(b)) for a, b in pairwise(t) if b - a > GAP_S]
+        bad += tracks[name].gaps()
     for name, known in model.known.items():
         track = tracks[name]
         bad += [(float(t), float(t)) for t in track.t[(track.value < known.min) | (track.value > known.max)]]
@@ -141,7 +127,7 @@ def _stretches(model: Model, system: System, tracks: Mapping[str, _Track]) -> li
     return found
 
 
-def _section(model: Model, system: System, tracks: Mapping[str, _Track], low: float, high: float) -> Section:
+def _section(model: Model, system: System, tracks: Mapping[str, Track], low: float, high: float) -> Section:
     t = np.arange(low, high, STEP_S)
     inputs = np.column_stack([_input(tracks[name], t) for name in system.inputs])
     measured = {name: tracks[name].at(t) for name in system.outputs}
@@ -157,10 +143,33 @@ def _section(model: Model, system: System, tracks: Mapping[str, _Track], low: fl
         inside = (track.t >= low + model.warm_up_s) & (track.t <= t[-1]) & (track.t > last + BLIND_S)
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
-    return Section(low, Drive(STEP_S, inputs, states[0], states), samples)
+    noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
+    return Section(low, Drive(STEP_S, inputs, states[0], states), noise, samples)
 
 
-def _input(track: _Track, t: Array) -> Array:
+def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:
+    """The standard deviation (K,) of a sample of an input at the times `t`, at least the sensor's.
+
+    A speed that follows the valve's pulses, or what its own controller makes of noise, is sampled too seldom to be
+    known in between: to a free run that is noise. It shows in second differences, where slower changes hardly do.
+    """
+    found = np.full(len(t), model.known[name].noise)
+    if not is_command(track.value):
+        middle = track.t[1:-1]
+        inside = (middle >= t[0]) & (middle <= t[-1])
+        flicker = np.abs(track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:])[inside] / np.sqrt(6.0)
+        at = mode[np.searchsorted(t, middle[inside], side="right") - 1]
+        for k in np.unique(at):
+            found[mode == k] = max(by_median(flicker[at == k]), model.known[name].noise)
+    return found
+
+
+def by_median(e: Array) -> float:
+    """The standard deviation of (N,) zero-mean noise, or of its magnitudes, in which there may be steps."""
+    return 1.4826 * float(np.median(np.abs(e)))
+
+
+def _input(track: Track, t: Array) -> Array:
     """A command on straight lines, a measurement on a cubic spline: chords would flatten each of its swings."""
     if is_command(track.value):
         return track.at(t)
@@ -181,7 +190,7 @@ def _state(model: Model, name: str, measured: Mapping[str, Array], count: int) -
     )
 
 
-def _modes(model: Model, tracks: Mapping[str, _Track], t: Array) -> npt.NDArray[np.int64]:
+def _modes(model: Model, tracks: Mapping[str, Track], t: Array) -> npt.NDArray[np.int64]:
     """The operating mode at the times `t`, as the vehicle's own tracker follows it."""
     inputs = [
         Input(signal=name, unit=k.unit, maximum_age_s=GAP_S, lower=k.min, upper=k.max)

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from analysis.calibration.fit import delayed
 from analysis.calibration.noise import commands_of, disturbances, stacked
 from analysis.calibration.sections import Section
-from analysis.model import Model
 from analysis.simulation import System, Trajectory, run
 from service.core.manifest import MODES
 from service.core.modes import EDGE
@@ -52,7 +51,6 @@ class Validation:
 
 
 def validate(
-    model: Model,
     system: System,
     sections: Sequence[Section],
     values: Mapping[str, float],
@@ -68,7 +66,7 @@ def validate(
     commands = commands_of(system, sections)
     gathered: dict[str, list[tuple[npt.NDArray[np.int64], Array, Array, Array]]] = {name: [] for name in system.outputs}
     for section, trajectory in zip(sections, trajectories, strict=True):
-        B = disturbances(model, section, trajectory, commands)
+        B = disturbances(section, trajectory, commands)
         predicted = stacked(section, trajectory.outputs())
         ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
         parts = zip(np.split(predicted, ends), np.split((B**2).sum(axis=1), ends), strict=True)

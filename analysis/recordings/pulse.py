@@ -11,17 +11,14 @@ and the term d/2 turns the other way for an alias: the frequency with the highes
 right one.
 """
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.recordings.track import Track, known_part
-from service.core.decode import DecodeTable
+from analysis.recordings.track import Track
 from service.core.errors import InputError
-from service.core.signals import Quality, Vector
-from service.logs import Frame
+from service.core.signals import Vector
 
 LOWEST_HZ, HIGHEST_HZ = 1.0, 9.0
 PARTIAL = (0.05, 0.95)  # doses with a ripple to speak of
@@ -61,17 +58,6 @@ class Pulse(NamedTuple):
             return np.asarray(before[k] + np.minimum(at - starts[k], width[k]))
 
         return np.asarray(np.clip((opened(t) - opened(t - period_s)) / period_s, 0.0, 1.0))
-
-
-def tracks_of(table: DecodeTable, frames: Iterable[Frame], names: Iterable[str]) -> dict[str, Track]:
-    """The samples of these signals with the times of their frames [s], those without a value left out."""
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
-    for t, can_id, extended, data in frames:
-        for name, value, quality in table.decode(can_id, extended, data):
-            if name in found and quality is Quality.GOOD:
-                found[name].append((t, value))
-    columns = {name: np.array(rows).reshape(-1, 2).T for name, rows in found.items()}
-    return {name: known_part(t, value) for name, (t, value) in columns.items()}
 
 
 def estimate_pulse(p_ap: Track, p_du: Track, dose: Track, frequency_hz: float | None = None) -> Pulse:

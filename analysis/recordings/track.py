@@ -1,12 +1,15 @@
 """A signal as it was sampled, and where it was silent: what lies in a gap is not known."""
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from service.core.signals import Vector
+from service.core.decode import DecodeTable
+from service.core.signals import Quality, Vector
+from service.logs import Frame
 
 SILENT_S = 1.0
 SILENT_PERIODS = 5.0
@@ -52,3 +55,16 @@ def known_part(t: Vector, value: Vector) -> Track:
     """The samples that have a value."""
     good = np.isfinite(value)
     return Track(t[good], value[good])
+
+
+def tracks_of(table: DecodeTable, frames: Iterable[Frame], names: Iterable[str]) -> dict[str, Track]:
+    """The samples of these signals with the times of their frames [s].
+
+    Those without a value, and all but the first of a time, are left out.
+    """
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    for t, can_id, extended, data in frames:
+        for name, value, quality in table.decode(can_id, extended, data):
+            if name in found and quality is Quality.GOOD and not (found[name] and found[name][-1][0] >= t):
+                found[name].append((t, value))
+    return {name: Track(*np.array(rows, dtype=np.float64).reshape(-1, 2).T) for name, rows in found.items()}

@@ -16,7 +16,7 @@ from analysis.calibration.noise import (
     levels_of,
     stacked,
 )
-from analysis.calibration.sections import Section
+from analysis.calibration.sections import Section, by_median
 from analysis.simulation import Trajectory, run
 from service.core.manifest import MODES
 

@@ -8,9 +8,9 @@ import pytest
 from analysis.graph.bank import Bank, build_bank
 from analysis.model import load_model
 from analysis.recordings.observe import observe
-from analysis.recordings.pulse import Pulse, PulseError, estimate_pulse, tracks_of
+from analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
 from analysis.recordings.pulse_input import _choice, choose_input
-from analysis.recordings.track import Track
+from analysis.recordings.track import Track, tracks_of
 from service.core.decode import DecodeTable, compile_dbc
 from service.logs import Frame, open_log
 from testbench.bus import load_dbc
