@@ -97,6 +97,13 @@ def test_zero_errors_are_found_against_each_other() -> None:
     assert abs(error) < 0.2
 
 
+def test_what_no_sensor_tells_stays_at_the_datasheet() -> None:
+    """The search has to know the priors: from another start the pump filter's area comes back."""
+    found = calibrated("uds4", 0, 4).fit
+    assert found.values["A_p"] == pytest.approx(load_model("uds4").parameters["A_p"].value, rel=0.05)
+    assert abs(found.x[found.unknowns.parameters.index("D_p")]) < 0.5
+
+
 def test_searches_from_all_starts_agree() -> None:
     """And the model of four states finds what that of one does on a vehicle with the same errors."""
     four, one = calibrated("uds4", 0, 4).fit, calibrated("uds1", 0).fit
