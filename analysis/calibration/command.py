@@ -10,6 +10,7 @@ import msgspec
 from analysis.calibration.fit import fit
 from analysis.calibration.identify import identify
 from analysis.calibration.provenance import check_vehicle, entry
+from analysis.calibration.pulses import pulses
 from analysis.calibration.report import Report, draw, page, report, sentences
 from analysis.calibration.sections import Section, sections
 from analysis.calibration.validate import Validation, validate
@@ -58,6 +59,7 @@ def main(argv: list[str]) -> int:
             if options.beside:
                 other = sound_model(options.beside)
                 drawn[other.name] = _Data(other, options.recording, options.validate, progress).run(other, delay, zero)
+            told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
             _write(told, model, drawn, options.report)
     if options.json:
         print(msgspec.json.encode(told).decode())

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from analysis.calibration.fit import Fit
 from analysis.calibration.identify import Identified
+from analysis.calibration.pulses import Pulses
+from analysis.calibration.pulses import sentences as of_pulses
 from analysis.calibration.validate import STEADY, Agreement, Validation
 from analysis.model import Known, Model
 
@@ -38,7 +40,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     """What `calibrate` tells. `agreement` is by recording, output and mode, all in the output's unit.
 
     `anchors` name what only the prior scales, with the parameters known relative to it; `zeros` are the sensors' zero
-    errors, `delays` the commands' [s]; of `starts` searches so many came to the best place.
+    errors, `delays` the commands' [s]; of `starts` searches so many came to the best place. `pulses` are in a written
+    report only.
     """
 
     model: str
@@ -52,6 +55,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     delays: dict[str, float]
     starts: tuple[int, int]
     agreement: dict[str, dict[str, dict[str, Agreement]]]
+    pulses: Pulses | None = None
 
 
 def report(
@@ -109,6 +113,8 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
         for name, by_mode in by_output.items():
             cells = [f"{mode} {a.rms:.3g} ({a.floor:.3g}; {a.expected:.3g})" for mode, a in by_mode.items()]
             lines.append(f"  {name} [{known[name].unit}]: " + ", ".join(cells))
+    if r.pulses is not None:
+        lines += of_pulses(r.pulses)
     return lines
 
 

@@ -1,0 +1,54 @@
+"""For a calibration's report: would the valve's pulses make a better residual input than the duty cycle (7.5.1)?"""
+
+import msgspec
+
+from analysis.graph.bank import build_bank
+from analysis.model import Model
+from analysis.recordings.observe import observe
+from analysis.recordings.pulse import estimate_pulse
+from analysis.recordings.pulse_input import InputChoice, choose_input
+from analysis.recordings.track import tracks_of
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.logs import Log
+
+AFTER_PUMP, IN_UNIT = "y_p_ap", "y_p_du"
+"""The pressures in which the valve's ripple shows."""
+
+
+class Pulses(msgspec.Struct, frozen=True, kw_only=True):
+    """The pulses that were made out, and the better input of every test; or the `reason` why that cannot be said."""
+
+    frequency_hz: float | None = None
+    tests: tuple[InputChoice, ...] = ()
+    reason: str = ""
+
+
+def pulses(calibrated: Model, log: Log) -> Pulses:
+    """The comparison over one fault-free recording of the calibrated vehicle."""
+    if calibrated.modes is None or not {AFTER_PUMP, IN_UNIT, calibrated.modes.signal} <= calibrated.known.keys():
+        return Pulses(reason=f"the model lacks a valve's command or {AFTER_PUMP} or {IN_UNIT}")
+    dose = calibrated.modes.signal
+    try:
+        bank = build_bank(calibrated)
+        table = compile_dbc(log.dbc, {name: known.unit for name, known in calibrated.known.items()}, log.id)
+        frames = list(log.relative())
+        tracks = tracks_of(table, frames, calibrated.known)
+        pulse = estimate_pulse(tracks[AFTER_PUMP], tracks[IN_UNIT], tracks[dose])
+        tests = choose_input(bank, observe(bank, table, frames), pulse, tracks, dose)
+    except InputError as reason:
+        return Pulses(reason=str(reason))
+    return Pulses(frequency_hz=pulse.frequency_hz, tests=tuple(tests))
+
+
+def sentences(found: Pulses) -> list[str]:
+    """The comparison as lines of text."""
+    if found.frequency_hz is None:
+        return [f"the valve's pulses as input: cannot be compared, {found.reason}"]
+    lines = [f"the valve's pulses ({found.frequency_hz:.3f} Hz) as input instead of the duty cycle, at partial dose:"]
+    lines += [
+        f"  {t.test} ({t.predicts}): RMS {t.rms_duty:.0f} with the duty cycle, {t.rms_pulses:.0f} with pulses; "
+        f"better: {t.better}"
+        for t in found.tests
+    ]
+    return lines
