@@ -98,8 +98,8 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     lines += [_row(name, p, r) for name, p in r.parameters.items()]
     for anchor, others in r.anchors.items():
         lines.append(
-            f"only ratios to {anchor} can be told of {', '.join(others)}: "
-            f"the 95 % are with {anchor} as it is, by itself known to {_percent(r.parameters[anchor].interval):.0f} %"
+            f"{anchor} is the anchor: the data cannot tell it apart from {', '.join(others)}, whose 95 % take it as "
+            f"it is; by its prior it is known to {_percent(r.parameters[anchor].interval):.0f} %"
         )
     for first, second, correlation in r.correlated:
         lines.append(f"{first} and {second} are hard to tell apart (correlation {correlation:+.2f})")

@@ -169,7 +169,7 @@ class _Band:
         if failed:
             raise InputError(
                 f"{system.model.name}: the equations do not determine {system.variables[(failed - 1) % n]}; "
-                "a model that shall run freely must be of index 1"
+                "check them, and that the model is of index 1"
             )
 
     def solve(self, right: Array) -> Array:

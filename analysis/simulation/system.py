@@ -154,8 +154,8 @@ def system_of(model: Model, parameters: Sequence[str]) -> System:
     algebraic = [v for v in unknowns if v not in states and v not in derivatives]
     if len(equations) != len(derivatives) + len(algebraic):
         raise InputError(
-            f"{model.name}: {len(equations)} equations besides its sensors' for {len(derivatives) + len(algebraic)} "
-            "derivatives and algebraic variables; a model that shall run freely needs as many"
+            f"{model.name}: {len(equations)} equations besides its sensors' ({', '.join(outputs) or 'none'}) for "
+            f"{len(derivatives) + len(algebraic)} derivatives and algebraic variables; a free run needs as many"
         )
     left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
     shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
@@ -176,9 +176,9 @@ def system_of(model: Model, parameters: Sequence[str]) -> System:
 
 
 def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str, sp.Expr]]:
-    """By signal that a sensor shows: the equation that says so, and what the signal is in terms of unknowns."""
+    """By signal that a sensor shows: the equation that says so, and what the signal is in terms of the one unknown."""
     found = {}
-    known = {sp.Symbol(name) for name in model.known}
+    known, unknown = ({sp.Symbol(name) for name in names} for names in (model.known, model.unknown))
     for signal in model.known:
         y = sp.Symbol(signal)
         places = [name for name, e in equations.items() if y in e.free_symbols]
@@ -186,7 +186,8 @@ def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str
             continue
         expression = equations[places[0]]
         slope = sp.diff(expression, y)
-        if slope.is_number and slope != 0 and expression.free_symbols & known == {y}:
+        alone = expression.free_symbols & known == {y} and len(expression.free_symbols & unknown) == 1
+        if alone and slope.is_number and slope != 0:
             found[signal] = (places[0], _solved(expression, y))
     return found
 
