@@ -15,10 +15,21 @@ def wilson(found: int, of: int) -> tuple[float, float]:
     return (middle - half) / (1 + z**2 / of), (middle + half) / (1 + z**2 / of)
 
 
-def provenance(seconds: float) -> str:
+def share(found: int, of: int) -> str:
+    """A share in words."""
+    low, high = wilson(found, of)
+    return f"{found} of {of}, {100 * found / of:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def head_commit() -> str:
+    """The commit of the working tree: to be asked when a campaign starts, it may move on."""
+    asked = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
+    return asked.stdout.strip()
+
+
+def provenance(commit: str, seconds: float) -> str:
     """Commit, machine and duration."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
     return (
-        f"Commit {commit.stdout.strip()}, {platform.machine()} with {os.cpu_count()} cores, Python "
-        f"{platform.python_version()}, {seconds / 60:.0f} minutes."
+        f"Commit {commit}, {platform.machine()} with {os.cpu_count()} cores, Python {platform.python_version()}, "
+        f"{seconds / 60:.0f} minutes."
     )

@@ -1,6 +1,6 @@
 """How well the second logger's clock is found: random recordings of the rig against what the rig knows of its loggers.
 
-    .venv/bin/python -m tests.campaigns.synchronisation --out docs/results/synchronisation.md
+    .venv/bin/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md
 
 A recording is right where the alignment is off by less than 50 ms over all that both loggers cover, flagged where
 `ingest` would refuse it, and silently wrong else. What is aligned is when the pressures were measured: where the
@@ -10,9 +10,6 @@ controller's values are old (effect `log_delay`), that age belongs to the offset
 import argparse
 import math
 import multiprocessing
-import os
-import platform
-import subprocess
 import tempfile
 import time
 import tomllib
@@ -22,6 +19,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from results_page import head_commit, provenance, share
 
 from analysis.recordings.bench import read_bench
 from analysis.recordings.clock import ClockError, synchronise
@@ -114,15 +112,6 @@ def _dbc() -> Dbc:
     return replace(dbc, controllers=tuple(sender for sender in dbc.controllers if sender.message.name == "UDS_ECU"))
 
 
-def wilson(found: int, of: int) -> tuple[float, float]:
-    """95 % confidence interval of a share (Wilson 1927)."""
-    if not of:
-        return 0.0, 1.0
-    z, p = 1.96, found / of
-    middle, half = p + z**2 / (2 * of), z * math.sqrt(p * (1 - p) / of + z**2 / (4 * of**2))
-    return (middle - half) / (1 + z**2 / of), (middle + half) / (1 + z**2 / of)
-
-
 Group = tuple[str, Callable[[Request], str]]
 GROUPS: tuple[Group, ...] = (
     ("cycle", lambda r: r.cycle.name),
@@ -155,17 +144,15 @@ def page(results: list[Result], seed: int, seconds: float, commit: str) -> str:
         "120 s before or after the CAN log, drift to 200 ppm, noise factor 1 to 3, up to 10 % dropped samples; half "
         "with a fault, half with a hidden effect of its typical size. Right: off by less than 50 ms over all that both "
         "loggers cover. Most last 3 to 15 minutes, one in five 20 to 60. What is aligned is when the pressures were "
-        "measured: the age of the controller's values "
-        "(effect `log_delay`) belongs to the offset.\n\n"
-        f"**Off by less than 50 ms: {_share(near, len(results))}. Right and believed: {_share(right, len(results))}; "
+        "measured: the age of the controller's values (effect `log_delay`) belongs to the offset.\n\n"
+        f"**Off by less than 50 ms: {share(near, len(results))}. Right and believed: {share(right, len(results))}; "
         f"{near - right} are flagged without need. Flagged in all: {sum(r.outcome == 'flagged' for r in results)}. "
         f"Silently wrong: {sum(r.outcome == 'wrong' for r in results)}.**\n\n"
         "| error [ms] of all, flagged too | median | 90 % | 95 % | 98 % | 99 % | largest |\n"
         "|---|---|---|---|---|---|---|\n"
         f"| | {quantiles} |\n\n"
         f"Error over the stated standard error: median {np.median(ratio):.2f}, 95 % {np.quantile(ratio, 0.95):.2f}.\n\n"
-        f"Commit {commit}, {platform.machine()} with {os.cpu_count()} cores and others at work, Python "
-        f"{platform.python_version()}, {seconds / 60:.0f} minutes.\n\n"
+        f"{provenance(commit, seconds)}\n\n"
     )
     bad = [
         f"| {r.request.name} | {r.outcome} | {1e3 * r.error_s:.0f} | {1e3 * r.stated_s:.0f} | "
@@ -175,11 +162,6 @@ def page(results: list[Result], seed: int, seconds: float, commit: str) -> str:
     ]
     lists = "| recording | outcome | error [ms] | stated [ms] | what it was | doubt |\n|---|---|---|---|---|---|\n"
     return head + (lists + "\n".join(bad) + "\n\n" if bad else "") + _groups(results)
-
-
-def _share(found: int, of: int) -> str:
-    low, high = wilson(found, of)
-    return f"{found} of {of}, {100 * found / of:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def _groups(results: list[Result]) -> str:
@@ -211,12 +193,6 @@ def _described(r: Request) -> str:
     return ", ".join([*parts, *(name for name in r.effects if name not in PROFILES["realistic"])])
 
 
-def _commit() -> str:
-    return subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
-    ).stdout.strip()
-
-
 def campaign(count: int, seed: int, processes: int = 2) -> list[Result]:
     """The first `count` recordings of a campaign."""
     with multiprocessing.Pool(processes) as pool:
@@ -230,7 +206,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    start, commit = time.monotonic(), _commit()  # the code as it was when this process read it
+    start, commit = time.monotonic(), head_commit()  # the code as it was when this process read it
     results = campaign(options.count, options.seed)
     text = page(results, options.seed, time.monotonic() - start, commit)
     options.out.parent.mkdir(parents=True, exist_ok=True)

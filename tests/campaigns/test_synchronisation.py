@@ -4,7 +4,8 @@ import dataclasses
 import multiprocessing
 
 import pytest
-from synchronisation import ALLOWED_S, page, request, run, wilson
+from results_page import wilson
+from synchronisation import ALLOWED_S, page, request, run
 
 
 def test_a_dozen_recordings_are_aligned() -> None:
