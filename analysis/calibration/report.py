@@ -109,10 +109,12 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     lines += [f"command {name}: acts {value:+.3f} s after it is logged" for name, value in r.delays.items()]
     lines.append(f"{r.starts[1]} of {r.starts[0]} searches came to the same place")
     for recording, by_output in r.agreement.items():
-        lines.append(f"free run over {recording}, RMS error (noise floor; with the inputs' noise) by mode:")
+        lines.append(f"free run over {recording}: RMS error, and over how the channel flickers by itself")
+        modes = list(dict.fromkeys(mode for by_mode in by_output.values() for mode in by_mode))
+        lines.append(f"  {'':<14}" + "".join(f"{mode:>18}" for mode in modes))
         for name, by_mode in by_output.items():
-            cells = [f"{mode} {a.rms:.3g} ({a.floor:.3g}; {a.expected:.3g})" for mode, a in by_mode.items()]
-            lines.append(f"  {name} [{known[name].unit}]: " + ", ".join(cells))
+            told = {mode: f"{a.rms:.0f} ({a.rms / a.floor:.2f}x)" for mode, a in by_mode.items()}
+            lines.append(f"  {name + f' [{known[name].unit}]':<14}" + "".join(f"{told.get(m, '-'):>18}" for m in modes))
     if r.pulses is not None:
         lines += of_pulses(r.pulses)
     return lines
