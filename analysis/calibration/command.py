@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
     model = sound_model(options.model)
     with Progress(f"calibrating {model.name}") as progress:
         data = _Data(model, options.recording, options.validate, progress)
-        result = fit(model, data.system, data.fitted, progress.say)
+        result = fit(data.system, data.fitted, progress.say)
         calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
         progress.say("free runs")
         zero, delay = result.unknowns.zero(result.x), result.unknowns.delay(result.x)

@@ -30,7 +30,6 @@ from analysis.calibration.noise import (
     stacked,
 )
 from analysis.calibration.sections import Section, by_median
-from analysis.model import Model
 from analysis.simulation import Drive, System, Trajectory, run
 from service.core.errors import InputError
 
@@ -93,9 +92,8 @@ class Fit:
     have run into a bound.
     """
 
-    model: Model
-    unknowns: Unknowns
     system: System
+    unknowns: Unknowns
     x: Array
     covariance: Array
     information: Array
@@ -109,8 +107,9 @@ class Fit:
         return self.unknowns.theta(self.x)
 
 
-def unknowns_of(model: Model, system: System, commands: tuple[str, ...]) -> Unknowns:
-    """The unknowns of a model whose system has its calibrated parameters as symbols."""
+def unknowns_of(system: System, commands: tuple[str, ...]) -> Unknowns:
+    """The unknowns of a system that has its calibrated parameters as symbols."""
+    model = system.model
     chosen = [model.parameters[name] for name in system.parameters]
     return Unknowns(
         parameters=system.parameters,
@@ -121,13 +120,13 @@ def unknowns_of(model: Model, system: System, commands: tuple[str, ...]) -> Unkn
     )
 
 
-def fit(model: Model, system: System, sections: Sequence[Section], say: Callable[[str], None], starts: int = 4) -> Fit:
+def fit(system: System, sections: Sequence[Section], say: Callable[[str], None], starts: int = 4) -> Fit:
     """Calibrates the parameters that are symbols of `system`, on fault-free sections; `say` hears how it goes.
 
     Raises:
         InputError: the model cannot be run from any start.
     """
-    problem = _Problem(model, system, sections)
+    problem, model = _Problem(system, sections), system.model
     measured = [np.concatenate([s.value for s in section.samples.values()]) for section in sections]
     levels = levels_of(model, sections, measured, by_median)
     weights = problem.weights(np.zeros(problem.unknowns.size), levels)
@@ -156,13 +155,13 @@ def fit(model: Model, system: System, sections: Sequence[Section], say: Callable
 class _Problem:
     """The sections with the model, evaluated at one x at a time."""
 
-    def __init__(self, model: Model, system: System, sections: Sequence[Section]) -> None:
-        self._model, self._system, self._sections = model, system, sections
+    def __init__(self, system: System, sections: Sequence[Section]) -> None:
+        self._system, self._sections = system, sections
         self._commands = commands_of(system, sections)
-        self.unknowns = unknowns_of(model, system, self._commands)
+        self.unknowns = unknowns_of(system, self._commands)
         self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
         for k, name in enumerate(system.parameters):
-            p = model.parameters[name]
+            p = system.model.parameters[name]
             for side, limit in enumerate((p.min, p.max)):
                 if limit is not None and limit > 0:
                     self.bounds[side, k] = np.log(limit / p.value) / self.unknowns.priors[k]
@@ -240,9 +239,8 @@ class _Problem:
         inflation = np.sqrt(np.maximum(1.0, scattered / np.diag(covariance)))
         near = np.abs(self.bounds - x).min(axis=0)[: len(self._system.parameters)] < AT_BOUND
         return Fit(
-            model=self._model,
-            unknowns=self.unknowns,
             system=self._system,
+            unknowns=self.unknowns,
             x=x,
             covariance=covariance * np.outer(inflation, inflation),
             information=information,

@@ -61,7 +61,7 @@ def run(number: int) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         training, validation = (_sections(truck, cycle, number, model, system, Path(folder)) for cycle in CYCLES_USED)
     start = time.monotonic()
-    found = fit(model, system, training, lambda _: None)
+    found = fit(system, training, lambda _: None)
     seconds = time.monotonic() - start
     estimates, values = identify(found).estimates, true_values(truck, model)
     scale = found.values[ANCHOR] / values[ANCHOR]

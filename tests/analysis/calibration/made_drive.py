@@ -163,7 +163,7 @@ def calibrated(name: str, seed: int, starts: int = 1) -> Case:
     system = system_of(model, [parameter for parameter, p in model.parameters.items() if p.prior is not None])
     true = drawn(model, seed)
     found = log_sections(model, system, frames(model, true, seed, delay_s=DELAY_S))
-    return Case(model, system, true, found, fit(model, system, found, silent, starts))
+    return Case(model, system, true, found, fit(system, found, silent, starts))
 
 
 def silent(_: str) -> None:

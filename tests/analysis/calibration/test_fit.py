@@ -36,7 +36,7 @@ def quiet_speed(seed: int) -> Case:
     true = drawn(UDS1, seed)
     log = frames(UDS1, true, seed, delay_s=DELAY_S, errors=Errors(speed=0.3))
     found = log_sections(UDS1, system, log)
-    return Case(UDS1, system, true, found, fit(UDS1, system, found, silent, 1))
+    return Case(UDS1, system, true, found, fit(system, found, silent, 1))
 
 
 def test_parameters_are_found_and_the_stated_errors_are_honest() -> None:
@@ -85,7 +85,7 @@ def test_zero_errors_are_found_against_each_other() -> None:
     values = {name: true[name] if name == "A_du" else p.value for name, p in UDS1.parameters.items()}
     zero = {"y_p_ap": 150.0, "y_p_du": -150.0, "y_p_tp": 60.0}
     section = log_sections(model, system, frames(UDS1, values, 1, zero=zero, delay_s=DELAY_S))
-    found = fit(model, system, section, silent, 1)
+    found = fit(system, section, silent, 1)
     told = found.unknowns.zero(found.x)
     n = len(found.unknowns.parameters)
     for name, offset in zero.items():
@@ -123,7 +123,7 @@ def test_a_bound_that_excludes_the_truth_is_told() -> None:
     model = freed(dataclasses.replace(UDS1, parameters=parameters), ["A_dos", "A_ori", "B_du"])
     true = {name: p.value for name, p in UDS1.parameters.items()}
     system = system_of(model, ["A_ori", "A_dos", "B_du"])
-    found = fit(model, system, log_sections(model, system, frames(UDS1, true, 1)), silent, 2)
+    found = fit(system, log_sections(model, system, frames(UDS1, true, 1)), silent, 2)
     assert found.at_bound == ("A_dos",)
     assert found.values["A_dos"] == pytest.approx(limit, rel=1e-3)
     assert found.values["A_dos"] <= limit
@@ -136,11 +136,11 @@ def test_a_model_that_runs_from_no_start_is_refused(monkeypatch: pytest.MonkeyPa
     case = calibrated("uds1", 0)
     monkeypatch.setattr("analysis.calibration.fit.run", fails)
     with pytest.raises(InputError, match="no free run is found"):
-        fit(case.model, case.system, case.sections, silent, 2)
+        fit(case.system, case.sections, silent, 2)
 
 
 def test_the_same_data_give_the_same_numbers() -> None:
     case = calibrated("uds1", 0)
-    again = fit(case.model, case.system, case.sections, silent, 1)
+    again = fit(case.system, case.sections, silent, 1)
     assert (again.x == case.fit.x).all()
     assert (again.covariance == case.fit.covariance).all()

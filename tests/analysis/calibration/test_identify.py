@@ -19,7 +19,7 @@ def fixed_scale() -> Fit:
     names = [name for name in case.system.parameters if name != "D_p"]
     model = freed(case.model.with_parameters({"D_p": case.true["D_p"]}, {}), names)
     system = system_of(model, names)
-    return fit(model, system, case.sections, lambda _: None, 1)
+    return fit(system, case.sections, lambda _: None, 1)
 
 
 def test_the_displacement_is_the_anchor_of_the_flow() -> None:
@@ -87,4 +87,4 @@ def test_without_data_the_priors_are_all_there_is() -> None:
     found = identify(nothing)
     assert not any(estimate.told for estimate in found.estimates.values())
     for name, estimate in found.estimates.items():
-        assert estimate.spread == pytest.approx(given.model.parameters[name].prior), name
+        assert estimate.spread == pytest.approx(given.system.model.parameters[name].prior), name
