@@ -21,7 +21,7 @@ from testbench.sensors import Membrane
 from testbench.valve import PulseWidth
 from testbench.vehicles import Vehicle
 
-STEP = 0.002  # s; tests/testbench/test_simulation.py halves it
+STEP = 0.002  # s; tests/testbench/test_rig_simulation.py halves it
 MARGIN = 4.0  # s
 
 

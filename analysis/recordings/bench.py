@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.external import Samples, read_external
+from analysis.recordings.external import STUCK, Samples, read_external
 from analysis.recordings.track import Track, known_part
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -16,7 +16,6 @@ REFERENCE = "y_p_ap"
 """The added sensor that the controller's own y_p_du can be aligned with."""
 
 ECU_UNITS = {"y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}
-STUCK = 1e-6  # of the pressure: a sensor's noise is more
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ SLOWER = 1.04  # and to be believed
 MINIMUM_CORRELATION = 0.7
 CLOSE = 0.93  # of the best likelihood: a second alignment this good makes the first doubtful
 CLEARLY = 0.1  # part of all steps that the better of two close alignments shares more
+SET_WINDOWS = 4
+"""So many windows on end that stray are no accident of their own: nearly three minutes."""
 AGREEMENT = 0.5  # of the windows that tell something
 SYSTEMATIC_S = 0.01  # what every window has in common: age of the controller's value, valve, filter
 ENOUGH_S = 0.022  # standard error that still keeps 50 ms in all but one of some forty
@@ -46,8 +48,8 @@ class Clock(NamedTuple):
 
     `error_s` is the standard error of the alignment where it is largest in the time that both logs cover, None for a
     clock given by hand; `doubt` is why the alignment may be wrong, empty where it is `confident`. `slow_s` is the time
-    constant that p_du's sensor seems to have, `windows` the offsets that the line was laid through, `telling` how many
-    had any, `likeness` the correlation over the lag.
+    constant that p_du's sensor seems to have, `windows` the offsets that the line was laid through, `straying` those
+    that say something else, `likeness` the correlation over the lag.
     """
 
     offset_s: float
@@ -57,7 +59,7 @@ class Clock(NamedTuple):
     doubt: str = ""
     slow_s: float = 0.0
     windows: tuple[Offset, ...] = ()
-    telling: int = 0
+    straying: tuple[Offset, ...] = ()
     likeness: Likeness | None = None
 
     @property
@@ -115,7 +117,7 @@ def synchronise(p_ap: Track, p_du: Track, dose: Track, where: str) -> Clock:
         error_s=float(np.hypot(max(best.line.sd(float(t)) for t in ends), SYSTEMATIC_S)),
         slow_s=best.slow_s,
         windows=tuple(best.line.agreeing),
-        telling=best.line.telling,
+        straying=tuple(best.line.straying),
         likeness=found,
     )
     return clock._replace(doubt=doubt or lagging or _doubt(clock))
@@ -184,8 +186,22 @@ def _doubt(clock: Clock) -> str:
         return (
             f"y_p_ap follows y_p_du with a correlation of {clock.correlation:.2f} only, {MINIMUM_CORRELATION} is needed"
         )
-    if len(clock.windows) < AGREEMENT * clock.telling:
-        return f"only {len(clock.windows)} of {clock.telling} windows agree with one offset and drift"
+    telling = len(clock.windows) + len(clock.straying)
+    if len(clock.windows) < AGREEMENT * telling:
+        return f"only {len(clock.windows)} of {telling} windows agree with one offset and drift"
+    for run in _runs(clock):
+        if len(run) >= SET_WINDOWS:
+            other = float(np.median([offset.offset for offset in run]))
+            return (
+                f"from {run[0].t:.0f} to {run[-1].t:.0f} s the windows say another offset than the rest (about "
+                f"{other:.1f} s), as if a clock had been set: split the recording there"
+            )
     if clock.error_s > ENOUGH_S:
         return f"its standard error is {1e3 * clock.error_s:.0f} ms, {1e3 * ENOUGH_S:.0f} ms are needed"
     return ""
+
+
+def _runs(clock: Clock) -> list[list[Offset]]:
+    """The straying windows, cut where one that agrees is between them."""
+    cuts = np.searchsorted([o.t for o in clock.windows], [o.t for o in clock.straying])
+    return [[o for o, cut in zip(clock.straying, cuts, strict=True) if cut == place] for place in np.unique(cuts)]

@@ -11,6 +11,7 @@ from service.core.signals import Vector
 from service.logs.recording import External, Table
 
 OTHER_UNIT = 20.0  # times the table's highest voltage: no sensor gives that, another unit does
+LEAST_WITHIN = 0.1  # of all values, else it is another unit: a wire that is off for most of a day is none to use
 STUCK = 1e-6  # of the pressure: a sensor's noise is more
 
 
@@ -65,12 +66,14 @@ def _channel(volts: Vector, table: Table, where: str) -> Channel:
     known = np.isfinite(volts)
     pressure = np.interp(volts, table.volts, table.pascal, left=np.nan, right=np.nan)
     outside = int((known & np.isnan(pressure)).sum())
-    if np.isfinite(pressure).sum() < 2:
+    if np.isfinite(pressure).sum() < max(2.0, LEAST_WITHIN * known.sum()):
         middle = float(np.median(volts[known])) if known.any() else np.nan
         likely = ", which looks like mV, give V" if middle > OTHER_UNIT * table.volts[-1] else ""
+        within = int(np.isfinite(pressure).sum())
         raise ChannelError(
-            f"{where}: no value within its table, {table.volts[0]:g} to {table.volts[-1]:g} V; the median is "
-            f"{middle:g}{likely}; check column, unit and table, or leave the sensor out of external.tables"
+            f"{where}: only {within} of {known.sum()} values are within its table, {table.volts[0]:g} to "
+            f"{table.volts[-1]:g} V; the median is {middle:g}{likely}; check column, unit and table, or leave the "
+            "sensor out of external.tables"
         )
     if np.nanmax(pressure) - np.nanmin(pressure) <= STUCK * abs(float(np.nanmax(pressure))):
         raise ChannelError(

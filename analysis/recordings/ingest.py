@@ -17,7 +17,7 @@ from analysis.recordings.picture import picture
 from analysis.recordings.report import Report, report
 from analysis.recordings.track import known_part
 from analysis.recordings.uniform import uniform
-from analysis.recordings.zero import check_level, standstill, zero_error
+from analysis.recordings.zero import check_drop, check_level, standstill, zero_error
 from service.core.errors import InputError
 from service.core.signals import Vector
 from service.logs import Recording
@@ -54,6 +54,7 @@ def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float
         check_level(still, f"{folder}: {signal}")
         zero[signal] = zero_error(still)
         pressures[signal] = channel.pressure - (zero[signal] or 0.0)
+    check_drop(pressures[REFERENCE], np.interp(t, *p_du), f"{folder}: {REFERENCE}")
     say("writing")
     inside = (t >= 0) & (t <= bench.length_s)
     text, beyond = _can_log(bench, t[inside], {signal: pressure[inside] for signal, pressure in pressures.items()})

@@ -26,7 +26,8 @@ class Offset(NamedTuple):
 class Line(NamedTuple):
     """Offset [s] = `level` + `slope` (t - `middle`) at CAN time t, with the covariance of level and slope.
 
-    `agreeing` windows made it, `telling` ones were clear at all; `likelihood` is what it has over all windows.
+    `agreeing` windows made it, `straying` ones were clear too but say something else (their `sd` is 0); `likelihood` is
+    what it has over all windows.
     """
 
     middle: float
@@ -34,7 +35,7 @@ class Line(NamedTuple):
     slope: float
     covariance: Vector
     agreeing: list[Offset]
-    telling: int
+    straying: list[Offset]
     likelihood: float
 
     def at(self, t: float) -> float:
@@ -61,7 +62,7 @@ def line(windows: list[Window], offsets: Vector) -> Line | None:
     middle, level, slope = _coarse(t, likelihood, offsets, step)
     telling = likelihood.max(axis=1) - np.median(likelihood, axis=1) > CLEAR
     near = round(NEAR_S / step)
-    agreeing, total = [], 0.0
+    agreeing, straying, total = [], [], 0.0
     for k in range(len(windows)):
         place = int(np.clip(round((level + slope * (t[k] - middle) - offsets[0]) / step), 0, len(offsets) - 1))
         total += float(likelihood[k, place])
@@ -69,9 +70,11 @@ def line(windows: list[Window], offsets: Vector) -> Line | None:
         if telling[k] and abs(best - place) <= near and 0 < best < len(offsets) - 1:
             shift, sd = _vertex(likelihood[k, best - 1 : best + 2], step)
             agreeing.append(Offset(float(t[k]), float(offsets[best]) + shift, max(sd, FLOOR_S)))
+        elif telling[k]:
+            straying.append(Offset(float(t[k]), float(offsets[best]), 0.0))
     if not agreeing:
         return None
-    return _refined(agreeing)._replace(telling=int(telling.sum()), likelihood=total)
+    return _refined(agreeing)._replace(straying=straying, likelihood=total)
 
 
 def _coarse(t: Vector, likelihood: Vector, offsets: Vector, step: float) -> tuple[float, float, float]:
@@ -108,4 +111,4 @@ def _refined(offsets: list[Offset]) -> Line:
     level, slope = np.linalg.solve(normal, A.T @ (offset / sd))
     rest = (offset - level - slope * (t - middle)) / sd
     scatter = float(np.sum(rest**2) + 2.0) / len(t)  # as if two more windows scattered as they should
-    return Line(middle, float(level), float(slope), np.linalg.inv(normal) * max(scatter, 1.0), offsets, 0, 0.0)
+    return Line(middle, float(level), float(slope), np.linalg.inv(normal) * max(scatter, 1.0), offsets, [], 0.0)

@@ -74,6 +74,10 @@ def _offsets(axes: Axes, clock: Clock) -> None:
     middle = float(level + slope * t.mean())
     axes.errorbar(t, 1e3 * (offset - middle), 1e3 * sd, fmt="o", color=P_DU, markersize=4, linewidth=1)
     axes.plot(ends, 1e3 * (level + slope * ends - middle), color=LINE, linewidth=1.5)
+    if clock.straying:
+        stray = np.array([(o.t, 1e3 * (o.offset - middle)) for o in clock.straying]).T
+        axes.plot(*stray, "x", color=QUIET, markersize=5, label="disagree")
+        axes.legend(loc="best", frameon=False)
     axes.set_ylabel(f"offset less {middle:.3f} s [ms]")
 
 

@@ -3,7 +3,7 @@
 import msgspec
 
 from analysis.recordings.bench import ECU_UNITS, Bench
-from analysis.recordings.clock import Clock
+from analysis.recordings.clock import MINIMUM_CORRELATION, Clock
 from analysis.recordings.track import Track, known_part
 from analysis.recordings.uniform import PERIOD_S
 from service.logs.recording import Table
@@ -85,7 +85,7 @@ def report(
         clock_error_s=_rounded(clock.error_s, 4),
         correlation=round(clock.correlation, 4),
         clock_windows=len(clock.windows),
-        clock_windows_telling=clock.telling,
+        clock_windows_telling=len(clock.windows) + len(clock.straying),
         slow_p_du_s=round(clock.slow_s, 3),
         standstill_s=round(standstill_s, 3),
         can_frames=bench.log.frames,
@@ -121,6 +121,8 @@ def sentences(found: Report) -> list[str]:
     clock = f"clock: offset {found.offset_s:+.3f} s, drift {found.drift_ppm:+.1f} ppm "
     if found.clock_error_s is None:
         clock += f"(given; correlation {found.correlation:.3f})"
+        if found.correlation < MINIMUM_CORRELATION:
+            clock += ": y_p_ap DOES NOT FOLLOW y_p_du with it, look at synchronisation.png and check --offset"
     else:
         clock += (
             f"(standard error {1e3 * found.clock_error_s:.0f} ms; {found.clock_windows} of "

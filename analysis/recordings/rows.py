@@ -14,6 +14,7 @@ MOST_BAD = 0.05
 FEW = 20
 """More bad rows than these, as a share and a number, are no accidents."""
 SET_BACK = 20
+SHORTEST_S, LONGEST_S = 5e-4, 5.0  # between two rows of a logger
 """So many rows in a row before the latest time, in order among themselves, are a clock that was set."""
 
 
@@ -106,6 +107,12 @@ def _in_order(reading: _Reading, path: Path) -> Rows:
         raise LogError(
             f"{path}: {reading.bad} of {total} rows cannot be used (first: {reading.told}); export it again, with one "
             "header line and a time in seconds that increases"
+        )
+    period = float(np.median(np.diff(t[good])))
+    if not SHORTEST_S <= period <= LONGEST_S:
+        raise LogError(
+            f"{path}: time goes on by {period:g} from row to row, which is no logger's period in seconds; export it "
+            "again with the time in seconds"
         )
     return Rows(columns[good].T, reading.bad, reading.told)
 

@@ -18,6 +18,8 @@ STEADY = 0.05e5  # Pa: a standing column is quieter
 PLAUSIBLE = 0.5e5  # Pa: a larger error is no zero error but a fault
 IMPOSSIBLE = 0.8e5  # Pa: and a still larger one is another sensor, unit or table
 OUTLIER = 4.0  # standard deviations
+RUNNING = 5e5  # Pa: y_p_du from which the system is under pressure
+UPHILL = 1.5e5  # Pa: fluid does not flow to a pressure that is so much higher, nor is a biased sensor so wrong
 
 
 class LevelError(InputError):
@@ -48,6 +50,20 @@ def check_level(pressure: Vector, where: str) -> None:
         raise LevelError(
             f"{where} reads {np.median(known) / 1e5:.2f} bar at standstill, where it is 1.01 bar; check that column, "
             "unit and table are this sensor's and not another's, or leave a broken sensor out of external.tables"
+        )
+
+
+def check_drop(p_ap: Vector, p_du: Vector, where: str) -> None:
+    """Refuses y_p_ap (N,) [Pa] that is far below y_p_du (N,), which is downstream of it, under pressure; NaN left out.
+
+    Raises:
+        LevelError: the message starts with `where`.
+    """
+    drop = (p_ap - p_du)[np.isfinite(p_ap) & (p_du > RUNNING)]
+    if len(drop) >= LEAST_COUNT and np.median(drop) < -UPHILL:
+        raise LevelError(
+            f"{where} reads {-np.median(drop) / 1e5:.1f} bar less than y_p_du, downstream of it, while the pump runs; "
+            "check that its column, unit and table are this sensor's, or leave a broken sensor out"
         )
 
 

@@ -8,7 +8,7 @@ order's (BDF2, Gear 1971: stable for stiff systems as the thesis's ode15s is, of
 All instants are solved together by Newton's method. Its matrix is banded, as an instant knows the two before it only,
 so that a step costs one sweep of LAPACK's band solver and the model's functions are evaluated as arrays over time. The
 same factors give the exact derivatives of the trajectory to parameters and inputs (implicit function theorem), one
-column each. `docs/decisions/006-free-run.md` has it beside scipy's solvers.
+column each. `docs/decisions/006-free-run-at-once.md` has it beside scipy's solvers.
 """
 
 from collections.abc import Mapping

@@ -159,7 +159,7 @@ def page(results: list[Result], rig_s: float, commit: str, seconds: float) -> st
         z = math.sqrt(float(np.mean((error / half) ** 2)))
         note = "" if all(r.told[name] for r in results) else " (not told by the data, prior only)"
         lines.append(
-            f"| {name}{note} | {count} | {100 * low:.0f} to {100 * high:.0f} % | {100 * np.median(half):.2g} % | "
+            f"| {name}{note} | {count} | {100 * low:.0f} to {100 * high:.0f} % | {100 * np.median(half):.2f} % | "
             f"{100 * math.sqrt(float(np.mean(error**2))):.2g} % | {z:.2f} |"
         )
     lines += ["", *_free_runs(results), ""]
