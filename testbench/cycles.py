@@ -131,11 +131,11 @@ def read_cycle(path: Path) -> Cycle:
     """A cycle written down: what follows the start, from the time `DOSING_FROM` on.
 
         schema = 1
-        name = "ladder-at-low-pressure"
+        name = "half-dose"
         text = "what it is for"
         [[segment]]
         duration_s = 30.0
-        setpoint_bar = 6.0     # absolute; none: the pump is off
+        setpoint_bar = 10.0    # absolute; none: the pump is off; below 7 the controller does not dose
         duty = 0.5             # of the dosing valve, 0..1; 0 if absent
 
     After the last segment the pressure is held without dosing.

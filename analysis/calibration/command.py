@@ -1,4 +1,4 @@
-"""Fit a model's parameters to fault-free recordings of one vehicle."""
+"""Fit a model's parameters to fault-free recordings of one vehicle; 1 if the model does not describe them."""
 
 import argparse
 import hashlib
@@ -9,7 +9,7 @@ import msgspec
 
 from analysis.calibration.fit import fit
 from analysis.calibration.identify import identify
-from analysis.calibration.provenance import check_vehicle, entry
+from analysis.calibration.provenance import check_vehicle, entry, vehicle_of
 from analysis.calibration.pulses import pulses
 from analysis.calibration.report import Report, draw, page, report, sentences
 from analysis.calibration.sections import Section, sections
@@ -39,11 +39,15 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, help="where to write the calibrated model file")
     parser.add_argument("--report", type=Path, help="folder for report.md, its picture and calibration.json")
     parser.add_argument("--beside", help="another calibrated model, drawn beside this one")
+    parser.add_argument("--force", action="store_true", help="write it even if it does not describe the data")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
     model = sound_model(options.model)
+    other = sound_model(options.beside) if options.beside else None
     with Progress(f"calibrating {model.name}") as progress:
         data = _Data(model, options.recording, options.validate, progress)
+        beside = _Data(other, options.recording, options.validate, progress) if other else None
+        _room(options.out, options.report)
         result = fit(data.system, data.fitted, progress.say)
         calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
         progress.say("free runs")
@@ -51,22 +55,33 @@ def main(argv: list[str]) -> int:
         runs = data.run(calibrated, delay, zero)
         told = report(model, data.vehicle, data.sources, result, identify(result), runs)
         text = dump_model(calibrated)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(text)
+        good = options.force or not told.doubts
+        if good:
+            options.out.write_text(text)
         if options.report:
             progress.say("report")
             drawn = {model.name: runs}
-            if options.beside:
-                other = sound_model(options.beside)
-                drawn[other.name] = _Data(other, options.recording, options.validate, progress).run(other, delay, zero)
+            if other and beside:  # delays and zero errors are of valve and sensors, not of a model
+                drawn[other.name] = beside.run(other, delay, zero)
             told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
             _write(told, model, drawn, options.report)
     if options.json:
         print(msgspec.json.encode(told).decode())
     else:
         print("\n".join(sentences(told, model.known)))
-        print(f"wrote {options.out} (sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]})")
-    return 0
+        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+        print(f"wrote {options.out} (sha256 {digest})" if good else f"{options.out} is not written (--force does)")
+    return 0 if good else 1
+
+
+def _room(out: Path, folder: Path | None) -> None:
+    """Makes the folders of what will be written, before a minute is spent on it."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; give --out and --report other places") from error
 
 
 class _Data:
@@ -86,6 +101,7 @@ class _Data:
                 raise InputError(f"{path}: this recording is given twice; validate on recordings that are not fitted")
             self.logs.append(log)
             check_vehicle(log, path, self.vehicle, str(fitted[0]))
+            check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
             table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(path))
             self._found[log.id] = sections(model, self.system, table, log.relative(), str(path))
         self.sources = sorted({log.recording.source for log in self.logs if log.recording})
@@ -104,7 +120,6 @@ class _Data:
 
 
 def _write(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
     picture = folder / "free-run.png"
     by_recording = {r: {name: runs[r] for name, runs in drawn.items()} for r in drawn[model.name]}
     draw(told, model, by_recording, picture)

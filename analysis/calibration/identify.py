@@ -21,8 +21,6 @@ TELLS = 1.0
 INVOLVED = 0.1
 """A share of the largest change from which a parameter belongs to a direction."""
 
-CORRELATED = 0.9
-
 QUANTILE = 2.09
 """Of Student's distribution, for 95 %: the standard errors rest on some twenty blocks."""
 
@@ -46,7 +44,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Identified:
-    """All parameters by name; `anchors` with the parameters known relative to each; pairs with their correlation."""
+    """All parameters by name; `anchors` with the parameters known relative to each; told pairs' correlation."""
 
     estimates: dict[str, Estimate]
     anchors: dict[str, tuple[str, ...]]
@@ -79,7 +77,7 @@ def identify(fit: Fit) -> Identified:
     correlated = [
         (first, second, float(conditional[a, b] / sd[a] / sd[b])) for (a, first), (b, second) in combinations(inside, 2)
     ]
-    return Identified(estimates, anchors, tuple(pair for pair in correlated if abs(pair[2]) > CORRELATED))
+    return Identified(estimates, anchors, tuple(correlated))
 
 
 def _anchors(fit: Fit) -> dict[str, tuple[str, ...]]:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from analysis.calibration.doubts import doubts
 from analysis.calibration.fit import Fit
 from analysis.calibration.identify import Identified
 from analysis.calibration.pulses import Pulses
@@ -18,6 +19,9 @@ from analysis.calibration.validate import STEADY, Agreement, Validation
 from analysis.model import Known, Model
 
 BAR = 1e5
+CORRELATED = 0.9
+"""Parameters that are correlated more than this are hard to tell apart."""
+
 STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#e5a58a", "linewidth": 2.2},
     {"color": "#1b4332", "linewidth": 0.8, "linestyle": "--"},
@@ -26,11 +30,16 @@ STYLES: tuple[dict[str, Any], ...] = (
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """One parameter, in `unit`: 95 % intervals by itself and with the anchors as they are; whether the data tell it."""
+    """One parameter, in `unit`: in the model file and fitted, standard errors of its logarithm, and 95 % intervals.
+
+    Those called relative are with the anchors as they are. `told` is whether the data tell it, not the prior alone.
+    """
 
     unit: str
-    datasheet: float
+    prior_value: float
     value: float
+    spread: float
+    relative_spread: float
     interval: tuple[float, float]
     relative_interval: tuple[float, float]
     told: bool
@@ -39,18 +48,19 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 class Report(msgspec.Struct, frozen=True, kw_only=True):
     """What `calibrate` tells. `agreement` is by recording, output and mode, all in the output's unit.
 
-    `anchors` name what only the prior scales, with the parameters known relative to it; `zeros` are the sensors' zero
-    errors, `delays` the commands' [s]; of `starts` searches so many came to the best place. `pulses` are in a written
-    report only.
+    `doubts` are the reasons why the model does not describe these data. `anchors` name what only the prior scales, with
+    the parameters known relative to it; `correlated` are all pairs that are told; `zeros` are the sensors' zero errors,
+    `delays` the commands' [s]; of `starts` searches so many came to the best place. `pulses` are in a written report
+    only.
     """
 
     model: str
     vehicle: str | None
     sources: tuple[str, ...]
     parameters: dict[str, Parameter]
+    doubts: tuple[str, ...]
     anchors: dict[str, tuple[str, ...]]
     correlated: tuple[tuple[str, str, float], ...]
-    at_bound: tuple[str, ...]
     zeros: dict[str, float]
     delays: dict[str, float]
     starts: tuple[int, int]
@@ -74,17 +84,19 @@ def report(
         parameters={
             name: Parameter(
                 unit=model.parameters[name].unit,
-                datasheet=model.parameters[name].value,
+                prior_value=model.parameters[name].value,
                 value=e.value,
+                spread=e.spread,
+                relative_spread=e.relative_spread,
                 interval=e.interval(e.spread),
                 relative_interval=e.interval(e.relative_spread),
                 told=e.told,
             )
             for name, e in found.estimates.items()
         },
+        doubts=tuple(doubts(fit, validations)),
         anchors=found.anchors,
         correlated=found.correlated,
-        at_bound=fit.at_bound,
         zeros=fit.unknowns.zero(fit.x),
         delays=fit.unknowns.delay(fit.x),
         starts=fit.starts,
@@ -94,7 +106,8 @@ def report(
 
 def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     """The report as lines of text."""
-    lines = [f"{'parameter':<10}{'datasheet':>12}{'calibrated':>12}{'95 %':>9}  unit"]
+    lines = [f"the model does NOT describe these data: {doubt}" for doubt in r.doubts]
+    lines += [f"{'parameter':<10}{'model file':>12}{'calibrated':>12}{'95 %':>9}  unit"]
     lines += [_row(name, p, r) for name, p in r.parameters.items()]
     for anchor, others in r.anchors.items():
         lines.append(
@@ -102,9 +115,8 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
             f"it is; by its prior it is known to {_percent(r.parameters[anchor].interval):.0f} %"
         )
     for first, second, correlation in r.correlated:
-        lines.append(f"{first} and {second} are hard to tell apart (correlation {correlation:+.2f})")
-    for name in r.at_bound:
-        lines.append(f"{name} has run into its bound: the data want a value that the model file does not allow")
+        if abs(correlation) > CORRELATED:
+            lines.append(f"{first} and {second} are hard to tell apart (correlation {correlation:+.2f})")
     lines += [f"sensor {name}: zero error {value:+.3g} {known[name].unit}" for name, value in r.zeros.items()]
     lines += [f"command {name}: acts {value:+.3f} s after it is logged" for name, value in r.delays.items()]
     lines.append(f"{r.starts[1]} of {r.starts[0]} searches came to the same place")
@@ -127,7 +139,7 @@ def _row(name: str, p: Parameter, r: Report) -> str:
         tells = "not told"
     else:
         tells = f"{_percent(p.relative_interval):.2g} %"
-    return f"{name:<10}{p.datasheet:>12.4g}{p.value:>12.4g}{tells:>9}  {p.unit}"
+    return f"{name:<10}{p.prior_value:>12.4g}{p.value:>12.4g}{tells:>9}  {p.unit}"
 
 
 def _percent(interval: tuple[float, float]) -> float:

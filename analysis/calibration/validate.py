@@ -32,7 +32,10 @@ STEADY = "steady"
 
 @dataclass(frozen=True)
 class Agreement:
-    """In one mode of one output, all in the output's unit: RMS and mean of the error, noise floor, expected error."""
+    """In one mode of one output, all in the output's unit: RMS and mean of the error, noise floor, expected error.
+
+    Where no block is long enough for a floor, it and what is expected are NaN.
+    """
 
     samples: int
     rms: float
@@ -86,7 +89,8 @@ def validate(
 
 
 def _agreement(error: Array, flicker: Array, disturbed: Array) -> Agreement:
-    floor = float(np.sqrt(np.mean(flicker)))
+    told = flicker[np.isfinite(flicker)]
+    floor = float(np.sqrt(np.mean(told))) if len(told) else np.nan
     return Agreement(
         samples=len(error),
         rms=float(np.sqrt(np.mean(error**2))),

@@ -45,6 +45,7 @@ def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float
     bench = read_bench(folder)
     say("aligning the clocks")
     clock = _clock(bench, by_hand)
+    check_drop(bench.p_ap.value, bench.p_du.value, f"{folder}: {REFERENCE}")
     t = clock.can_time(bench.samples.t)
     pump, p_du = bench.ecu.track("n_p"), bench.p_du
     end = standstill(pump.t, pump.value, np.interp(pump.t, *p_du))
@@ -54,7 +55,6 @@ def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float
         check_level(still, f"{folder}: {signal}")
         zero[signal] = zero_error(still)
         pressures[signal] = channel.pressure - (zero[signal] or 0.0)
-    check_drop(pressures[REFERENCE], np.interp(t, *p_du), f"{folder}: {REFERENCE}")
     say("writing")
     inside = (t >= 0) & (t <= bench.length_s)
     text, beyond = _can_log(bench, t[inside], {signal: pressure[inside] for signal, pressure in pressures.items()})
@@ -97,7 +97,7 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
 
 
 def _check_columns(bench: Bench) -> None:
-    """Says so where another column than y_p_ap's follows y_p_du."""
+    """Says so where another column than y_p_ap's follows y_p_du, or its level tells of another table."""
     for signal, channel in bench.samples.channels.items():
         track = known_part(bench.samples.t, channel.pressure)
         if signal != REFERENCE and np.nanmax(likeness(track, bench.p_du).correlation, initial=0.0) > SAME_PRESSURE:
@@ -105,6 +105,7 @@ def _check_columns(bench: Bench) -> None:
                 f"{bench.where}: the column of {signal} follows the CAN log's y_p_du, that of {REFERENCE} does not; "
                 "the two are swapped: exchange their columns in external.tables"
             )
+    check_drop(bench.p_ap.value, bench.p_du.value, f"{bench.where}: {REFERENCE}")
 
 
 def _can_log(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> tuple[str, dict[str, int]]:

@@ -54,16 +54,21 @@ def check_level(pressure: Vector, where: str) -> None:
 
 
 def check_drop(p_ap: Vector, p_du: Vector, where: str) -> None:
-    """Refuses y_p_ap (N,) [Pa] that is far below y_p_du (N,), which is downstream of it, under pressure; NaN left out.
+    """Refuses y_p_ap (N,) [Pa] if, under pressure, it is far below y_p_du (M,), which is downstream of it.
+
+    NaN are left out. The clocks need not be known: a wrong table may be why they cannot be.
 
     Raises:
         LevelError: the message starts with `where`.
     """
-    drop = (p_ap - p_du)[np.isfinite(p_ap) & (p_du > RUNNING)]
-    if len(drop) >= LEAST_COUNT and np.median(drop) < -UPHILL:
+    before, behind = p_ap[p_ap > 2 * ATMOSPHERE], p_du[p_du > RUNNING]
+    if min(len(before), len(behind)) < LEAST_COUNT:
+        return
+    drop = float(np.median(before) - np.median(behind))
+    if drop < -UPHILL:
         raise LevelError(
-            f"{where} reads {-np.median(drop) / 1e5:.1f} bar less than y_p_du, downstream of it, while the pump runs; "
-            "check that its column, unit and table are this sensor's, or leave a broken sensor out"
+            f"{where} reads {-drop / 1e5:.1f} bar less than y_p_du, downstream of it, while the pump runs; check that "
+            "column, unit and table are this sensor's and of this drive, or leave a broken sensor out"
         )
 
 

@@ -98,11 +98,11 @@ def test_the_result_is_printed(reported: Reported) -> None:
     model = load_model(reported.out)
     for name, p in told["parameters"].items():
         assert p["value"] == model.parameters[name].value
-        assert p["datasheet"] == UDS4.parameters[name].value
+        assert p["prior_value"] == UDS4.parameters[name].value
         assert p["interval"][0] < p["value"] < p["interval"][1]
         assert p["told"] is True
     assert told["anchors"] == {}
-    assert told["at_bound"] == []
+    assert told["doubts"] == []
     assert list(told["zeros"]) == ["y_p_tp", "y_p_ap", "y_p_du"]
     assert told["delays"]["dc_dose"] == pytest.approx(DELAY_S, abs=0.2)
     assert told["starts"] == [4, 4]

@@ -67,9 +67,9 @@ def test_without_a_prior_of_the_displacement_nothing_needs_an_anchor() -> None:
 
 
 def test_leak_and_orifice_are_hard_to_tell_apart() -> None:
-    [(first, second, correlation)] = identify(calibrated("uds1", 0).fit).correlated
-    assert (first, second) == ("C_v", "A_ori")
-    assert -1.0 < correlation < -0.9
+    pairs = {(first, second): value for first, second, value in identify(calibrated("uds1", 0).fit).correlated}
+    assert -1.0 < pairs.pop(("C_v", "A_ori")) < -0.9
+    assert all(abs(value) < 0.9 for value in pairs.values())
 
 
 def test_an_interval_is_of_the_logarithm() -> None:

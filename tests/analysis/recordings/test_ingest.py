@@ -17,6 +17,11 @@ from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.signals import Quality, Vector
 from service.logs import Log, load_recording, open_log
+from testbench.bus import load_dbc
+from testbench.cycles import CYCLES
+from testbench.recording import record
+from testbench.request import Request
+from testbench.vehicles import vehicle
 
 DBC = (Path(__file__).parents[3] / "dbc" / "uds.dbc").read_bytes()
 DATABASE = cantools.database.load_string(DBC.decode(), "dbc")
@@ -287,12 +292,20 @@ def _shuffled(rows: list[str]) -> list[str]:
 @pytest.mark.parametrize(
     ("bench", "words"),
     [
-        (Bench(duration=120.0, spoil=_column(2, _other_drive())), "cannot be aligned for certain|does not follow"),
+        (Bench(duration=120.0, spoil=_column(2, _other_drive())), "is downstream|downstream of it|does not follow"),
         (Bench(duration=120.0, spoil=_column(2, lambda *_: "1.0")), r"p_ap_V \(y_p_ap\): is constant at 2.000 bar"),
         (Bench(duration=120.0, spoil=_column(1, lambda *_: "1.0")), r"p_tp_V \(y_p_tp\): is constant"),
         (Bench(duration=120.0, spoil=_column(2, lambda _, v: f"{1e3 * v:.1f}")), "median is .* looks like mV, give V"),
         (Bench(duration=120.0, spoil=_column(2, lambda _, v: f"{v + 1.0:.4f}")), "y_p_ap reads 5.0. bar at standstill"),
         (Bench(duration=120.0, spoil=_column(1, lambda _, v: f"{v * 0.4:.4f}")), "y_p_tp reads 0.2. bar at standstill"),
+        (
+            Bench(spoil=_column(2, lambda _, v: f"{0.5 + 0.6 * (v - 0.5):.4f}")),
+            r"y_p_ap reads 3.. bar less than y_p_du",
+        ),
+        (
+            Bench(duration=120.0, spoil=_column(0, lambda _, v: f"{1e3 * v:.1f}")),
+            "time goes on by 100.* from row to row",
+        ),
         (Bench(duration=120.0, spoil=_set_back), "line 701: time goes back from 69.[89].* to .* split the file there"),
         (Bench(duration=120.0, spoil=lambda rows: [rows[0], *_shuffled(rows[1:])]), "rows cannot be used"),
         (Bench(duration=120.0, spoil=lambda rows: rows[:200]), "less than 30 s in common at any offset"),
@@ -309,6 +322,17 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, bench: Bench, words: str
     assert str(folder) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "logs").exists()
+
+
+def test_a_clock_that_was_set_midway_is_named(tmp_path: Path) -> None:
+    """On a drive of the rig, whose doses are not alike: the made-up ones here fit a second later nearly as well."""
+    asked = Request("drive", vehicle("bench"), CYCLES["drive"], (), 11, 600.0)
+    folder, _ = record(asked, load_dbc(), tmp_path / "out", tmp_path / "truth", force=False, progress=lambda _: None)
+    rows = (folder / "external.csv").read_text().splitlines()
+    later = _column(0, lambda number, t: f"{t + (number > 2200):.4f}")(rows)
+    (folder / "external.csv").write_text("\n".join([*later, ""]))
+    with pytest.raises(InputError, match=r"from \d+ to \d+ s the windows say another offset .* split the recording"):
+        main([str(folder), "--out", str(tmp_path / "logs")])
 
 
 def test_swapped_columns_are_named(tmp_path: Path) -> None:
