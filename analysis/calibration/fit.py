@@ -1,8 +1,8 @@
 """Maximum a posteriori calibration of a model's free run.
 
 The unknowns are x = (xi, zeros, delays), each N(0, 1) beforehand: the parameters theta = value * exp(prior * xi) within
-their bounds; the zero error that calibration at atmosphere has left of every sensor; and by how much the
-commands act later than they are logged. They minimise
+their bounds; the zero error that calibration at atmosphere has left of every sensor; and by how much the commands act
+later than they are logged. They minimise
 
     sum over sections |Sigma^(-1/2) (y - y_hat(x))|^2 + |x|^2
 

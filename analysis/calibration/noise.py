@@ -5,9 +5,8 @@
 v is the sensors' own noise and, by operating mode, what else changes from sample to sample (the valve's ripple). w are
 errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL_S`; what a pulsed
 valve makes of a commanded level, which stays with the level; and the time of each step, which is known to no better
-than a sample and a period of the valve. B is the run's exact
-derivative. Without w, minutes of one and the same wandering would count as thousands of independent samples, and an
-uncertain dose step as evidence for a softer hose.
+than a sample and a period of the valve. B is the run's exact derivative. Without w, minutes of one and the same
+wandering would count as thousands of independent samples, and an uncertain dose step as evidence for a softer hose.
 
 The weights are Sigma^(-1/2) for Sigma = R + B B', by way of the eigenvectors of B'R^(-1)B.
 """
