@@ -28,7 +28,7 @@ from service.logs import Frame
 Array = npt.NDArray[np.float64]
 
 STEP_S = 0.05
-"""Of the free run: half a period of the bus."""
+"""Of the free run: a quarter of the period of the bus. At twice the step the hose comes out 0.2 % stiffer."""
 
 GAP_S = 1.0
 """An input that is silent for longer is unknown: five of its periods."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.external import STUCK, Samples, read_external
+from analysis.recordings.external import Samples, read_external
 from analysis.recordings.track import Track, known_part
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -90,11 +90,4 @@ def _ecu(frames: list[Frame], dbc: bytes, dbc_path: Path, log_path: Path) -> Ecu
     columns = columns[np.diff(columns[:, 0], prepend=-1.0) > 0]
     if (np.isfinite(columns).sum(axis=0) < 2).any():
         raise InputError(f"{log_path}: no frame carries {', '.join(ECU_UNITS)}; was the dosing controller on?")
-    ecu = Ecu(columns[:, 0], dict(zip(ECU_UNITS, columns.T[1:], strict=True)))
-    p_du = ecu.track("y_p_du").value
-    if np.ptp(p_du) <= STUCK * abs(float(p_du.max())):
-        raise InputError(
-            f"{log_path}: y_p_du is constant at {p_du[0] / 1e5:.3f} bar; the controller's sensor is stuck, and nothing "
-            "else tells the second logger's clock: give it with --offset SECONDS"
-        )
-    return ecu
+    return Ecu(columns[:, 0], dict(zip(ECU_UNITS, columns.T[1:], strict=True)))

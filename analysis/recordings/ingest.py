@@ -11,6 +11,7 @@ from cantools.database.can import Database
 
 from analysis.recordings.bench import ECU_UNITS, REFERENCE, Bench, read_bench
 from analysis.recordings.clock import Clock, ClockError, given, synchronise
+from analysis.recordings.external import STUCK
 from analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
 from analysis.recordings.lags import likeness
 from analysis.recordings.picture import picture
@@ -82,6 +83,12 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
                 f"{t[-1]:.1f} s, the CAN log from 0 to {bench.length_s:.1f} s; nothing overlaps: check --offset"
             )
         return clock
+    still = bench.p_du.value
+    if np.ptp(still) <= STUCK * abs(float(still.max())):
+        raise ClockError(
+            f"{bench.where}: y_p_du is constant at {still[0] / 1e5:.3f} bar; the controller's sensor is stuck, and "
+            "nothing else tells the second logger's clock: give it with --offset SECONDS"
+        )
     try:
         clock = synchronise(bench.p_ap, bench.p_du, bench.ecu.track("dc_dose"), str(bench.where))
     except ClockError:

@@ -145,6 +145,30 @@ def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> N
             calibrate([str(made.model), *command, "--out", str(tmp_path / "calibrated.toml")])
 
 
+def test_a_calibrated_model_is_of_one_vehicle(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'made'"
+    ):
+        calibrate([str(made.calibrated), str(made.other), "--out", str(tmp_path / "c.toml")])
+
+
+def test_a_model_that_does_not_describe_the_data_is_not_written(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing of it may take up that the orifice is three times as large as in the vehicle."""
+    model = load_model(made.model)
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(dump_model(model.with_parameters({"A_ori": 3.0 * model.parameters["A_ori"].value}, {})))
+    out = tmp_path / "c.toml"
+    assert calibrate([str(wrong), str(made.first), "--out", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.startswith("the model does NOT describe these data: ")
+    assert printed.endswith(f"{out} is not written (--force does)\n")
+    assert not out.exists()
+    assert calibrate([str(wrong), str(made.first), "--out", str(out), "--force"]) == 0
+    assert out.exists()
+
+
 def test_a_model_without_priors_is_refused(made: Made, tmp_path: Path) -> None:
     model = tmp_path / "fixed.toml"
     model.write_text(dump_model(freed(UDS4, ())))

@@ -350,13 +350,14 @@ def test_swapped_columns_are_named(tmp_path: Path) -> None:
         main([str(folder), "--out", str(tmp_path / "logs")])
 
 
-def test_a_stuck_sensor_of_the_controller_is_refused(tmp_path: Path) -> None:
+def test_a_stuck_sensor_of_the_controller_tells_no_clock_but_one_may_be_given(tmp_path: Path) -> None:
     folder = _write(tmp_path / "bench", Bench(duration=120.0))
     lines = (folder / "can.log").read_text().splitlines()
     stuck = [line[: line.index("#") + 1] + "204E" + line[line.index("#") + 5 :] for line in lines]
     (folder / "can.log").write_text("\n".join([*stuck, ""]))
     with pytest.raises(InputError, match=r"y_p_du is constant at 10\.000 bar; the controller's sensor is stuck"):
         main([str(folder), "--out", str(tmp_path / "logs")])
+    assert main([str(folder), "--out", str(tmp_path / "logs"), "--offset", str(OFFSET)]) == 0
 
 
 def test_loggers_that_never_ran_together_are_refused(tmp_path: Path) -> None:
@@ -379,6 +380,11 @@ def test_a_clock_given_by_hand_is_taken(tmp_path: Path, capsys: pytest.CaptureFi
     assert _number(report, "correlation") > 0.95
     assert "offset -2.345 s, drift +37.0 ppm (given" in capsys.readouterr().out
     assert (folder / "synchronisation.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_clock_given_wrongly_is_taken_but_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _ingest(tmp_path, Bench(duration=120.0), "--offset", "5")
+    assert "y_p_ap DOES NOT FOLLOW y_p_du with it" in capsys.readouterr().out
 
 
 def test_a_drift_alone_says_nothing(tmp_path: Path) -> None:
