@@ -125,6 +125,8 @@ def _play(arguments: argparse.Namespace) -> int:
     request = requested(arguments, "instrumented")
     if not arguments.speed > 0.0:
         raise RigError(f"--speed {arguments.speed:g} is not above zero")
+    if arguments.truth and arguments.truth.exists():
+        raise RigError(f"{arguments.truth} exists; remove it or give --truth another name")
     dbc = load_dbc(arguments.dbc)
     with on_bus(arguments.bus) as send:
         if arguments.truth:

@@ -25,7 +25,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add("--cycle", required=True, help=f"one of {', '.join(CYCLES)}, or a file *.toml")
     add("--vehicle", default="bench", help="default: bench")
     add("--fault", action="append", default=[], help="name of a fault (again for another); without it there is none")
-    add("--size", action="append", default=[], type=_size, help="of each fault: a number, small or large")
+    add("--size", action="append", default=[], type=_size, help="of each --fault in turn: a number, small or large")
     add("--onset", action="append", default=[], type=number, help="s after the first frame from which it is present")
     courses = get_args(Course)
     add("--course", action="append", default=[], choices=courses, help="of each fault (default: abrupt)")

