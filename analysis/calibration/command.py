@@ -88,10 +88,9 @@ class _Data:
     """The recordings' sections for a model's system, those to fit and the rest."""
 
     def __init__(self, model: Model, fitted: Sequence[Path], others: Sequence[Path], progress: Progress) -> None:
-        free = [name for name, p in model.parameters.items() if p.prior is not None]
-        if not free:
+        if not model.calibrated:
             raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
-        self.system = system_of(model, free)
+        self.system = system_of(model, model.calibrated)
         self.logs: list[Log] = []
         self._found: dict[str, list[Section]] = {}
         for path in (*fitted, *others):

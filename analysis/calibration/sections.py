@@ -59,9 +59,11 @@ class Samples:
 class Section:
     """What a free run from `start_s` [s] after the log's first frame needs, and what it is compared with.
 
-    `noise` (K, inputs) is the standard deviation of a sample of each input at the run's instants.
+    `number` counts the sections of one log from zero on; `noise` (K, inputs) is the standard deviation of a sample of
+    each input at the run's instants.
     """
 
+    number: int
     start_s: float
     drive: Drive
     noise: Array
@@ -78,24 +80,24 @@ def is_command(value: Array) -> bool:
     return bool(np.mean(np.diff(value) != 0.0) < STILL)
 
 
-def sections(model: Model, system: System, table: DecodeTable, frames: Iterable[Frame], where: str) -> list[Section]:
-    """The sections of a log, whose frames' times are from its start on.
+def sections(
+    model: Model, system: System, table: DecodeTable, frames: Iterable[Frame], where: str, step_s: float = STEP_S
+) -> list[Section]:
+    """The sections of a log, whose frames' times are from its start on, for free runs of this step [s].
 
     Raises:
         InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
     """
     tracks = _tracks(model, table, frames, where)
     found = [
-        _section(model, system, tracks, low, high)
-        for low, high in _stretches(model, system, tracks)
-        if high - low >= model.warm_up_s + SHORTEST_S
+        (low, high) for low, high in _stretches(model, system, tracks) if high - low >= model.warm_up_s + SHORTEST_S
     ]
     if not found:
         raise InputError(
             f"{where}: in no {model.warm_up_s + SHORTEST_S:g} s on end do all inputs tell and all signals keep within "
             "their ranges; record some minutes of undisturbed operation"
         )
-    return found
+    return [_section(model, system, tracks, k, low, high, step_s) for k, (low, high) in enumerate(found)]
 
 
 def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: str) -> dict[str, Track]:
@@ -127,8 +129,10 @@ def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> lis
     return found
 
 
-def _section(model: Model, system: System, tracks: Mapping[str, Track], low: float, high: float) -> Section:
-    t = np.arange(low, high, STEP_S)
+def _section(
+    model: Model, system: System, tracks: Mapping[str, Track], number: int, low: float, high: float, step_s: float
+) -> Section:
+    t = np.arange(low, high, step_s)
     inputs = np.column_stack([_input(tracks[name], t) for name in system.inputs])
     measured = {name: tracks[name].at(t) for name in system.outputs}
     states = np.column_stack([_state(model, name, measured, len(t)) for name in system.states])
@@ -144,7 +148,7 @@ def _section(model: Model, system: System, tracks: Mapping[str, Track], low: flo
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
     noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
-    return Section(low, Drive(STEP_S, inputs, states[0], states), noise, samples)
+    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples)
 
 
 def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.fit import delayed
 from analysis.calibration.noise import commands_of, disturbances, stacked
+from analysis.calibration.problem import runs
 from analysis.calibration.sections import Section
-from analysis.simulation import System, Trajectory, run
+from analysis.simulation import System, Trajectory
 from service.core.manifest import MODES
 from service.core.modes import EDGE
 
@@ -65,7 +65,7 @@ def validate(
     Raises:
         InputError: the model cannot be run with them.
     """
-    trajectories = [run(system, delayed(section, system, delay), values) for section in sections]
+    trajectories = runs(system, sections, values, delay)
     commands = commands_of(system, sections)
     gathered: dict[str, list[tuple[npt.NDArray[np.int64], Array, Array, Array]]] = {name: [] for name in system.outputs}
     for section, trajectory in zip(sections, trajectories, strict=True):

@@ -5,7 +5,7 @@
     warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
     [known.y_p_tp]           unit, description, min, max, noise, zero  (zero may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
-    [parameter.A_t]          unit, description, value, min, max, prior, source  (min, max and prior may be absent)
+    [parameter.A_t]          unit, description, value, min, max, prior or spread, source  (only value is a must)
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
     [[differential]]         name, state, derivative
@@ -189,6 +189,7 @@ def _parameter(table: Table) -> Parameter:
         max=table.optional_number("max"),
         prior=table.optional_number("prior"),
         source=table.text("source", ""),
+        spread=table.optional_number("spread"),
     )
     table.done()
     check_bounds(parameter, table.place)

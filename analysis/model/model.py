@@ -46,7 +46,10 @@ class Unknown:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A constant; `prior` is the standard deviation of its logarithm, None for one that is not calibrated."""
+    """A constant. A calibrated one has a `prior`, the standard deviation of its logarithm, or a `spread`, its own.
+
+    The latter is for what may be zero or negative.
+    """
 
     unit: str
     description: str
@@ -55,6 +58,12 @@ class Parameter:
     max: float | None
     prior: float | None
     source: str
+    spread: float | None = None
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether a calibration may change it."""
+        return self.prior is not None or self.spread is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +153,11 @@ class Model:
         """The faults by name, in the order of their equations."""
         return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None}
 
+    @property
+    def calibrated(self) -> list[str]:
+        """The parameters that a calibration may change."""
+        return [name for name, p in self.parameters.items() if p.calibrated]
+
     def expression(self, equation: str, *, with_fault: bool) -> sp.Expr:
         """The expression of the named equation that equals zero, with its fault variable or without."""
         found = self.equations[equation]
@@ -174,3 +188,5 @@ def check_bounds(parameter: Parameter, place: str) -> None:
         raise ModelError(f"{place}: value {parameter.value:g} is outside [{lower:g}, {upper:g}] {parameter.unit}")
     if parameter.prior is not None and not (parameter.prior > 0 and parameter.value > 0):
         raise ModelError(f"{place}: a prior is the spread of a logarithm; it and the value must be positive")
+    if parameter.spread is not None and not (parameter.spread > 0 and parameter.prior is None):
+        raise ModelError(f"{place}: a spread must be positive, and there is no prior beside it; give one of the two")

@@ -30,7 +30,9 @@ def dump_model(model: Model) -> str:
         blocks.append(f"[unknown.{name}]\n" + _pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
     for name, p in model.parameters.items():
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
-        blocks.append(f"[parameter.{name}]\n" + _pairs({**fields, "prior": p.prior, "source": p.source}))
+        blocks.append(
+            f"[parameter.{name}]\n" + _pairs({**fields, "prior": p.prior, "spread": p.spread, "source": p.source})
+        )
     if model.modes is not None:
         blocks.append("[modes]\n" + _pairs(_modes(model.modes)))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())

@@ -49,6 +49,13 @@ class System:
     outputs: dict[str, sp.Expr]
     roots: dict[sp.Symbol, sp.Expr]
 
+    @cached_property
+    def unseen(self) -> tuple[int, ...]:
+        """The places of those states whose start no signal tells: they add up what has been."""
+        known = {sp.Symbol(name) for name in self.model.known}
+        starts = [self.model.unknown[name].initial[0] for name in self.states]
+        return tuple(k for k, start in enumerate(starts) if not start.free_symbols & known)
+
     @property
     def arguments(self) -> list[sp.Symbol]:
         """What the functions below take, arrays over time or numbers: variables, derivatives, inputs, parameters."""

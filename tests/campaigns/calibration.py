@@ -57,7 +57,7 @@ class Result:
 def run(number: int) -> Result:
     """Calibrates the truck of this number."""
     truck, model = vehicle(f"truck-{number}"), load_model("uds4")
-    system = system_of(model, [name for name, p in model.parameters.items() if p.prior is not None])
+    system = system_of(model, model.calibrated)
     with tempfile.TemporaryDirectory() as folder:
         training, validation = (_sections(truck, cycle, number, model, system, Path(folder)) for cycle in CYCLES_USED)
     start = time.monotonic()

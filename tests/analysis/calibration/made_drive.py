@@ -32,7 +32,7 @@ BUS_S, ECU_S = 0.1, 0.2
 """Between frames of the added sensors, and of the ECU."""
 
 UDS4 = load_model("uds4")
-UDS4_SYSTEM = system_of(UDS4, [name for name, p in UDS4.parameters.items() if p.prior is not None])
+UDS4_SYSTEM = system_of(UDS4, UDS4.calibrated)
 
 LATE_S = 0.03
 """The ECU's frame after the sensors'."""
@@ -160,7 +160,7 @@ DELAY_S = 0.1
 def calibrated(name: str, seed: int, starts: int = 1) -> Case:
     """A shipped model calibrated on a vehicle of its own kind, whose commands act `DELAY_S` late."""
     model = load_model(name)
-    system = system_of(model, [parameter for parameter, p in model.parameters.items() if p.prior is not None])
+    system = system_of(model, model.calibrated)
     true = drawn(model, seed)
     found = log_sections(model, system, frames(model, true, seed, delay_s=DELAY_S))
     return Case(model, system, true, found, fit(system, found, silent, starts))

@@ -32,7 +32,7 @@ def relative_z(case: Case) -> dict[str, float]:
 
 def quiet_speed(seed: int) -> Case:
     """A speed sensor with a third of the noise that the model states."""
-    system = system_of(UDS1, [name for name, p in UDS1.parameters.items() if p.prior is not None])
+    system = system_of(UDS1, UDS1.calibrated)
     true = drawn(UDS1, seed)
     log = frames(UDS1, true, seed, delay_s=DELAY_S, errors=Errors(speed=0.3))
     found = log_sections(UDS1, system, log)
@@ -134,7 +134,7 @@ def test_a_model_that_runs_from_no_start_is_refused(monkeypatch: pytest.MonkeyPa
         raise InputError("uds4: no free run is found")
 
     case = calibrated("uds1", 0)
-    monkeypatch.setattr("analysis.calibration.fit.run", fails)
+    monkeypatch.setattr("analysis.calibration.problem.run", fails)
     with pytest.raises(InputError, match="no free run is found"):
         fit(case.system, case.sections, silent, 2)
 

@@ -9,7 +9,7 @@ from analysis.model import load_model
 from analysis.simulation import system_of
 
 UDS1 = load_model("uds1")
-SYSTEM = system_of(UDS1, [name for name, p in UDS1.parameters.items() if p.prior is not None])
+SYSTEM = system_of(UDS1, UDS1.calibrated)
 SPEED = (20.0, 22.0, 24.0, 28.0, 30.0, 27.0) * 3
 DOSE = (0.0, 0.3, 0.4, 1.0, 0.7, 0.0) * 3
 ZERO = {"y_p_tp": 60.0, "y_p_ap": -120.0, "y_p_du": 90.0}

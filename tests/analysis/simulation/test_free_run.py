@@ -165,7 +165,7 @@ def assert_same(exact: Array, up: Array, down: Array) -> None:
 def test_derivatives_to_every_parameter_are_exact(name: str) -> None:
     """With the pump stopped for a while where it may."""
     model = load_model(name)
-    free = [parameter for parameter, p in model.parameters.items() if p.prior is not None]
+    free = model.calibrated
     system = system_of(model, free)
     start, inputs = DRIVES[name]
     u = inputs(np.arange(0.0, 20.0, 0.05))

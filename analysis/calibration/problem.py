@@ -1,0 +1,199 @@
+"""A model's free run over sections as a function of all that a calibration does not know.
+
+The unknowns are x = (xi, zeros, delays), each N(0, 1) beforehand: the parameters theta within their bounds, value *
+exp(prior * xi) or, for one that may be zero or negative, value + spread * xi; the zero error that calibration at
+atmosphere has left of every sensor; and by how much the commands act later than they are logged.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import OptimizeResult, least_squares
+
+from analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, stacked
+from analysis.calibration.sections import Section
+from analysis.model import Parameter
+from analysis.simulation import Drive, System, Trajectory, run
+
+Array = npt.NDArray[np.float64]
+
+DELAY_S = 0.3
+"""Prior standard deviation of a command's delay: a period of the valve."""
+
+
+class Unknowns(NamedTuple):
+    """What is fitted, by name: `parameters`, `zeros` of outputs and `delays` of inputs, with their sizes at x = 1.
+
+    A parameter is `values` * exp(`priors` * xi) + `spreads` * xi; one of prior and spread is zero.
+    """
+
+    parameters: tuple[str, ...]
+    values: Array
+    priors: Array
+    spreads: Array
+    zeros: dict[str, float]
+    delays: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """The length of x."""
+        return len(self.parameters) + len(self.zeros) + len(self.delays)
+
+    def theta(self, x: Array) -> dict[str, float]:
+        """The parameters' values."""
+        xi = x[: len(self.parameters)]
+        values = self.values * np.exp(self.priors * xi) + self.spreads * xi
+        return dict(zip(self.parameters, values.tolist(), strict=True))
+
+    def theta_by_x(self, x: Array) -> Array:
+        """The derivative of every parameter to its own xi."""
+        return self.values * np.exp(self.priors * x[: len(self.parameters)]) * self.priors + self.spreads
+
+    def zero(self, x: Array) -> dict[str, float]:
+        """The sensors' zero errors, in their units."""
+        part = x[len(self.parameters) : len(self.parameters) + len(self.zeros)].tolist()
+        return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part, strict=True)}
+
+    def delay(self, x: Array) -> dict[str, float]:
+        """The commands' delays [s]."""
+        part = DELAY_S * x[len(self.parameters) + len(self.zeros) :]
+        return dict(zip(self.delays, part.tolist(), strict=True))
+
+
+def unknowns_of(system: System, commands: tuple[str, ...]) -> Unknowns:
+    """The unknowns of a system that has its calibrated parameters as symbols."""
+    model = system.model
+    chosen = [model.parameters[name] for name in system.parameters]
+    return Unknowns(
+        parameters=system.parameters,
+        values=np.array([p.value for p in chosen]),
+        priors=np.array([p.prior or 0.0 for p in chosen]),
+        spreads=np.array([p.spread or 0.0 for p in chosen]),
+        zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
+        delays=commands,
+    )
+
+
+def _bounds(parameter: Parameter) -> list[float]:
+    """Of xi."""
+    found = []
+    for limit, none in ((parameter.min, -np.inf), (parameter.max, np.inf)):
+        if limit is None or (parameter.prior is not None and limit <= 0.0):
+            found.append(none)
+        elif parameter.prior is not None:
+            found.append(float(np.log(limit / parameter.value)) / parameter.prior)
+        else:
+            found.append((limit - parameter.value) / (parameter.spread or 1.0))
+    return found
+
+
+class Problem:
+    """The sections with the model, evaluated at one x at a time.
+
+    `bounds` (2, n) are the lower and upper limits of x.
+    """
+
+    def __init__(self, system: System, sections: Sequence[Section]) -> None:
+        self.system, self.sections = system, sections
+        self.commands = commands_of(system, sections)
+        self.unknowns = unknowns_of(system, self.commands)
+        self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
+        for k, name in enumerate(system.parameters):
+            self.bounds[:, k] = _bounds(system.model.parameters[name])
+        self._at: Array | None = None
+        self._runs: list[Trajectory] = []
+
+    def weights(self, x: Array, levels: Levels) -> list[Whitening]:
+        """Those that hold at `x`."""
+        return [
+            Whitening(section, levels, disturbances(section, trajectory, self.commands))
+            for section, trajectory in zip(self.sections, self.trajectories(x), strict=True)
+        ]
+
+    def search(self, x: Array, whitenings: Sequence[Whitening], tolerance: float) -> OptimizeResult:
+        """The optimum near `x`."""
+
+        def residual(x: Array) -> Array:
+            return np.concatenate([*(white(e) for white, e in zip(whitenings, self.left(x), strict=True)), x])
+
+        def slope(x: Array) -> Array:
+            parts = [white(J) for white, J in zip(whitenings, self.slopes(x), strict=True)]
+            return np.concatenate([*parts, np.eye(len(x))])
+
+        return least_squares(residual, x, jac=slope, bounds=self.bounds, ftol=tolerance, xtol=1e-8, gtol=1e-10)
+
+    def left(self, x: Array) -> list[Array]:
+        """The differences y - y_hat of every section (N,)."""
+        zero = self.unknowns.zero(x)
+        found = []
+        for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
+            measured = [s.value - zero.get(name, 0.0) for name, s in section.samples.items()]
+            found.append(np.concatenate(measured) - stacked(section, trajectory.outputs()))
+        return found
+
+    def slopes(self, x: Array) -> list[Array]:
+        """Their derivatives (N, n)."""
+        unknowns, found = self.unknowns, []
+        scale = unknowns.theta_by_x(x)
+        for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
+            columns = [stacked(section, trajectory.by_parameters()) * scale]
+            for name, sd in unknowns.zeros.items():
+                parts = [np.full((len(s.t), 1), sd if other == name else 0.0) for other, s in section.samples.items()]
+                columns.append(np.concatenate(parts))
+            for name in unknowns.delays:
+                u = trajectory.drive.inputs[:, self.system.inputs.index(name)]
+                lost = -DELAY_S * np.gradient(u, section.drive.step_s)
+                columns.append(stacked(section, trajectory.by_input(name, lost[:, None])))
+            found.append(-np.concatenate(columns, axis=1))
+        return found
+
+    def trajectories(self, x: Array) -> list[Trajectory]:
+        """The free runs of every section."""
+        if self._at is None or not np.array_equal(x, self._at):
+            theta, delay = self.unknowns.theta(x), self.unknowns.delay(x)
+            self._runs = runs(self.system, self.sections, theta, delay, self._runs)
+            self._at = x.copy()
+        return self._runs
+
+
+def runs(
+    system: System,
+    sections: Sequence[Section],
+    theta: Mapping[str, float],
+    delay: Mapping[str, float],
+    near: Sequence[Trajectory] = (),
+) -> list[Trajectory]:
+    """The free runs of the sections with these parameters and delays of commands [s]; `near` may be close to them.
+
+    A state that no sensor shows goes on where the section of the same log before left it, at the rate it had there.
+
+    Raises:
+        InputError: the model cannot be run with them.
+    """
+    found: list[Trajectory] = []
+    for k, section in enumerate(sections):
+        drive = delayed(section, system, delay)
+        if section.number and system.unseen:
+            drive = replace(drive, start=_continued(system, found[-1], sections[k - 1], section))
+        found.append(run(system, drive, theta, near[k] if near else None))
+    return found
+
+
+def _continued(system: System, before: Trajectory, old: Section, new: Section) -> Array:
+    start, unseen = new.drive.start.copy(), list(system.unseen)
+    first, last = before.w[0, unseen], before.w[-1, unseen]
+    rate = (last - first) / old.t[-1]
+    start[unseen] = last + rate * (new.start_s - old.start_s - old.t[-1])
+    return start
+
+
+def delayed(section: Section, system: System, delay: Mapping[str, float]) -> Drive:
+    """The section's drive with the commands in `delay` acting so much later [s]."""
+    inputs = section.drive.inputs.copy()
+    for name, seconds in delay.items():
+        k = system.inputs.index(name)
+        inputs[:, k] = np.interp(section.t - seconds, section.t, inputs[:, k])
+    return replace(section.drive, inputs=inputs)
