@@ -46,7 +46,7 @@ def lint(model: Model) -> list[Finding]:
         return undeclared
     elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
     structural = [finding for finding in lint_structure(structure_of(model)) if finding.place not in elsewhere]
-    found = [*_empty(model), *_units(model), *_unused_parts(model), *structural, *_not_run(model)]
+    found = [*_empty(model), *unit_findings(model), *_unused_parts(model), *structural, *_not_run(model)]
     return sorted(found, key=lambda finding: finding.severity)
 
 
@@ -198,7 +198,7 @@ def _some(names: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join([", ".join(shown[:-1]), shown[-1]]) if len(shown) > 1 else shown[0]
 
 
-def _units(model: Model) -> Iterator[Finding]:
+def unit_findings(model: Model) -> Iterator[Finding]:
     """Units that cannot be read or are not coherent, and formulas whose units do not fit."""
     units = [("known", name, known.unit) for name, known in model.known.items()]
     units += [("unknown", name, unknown.unit) for name, unknown in model.unknown.items()]
