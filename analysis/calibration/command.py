@@ -9,6 +9,7 @@ import msgspec
 
 from analysis.calibration.fit import fit
 from analysis.calibration.identify import identify
+from analysis.calibration.problem import Nuisance
 from analysis.calibration.provenance import check_vehicle, entry, vehicle_of
 from analysis.calibration.pulses import pulses
 from analysis.calibration.report import Report, draw, page, report, sentences
@@ -51,8 +52,8 @@ def main(argv: list[str]) -> int:
         result = fit(data.system, data.fitted, progress.say)
         calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
         progress.say("free runs")
-        zero, delay = result.unknowns.zero(result.x), result.unknowns.delay(result.x)
-        runs = data.run(calibrated, delay, zero)
+        nuisance = result.unknowns.nuisance(result.x)
+        runs = data.run(calibrated, nuisance)
         told = report(model, data.vehicle, data.sources, result, identify(result), runs)
         text = dump_model(calibrated)
         good = options.force or not told.doubts
@@ -61,8 +62,8 @@ def main(argv: list[str]) -> int:
         if options.report:
             progress.say("report")
             drawn = {model.name: runs}
-            if other and beside:  # delays and zero errors are of valve and sensors, not of a model
-                drawn[other.name] = beside.run(other, delay, zero)
+            if other and beside:  # what is of valve and sensors is not of a model
+                drawn[other.name] = beside.run(other, nuisance)
             told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
             _write(told, model, drawn, options.report)
     if options.json:
@@ -112,10 +113,10 @@ class _Data:
         """The vehicle of the first recording."""
         return self.logs[0].recording.vehicle if self.logs[0].recording else None
 
-    def run(self, model: Model, delay: dict[str, float], zero: dict[str, float]) -> dict[str, Validation]:
+    def run(self, model: Model, nuisance: Nuisance) -> dict[str, Validation]:
         """The free runs of a calibrated model over every recording."""
         values = {name: model.parameters[name].value for name in self.system.parameters}
-        return {name: validate(self.system, found, values, delay, zero) for name, found in self._found.items()}
+        return {name: validate(self.system, found, values, nuisance) for name, found in self._found.items()}
 
 
 def _write(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> None:

@@ -12,6 +12,7 @@ The weights are Sigma^(-1/2) for Sigma = R + B B', by way of the eigenvectors of
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -61,15 +62,17 @@ class Whitening:
         return np.asarray(weighted - lessened)
 
 
-def stacked(section: Section, by_output: Mapping[str, Array]) -> Array:
-    """Values (K, ...) on the grid at the samples' times, all outputs one after the other (N, ...)."""
-    return np.concatenate([_at(section, s.t, by_output[name]) for name, s in section.samples.items()])
+def stacked(section: Section, by_output: Mapping[str, Array], lag: Mapping[str, float] = MappingProxyType({})) -> Array:
+    """Values (K, ...) on the grid at the samples' times less the `lag` [s], one output after the other (N, ...)."""
+    return np.concatenate(
+        [_at(section, s.t - lag.get(name, 0.0), by_output[name]) for name, s in section.samples.items()]
+    )
 
 
 def _at(section: Section, t: Array, values: Array) -> Array:
     """Between the grid's instants on straight lines."""
     place = t / section.drive.step_s
-    k = np.minimum(place.astype(int), len(values) - 2)
+    k = np.clip(place.astype(int), 0, len(values) - 2)
     share = (place - k).reshape(-1, *(1,) * (values.ndim - 1))
     return np.asarray((1.0 - share) * values[k] + share * values[k + 1])
 

@@ -1,8 +1,9 @@
 """A model's free run over sections as a function of all that a calibration does not know.
 
-The unknowns are x = (xi, zeros, delays), each N(0, 1) beforehand: the parameters theta within their bounds, value *
-exp(prior * xi) or, for one that may be zero or negative, value + spread * xi; the zero error that calibration at
-atmosphere has left of every sensor; and by how much the commands act later than they are logged.
+The unknowns are x = (xi, zeros, delays, lags), each N(0, 1) beforehand: the parameters theta within their bounds, value
+* exp(prior * xi) or, for one that may be zero or negative, value + spread * xi; the zero error that calibration at
+atmosphere has left of every sensor; by how much the commands act later than they are logged; and, where that is asked
+for, by how much later than it was measured an output is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,8 +25,20 @@ DELAY_S = 0.3
 """Prior standard deviation of a command's delay: a period of the valve."""
 
 
+LAG_S = 0.02
+"""Prior standard deviation of an output's lag: a sensor's filter, a controller's cycle, the bus."""
+
+
+class Nuisance(NamedTuple):
+    """What is of a recording's sensors and clocks: `zero` errors, `lag` [s] of outputs, `delay` [s] of commands."""
+
+    zero: Mapping[str, float]
+    lag: Mapping[str, float]
+    delay: Mapping[str, float]
+
+
 class Unknowns(NamedTuple):
-    """What is fitted, by name: `parameters`, `zeros` of outputs and `delays` of inputs, with their sizes at x = 1.
+    """What is fitted, by name: `parameters`, `zeros` of outputs, `delays` of inputs, `lags` of outputs.
 
     A parameter is `values` * exp(`priors` * xi) + `spreads` * xi; one of prior and spread is zero.
     """
@@ -36,11 +49,12 @@ class Unknowns(NamedTuple):
     spreads: Array
     zeros: dict[str, float]
     delays: tuple[str, ...]
+    lags: tuple[str, ...]
 
     @property
     def size(self) -> int:
         """The length of x."""
-        return len(self.parameters) + len(self.zeros) + len(self.delays)
+        return len(self.parameters) + len(self.zeros) + len(self.delays) + len(self.lags)
 
     def theta(self, x: Array) -> dict[str, float]:
         """The parameters' values."""
@@ -54,17 +68,28 @@ class Unknowns(NamedTuple):
 
     def zero(self, x: Array) -> dict[str, float]:
         """The sensors' zero errors, in their units."""
-        part = x[len(self.parameters) : len(self.parameters) + len(self.zeros)].tolist()
+        begin = len(self.parameters)
+        part = x[begin : begin + len(self.zeros)].tolist()
         return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part, strict=True)}
 
     def delay(self, x: Array) -> dict[str, float]:
         """The commands' delays [s]."""
-        part = DELAY_S * x[len(self.parameters) + len(self.zeros) :]
+        begin = len(self.parameters) + len(self.zeros)
+        part = DELAY_S * x[begin : begin + len(self.delays)]
         return dict(zip(self.delays, part.tolist(), strict=True))
 
+    def lag(self, x: Array) -> dict[str, float]:
+        """The outputs' lags [s]."""
+        part = LAG_S * x[self.size - len(self.lags) :]
+        return dict(zip(self.lags, part.tolist(), strict=True))
 
-def unknowns_of(system: System, commands: tuple[str, ...]) -> Unknowns:
-    """The unknowns of a system that has its calibrated parameters as symbols."""
+    def nuisance(self, x: Array) -> Nuisance:
+        """All but the parameters."""
+        return Nuisance(self.zero(x), self.lag(x), self.delay(x))
+
+
+def unknowns_of(system: System, commands: tuple[str, ...], lags: tuple[str, ...] = ()) -> Unknowns:
+    """The unknowns of a system that has its calibrated parameters as symbols; `lags` are outputs that may lag."""
     model = system.model
     chosen = [model.parameters[name] for name in system.parameters]
     return Unknowns(
@@ -74,6 +99,7 @@ def unknowns_of(system: System, commands: tuple[str, ...]) -> Unknowns:
         spreads=np.array([p.spread or 0.0 for p in chosen]),
         zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
         delays=commands,
+        lags=lags,
     )
 
 
@@ -93,13 +119,13 @@ def _bounds(parameter: Parameter) -> list[float]:
 class Problem:
     """The sections with the model, evaluated at one x at a time.
 
-    `bounds` (2, n) are the lower and upper limits of x.
+    `bounds` (2, n) are the lower and upper limits of x; with `lagging`, how much the outputs lag is unknown too.
     """
 
-    def __init__(self, system: System, sections: Sequence[Section]) -> None:
+    def __init__(self, system: System, sections: Sequence[Section], *, lagging: bool = False) -> None:
         self.system, self.sections = system, sections
         self.commands = commands_of(system, sections)
-        self.unknowns = unknowns_of(system, self.commands)
+        self.unknowns = unknowns_of(system, self.commands, tuple(system.outputs) if lagging else ())
         self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
         for k, name in enumerate(system.parameters):
             self.bounds[:, k] = _bounds(system.model.parameters[name])
@@ -127,26 +153,28 @@ class Problem:
 
     def left(self, x: Array) -> list[Array]:
         """The differences y - y_hat of every section (N,)."""
-        zero = self.unknowns.zero(x)
+        zero, lag = self.unknowns.zero(x), self.unknowns.lag(x)
         found = []
         for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
             measured = [s.value - zero.get(name, 0.0) for name, s in section.samples.items()]
-            found.append(np.concatenate(measured) - stacked(section, trajectory.outputs()))
+            found.append(np.concatenate(measured) - stacked(section, trajectory.outputs(), lag))
         return found
 
     def slopes(self, x: Array) -> list[Array]:
         """Their derivatives (N, n)."""
         unknowns, found = self.unknowns, []
-        scale = unknowns.theta_by_x(x)
+        scale, lag = unknowns.theta_by_x(x), unknowns.lag(x)
         for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
-            columns = [stacked(section, trajectory.by_parameters()) * scale]
+            columns = [stacked(section, trajectory.by_parameters(), lag) * scale]
             for name, sd in unknowns.zeros.items():
-                parts = [np.full((len(s.t), 1), sd if other == name else 0.0) for other, s in section.samples.items()]
-                columns.append(np.concatenate(parts))
+                columns.append(_of_output(section, name, sd))
             for name in unknowns.delays:
                 u = trajectory.drive.inputs[:, self.system.inputs.index(name)]
                 lost = -DELAY_S * np.gradient(u, section.drive.step_s)
-                columns.append(stacked(section, trajectory.by_input(name, lost[:, None])))
+                columns.append(stacked(section, trajectory.by_input(name, lost[:, None]), lag))
+            rates = {name: np.gradient(y, section.drive.step_s) for name, y in trajectory.outputs().items()}
+            rate = stacked(section, rates, lag)[:, None]
+            columns += [rate * _of_output(section, name, -LAG_S) for name in unknowns.lags]
             found.append(-np.concatenate(columns, axis=1))
         return found
 
@@ -157,6 +185,12 @@ class Problem:
             self._runs = runs(self.system, self.sections, theta, delay, self._runs)
             self._at = x.copy()
         return self._runs
+
+
+def _of_output(section: Section, name: str, value: float) -> Array:
+    """A column (N, 1) that has the value where the samples of one output are, and zero elsewhere."""
+    parts = [np.full((len(s.t), 1), value if other == name else 0.0) for other, s in section.samples.items()]
+    return np.concatenate(parts)
 
 
 def runs(

@@ -6,7 +6,7 @@ interpolated, outputs are compared at their own times: nothing is filtered.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -60,7 +60,7 @@ class Section:
     """What a free run from `start_s` [s] after the log's first frame needs, and what it is compared with.
 
     `number` counts the sections of one log from zero on; `noise` (K, inputs) is the standard deviation of a sample of
-    each input at the run's instants.
+    each input at the run's instants; `sensed` (K,) are the measured outputs there, which say where the states begin.
     """
 
     number: int
@@ -68,11 +68,18 @@ class Section:
     drive: Drive
     noise: Array
     samples: Mapping[str, Samples]
+    sensed: Mapping[str, Array]
 
     @property
     def t(self) -> Array:
         """The instants of the free run [s], after the section's start."""
         return np.asarray(np.arange(len(self.drive.inputs)) * self.drive.step_s)
+
+
+def fitting(section: Section, system: System) -> Section:
+    """The section for another system with the same inputs and outputs: the states are its own."""
+    states = _states(system, section.sensed, len(section.t))
+    return replace(section, drive=replace(section.drive, start=states[0], guess=states))
 
 
 def is_command(value: Array) -> bool:
@@ -135,7 +142,7 @@ def _section(
     t = np.arange(low, high, step_s)
     inputs = np.column_stack([_input(tracks[name], t) for name in system.inputs])
     measured = {name: tracks[name].at(t) for name in system.outputs}
-    states = np.column_stack([_state(model, name, measured, len(t)) for name in system.states])
+    states = _states(system, measured, len(t))
     mode = _modes(model, tracks, t)
     commands = [tracks[name] for name in system.inputs if is_command(tracks[name].value)]
     stepped = np.concatenate([[-np.inf], *(track.t[1:][np.diff(track.value) != 0.0] for track in commands)])
@@ -148,7 +155,7 @@ def _section(
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
     noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
-    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples)
+    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured)
 
 
 def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:
@@ -179,6 +186,10 @@ def _input(track: Track, t: Array) -> Array:
         return track.at(t)
     near = (track.t > t[0] - GAP_S) & (track.t < t[-1] + GAP_S)
     return np.asarray(CubicSpline(track.t[near], track.value[near])(t))
+
+
+def _states(system: System, measured: Mapping[str, Array], count: int) -> Array:
+    return np.column_stack([_state(system.model, name, measured, count) for name in system.states])
 
 
 def _state(model: Model, name: str, measured: Mapping[str, Array], count: int) -> Array:

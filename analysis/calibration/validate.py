@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.calibration.noise import commands_of, disturbances, stacked
-from analysis.calibration.problem import runs
+from analysis.calibration.problem import Nuisance, runs
 from analysis.calibration.sections import Section
 from analysis.simulation import System, Trajectory
 from service.core.manifest import MODES
@@ -57,24 +57,25 @@ def validate(
     system: System,
     sections: Sequence[Section],
     values: Mapping[str, float],
-    delay: Mapping[str, float],
-    zero: Mapping[str, float],
+    nuisance: Nuisance,
 ) -> Validation:
-    """Runs the model with calibrated `values`, `delay` of commands [s] and `zero` errors of sensors over the sections.
+    """Runs the model with calibrated `values` over the sections, with what else a calibration has found.
 
     Raises:
         InputError: the model cannot be run with them.
     """
-    trajectories = runs(system, sections, values, delay)
+    trajectories = runs(system, sections, values, nuisance.delay)
     commands = commands_of(system, sections)
     gathered: dict[str, list[tuple[npt.NDArray[np.int64], Array, Array, Array]]] = {name: [] for name in system.outputs}
     for section, trajectory in zip(sections, trajectories, strict=True):
         B = disturbances(section, trajectory, commands)
-        predicted = stacked(section, trajectory.outputs())
+        predicted = stacked(section, trajectory.outputs(), nuisance.lag)
         ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
         parts = zip(np.split(predicted, ends), np.split((B**2).sum(axis=1), ends), strict=True)
         for (name, s), (y, disturbed) in zip(section.samples.items(), parts, strict=True):
-            gathered[name].append((s.mode, s.value - zero.get(name, 0.0) - y, _blocks(s.t, s.value, s.mode), disturbed))
+            gathered[name].append(
+                (s.mode, s.value - nuisance.zero.get(name, 0.0) - y, _blocks(s.t, s.value, s.mode), disturbed)
+            )
     agreement = {}
     for name, found in gathered.items():
         mode, error, blocks, disturbed = (np.concatenate(column) for column in zip(*found, strict=True))

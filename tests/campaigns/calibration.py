@@ -69,8 +69,7 @@ def run(number: int) -> Result:
     for name, value in values.items():
         expected = value * (scale if name in WITH_FLOW else 1 / scale if name in AGAINST_FLOW else 1.0)
         error[name] = math.log(found.values[name] / expected)
-    unknowns = found.unknowns
-    runs = validate(system, validation, found.values, unknowns.delay(found.x), unknowns.zero(found.x))
+    runs = validate(system, validation, found.values, found.unknowns.nuisance(found.x))
     return Result(
         name=truck.name,
         error={name: e for name, e in error.items() if name != ANCHOR},

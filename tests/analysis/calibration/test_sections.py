@@ -187,7 +187,7 @@ def test_a_state_that_no_sensor_sees_needs_an_initial_expression() -> None:
     unknown["p_bp"] = dataclasses.replace(unknown["p_bp"], initial=())
     model = dataclasses.replace(UDS4, unknown=unknown)
     with pytest.raises(InputError, match=r"^uds4: unknown.p_bp.initial: no expression uses only sensors' signals"):
-        log_sections(model, UDS4_SYSTEM, LOG)
+        log_sections(model, dataclasses.replace(UDS4_SYSTEM, model=model), LOG)
 
 
 def test_frames_that_are_older_than_the_last_are_left_out() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_drive import DELAY_S, Errors, drawn, frames, log_sections
 
+from analysis.calibration.problem import Nuisance
 from analysis.calibration.validate import STEADY, Validation, validate
 from analysis.model import load_model
 from analysis.simulation import system_of
@@ -24,7 +25,7 @@ def validated(errors: Errors, changed: float = 1.0, seed: int = 1) -> Validation
     true = drawn(UDS1, 3)
     log = frames(UDS1, true, seed, delay_s=DELAY_S, errors=errors, speed=SPEED, dose=DOSE, zero=ZERO)
     values = {name: true[name] * (changed if name == "A_ori" else 1.0) for name in SYSTEM.parameters}
-    return validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, {"dc_dose": DELAY_S}, ZERO)
+    return validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, Nuisance(ZERO, {}, {"dc_dose": DELAY_S}))
 
 
 def test_the_true_model_is_as_far_off_as_expected() -> None:
@@ -74,5 +75,5 @@ def test_a_zero_error_that_is_not_told_is_a_bias() -> None:
     true = drawn(UDS1, 3)
     log = frames(UDS1, true, 1, zero={"y_p_tp": 2000.0}, speed=SPEED, dose=DOSE)
     values = {name: true[name] for name in SYSTEM.parameters}
-    found = validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, {}, {}).agreement
+    found = validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, Nuisance({}, {}, {})).agreement
     assert found["y_p_tp"][STEADY].bias == pytest.approx(2000.0, abs=50.0)
