@@ -143,13 +143,18 @@ class Jacobian:
         return found
 
 
-def system_of(model: Model, parameters: Sequence[str]) -> System:
+def system_of(model: Model, parameters: Sequence[str], *, disturbed: bool = False) -> System:
     """The model's free-running system, in which `parameters` stay symbols.
 
+    A `disturbed` one has an input more for every equation, after all others: `disturbance(e)`, for expression = d.
+
     Raises:
-        InputError: the model is not to be run freely: too few or too many equations for its variables.
+        InputError: the model is not to be run freely: too few or too many equations for its variables, or a name of
+            its own is that of a disturbance.
     """
     equations = {name: model.expression(name, with_fault=False) for name in model.equations}
+    disturbances = _disturbances(model) if disturbed else {}
+    equations |= {name: equations[name] - sp.Symbol(d) for name, d in disturbances.items()}
     outputs = _sensors(model, equations)
     equations = {name: e for name, e in equations.items() if name not in {place for place, _ in outputs.values()}}
     numbers = {
@@ -164,7 +169,7 @@ def system_of(model: Model, parameters: Sequence[str]) -> System:
             f"{model.name}: {len(equations)} equations besides its sensors' ({', '.join(outputs) or 'none'}) for "
             f"{len(derivatives) + len(algebraic)} derivatives and algebraic variables; a free run needs as many"
         )
-    left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
+    left = [_expanded(e.xreplace(numbers)) for e in equations.values()]
     shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
     left, shown, algebraic = _substituted(left, shown, algebraic)
     rootless, roots = _without_roots([*left, *shown.values()])
@@ -174,12 +179,26 @@ def system_of(model: Model, parameters: Sequence[str]) -> System:
         states=tuple(d.state for d in model.differentials),
         variables=(*states, *algebraic, *roots),
         derivatives=tuple(derivatives),
-        inputs=tuple(name for name in model.known if name not in outputs),
+        inputs=(*(name for name in model.known if name not in outputs), *disturbances.values()),
         parameters=tuple(parameters),
         residuals=(*left, *(s * (sp.Abs(s) + LAMINAR) - argument for s, argument in roots.items())),
         outputs=shown,
         roots=roots,
     )
+
+
+def disturbance(equation: str) -> str:
+    """The name of what is added to the named equation."""
+    return f"d_{equation}"
+
+
+def _disturbances(model: Model) -> dict[str, str]:
+    """By equation."""
+    found = {name: disturbance(name) for name in model.equations}
+    for d in found.values():
+        if d in {*model.known, *model.unknown, *model.parameters}:
+            raise InputError(f"{model.name}: {d} names a disturbance of an equation; call it something else")
+    return found
 
 
 def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str, sp.Expr]]:
@@ -207,8 +226,8 @@ def _substituted(
     while choice := next(((e, v) for e in equations for v in left if _given(e, v)), None):
         equation, variable = choice
         value = _solved(equation, variable)
-        equations = [sp.expand(e.xreplace({variable: value})) for e in equations if e is not equation]
-        outputs = {signal: sp.expand(e.xreplace({variable: value})) for signal, e in outputs.items()}
+        equations = [_expanded(e.xreplace({variable: value})) for e in equations if e is not equation]
+        outputs = {signal: _expanded(e.xreplace({variable: value})) for signal, e in outputs.items()}
         left.remove(variable)
     return equations, outputs, left
 
@@ -216,13 +235,18 @@ def _substituted(
 def _given(equation: sp.Expr, variable: sp.Symbol) -> bool:
     if variable not in equation.free_symbols:
         return False
-    slope = sp.expand(_derivative(equation, variable))
+    slope = _expanded(_derivative(equation, variable))
     return bool(slope.is_number and slope != 0)
 
 
 def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
     """The variable from an equation that has a multiple of it; rounding leaves nothing of the variable."""
-    return sp.expand(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
+    return _expanded(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
+
+
+def _expanded(expression: sp.Expr) -> sp.Expr:
+    """A sum of products, in which what cancels does; a power of a difference stays, as its terms would lose digits."""
+    return sp.expand(expression, multinomial=False)
 
 
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
