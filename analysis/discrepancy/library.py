@@ -19,11 +19,11 @@ know the effect's own names, its roles and the names of the model; in the model,
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-from analysis.model import Differential, ModelError, Parameter
+from analysis.discrepancy.effect import Change, Effect, EffectEquation, EffectParameter, EffectUnknown
+from analysis.model import Differential, ModelError
 from analysis.model.check import check_name
 from analysis.model.expression import FUNCTIONS, parse_expression
 from analysis.model.model import check_bounds
@@ -46,99 +46,13 @@ EXPERIMENTS = (
 """What `separated_by` may name."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EffectParameter:
-    """A parameter that an effect brings; `null` is its value where there is no effect, None if it has none."""
-
-    unit: str
-    description: str
-    value: float
-    null: float | None
-    min: float | None
-    max: float | None
-    prior: float | None
-    spread: float | None
-
-    def in_model(self, source: str) -> Parameter:
-        """The parameter as the model has it, at its null value."""
-        return Parameter(
-            unit=self.unit,
-            description=self.description,
-            value=self.value,
-            min=self.min,
-            max=self.max,
-            prior=self.prior,
-            spread=self.spread,
-            source=source,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectUnknown:
-    """A variable that an effect brings; a state has `initial` values, as in a model file."""
-
-    unit: str
-    description: str
-    initial: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Change:
-    """In every equation with all names of `where`, `symbol` becomes `replacement`."""
-
-    where: tuple[str, ...]
-    symbol: str
-    replacement: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectEquation:
-    """An equation `text` = 0 that an effect brings."""
-
-    name: str
-    description: str
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Effect:
-    """An effect, in its own names; `place` says in messages where it is written.
-
-    Each role has one name of a model a position; the first position of which a model has all names holds.
-    """
-
-    name: str
-    statement: str
-    component: str
-    source: str
-    signature: str
-    rivals: tuple[str, ...]
-    separated_by: tuple[str, ...]
-    roles: Mapping[str, tuple[str, ...]]
-    parameters: Mapping[str, EffectParameter]
-    unknowns: Mapping[str, EffectUnknown]
-    changes: tuple[Change, ...]
-    equations: tuple[EffectEquation, ...]
-    differentials: tuple[Differential, ...]
-    place: str
-
-    def prefixed(self, own: str) -> str:
-        """What one of the effect's own names is in a model."""
-        return f"{self.name}_{own}"
-
-    @property
-    def strengths(self) -> dict[str, EffectParameter]:
-        """The parameters that have a null value, by their name in a model."""
-        return {self.prefixed(name): p for name, p in self.parameters.items() if p.null is not None}
-
-
 def load_library(path: Path | None = None) -> dict[str, Effect]:
     """The shipped effects by name, and those of the file at `path`.
 
     Raises:
         ModelError: the file cannot be read, or an entry is not valid; the message names file, entry, place and remedy.
     """
-    shipped = _read(SHIPPED)
+    shipped = _shipped()
     found = {name: effect for name, (effect, _) in shipped.items()}
     for name, (effect, replaces) in ({} if path is None else _read(path)).items():
         if replaces != (name in shipped):
@@ -151,6 +65,11 @@ def load_library(path: Path | None = None) -> dict[str, Effect]:
             if rival not in found or rival == effect.name:
                 raise ModelError(f"{effect.place}.rivals[{k}]: {rival} is no other entry; name one, or leave it away")
     return found
+
+
+@cache
+def _shipped() -> dict[str, tuple[Effect, bool]]:
+    return _read(SHIPPED)
 
 
 def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
@@ -166,6 +85,8 @@ def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
         raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that it was written for")
     tables = top.tables("effect")
     top.done()
+    if not tables:
+        raise top.fail("effect", "there is none; add [[effect]] entries, or give no file")
     read = [_entry(table, path) for table in tables]
     twice = first_repeated([effect.name for effect, _ in read])
     if twice is not None:
@@ -210,6 +131,9 @@ def _effect(table: Table, name: str) -> Effect:
         raise table.fail("parameter", "none has a null value; give one `null`, where there is no effect, and `spread`")
     if not effect.changes:
         raise table.fail("change", "there is none, so the model stays as it is; say what the effect replaces")
+    twice = first_repeated([*(e.name for e in effect.equations), *(d.name for d in effect.differentials)])
+    if twice is not None:
+        raise table.fail("equation", f"two equations or differentials are named {twice}; rename one")
     return effect
 
 
@@ -302,5 +226,5 @@ def _check_formula(text: str, place: str) -> None:
     parse_expression(text, _names_in(text), place)
 
 
-def _names_in(text: str) -> Sequence[str]:
+def _names_in(text: str) -> list[str]:
     return sorted(set(re.findall(r"(?<![\w.])[A-Za-z]\w*", text)) - FUNCTIONS)

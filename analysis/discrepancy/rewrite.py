@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import sympy as sp
 
-from analysis.discrepancy.library import Change, Effect
+from analysis.discrepancy.effect import Change, Effect
 from analysis.discrepancy.soundness import check_rewritten
 from analysis.model import Differential, Equation, Fault, Model, ModelError, Unknown
 from analysis.model.expression import parse_expression
@@ -18,13 +18,12 @@ from analysis.model.expression import parse_expression
 
 def applicable(model: Model, effect: Effect) -> str | None:
     """Why the effect has no place in the model, in a line; None if it has."""
-    if any(effect.prefixed(name) in model.parameters for name in effect.parameters):
+    declared = {*model.known, *model.unknown, *model.parameters}
+    if any(effect.prefixed(name) in declared for name in (*effect.parameters, *effect.unknowns)):
         return f"{model.name} has {effect.name} in it already"
     names = _names(model, effect)
     if names is None:
-        columns = zip(*effect.roles.values(), strict=True)
-        return f"{model.name} has not {', nor '.join(' with '.join(column) for column in columns)}"
-    declared = {*model.known, *model.unknown, *model.parameters}
+        return f"{model.name} has {_none_of(effect)}"
     for change in effect.changes:
         where = [names.get(name, name) for name in change.where]
         for name in where:
@@ -90,6 +89,12 @@ def _names(model: Model, effect: Effect) -> dict[str, str] | None:
         if declared.issuperset(column):
             return {**dict(zip(effect.roles, column, strict=True)), **own}
     return None
+
+
+def _none_of(effect: Effect) -> str:
+    """What a model has not that has the names of no position."""
+    columns = [" with ".join(dict.fromkeys(column)) for column in zip(*effect.roles.values(), strict=True)]
+    return f"neither {' nor '.join(columns)}" if len(columns) > 1 else f"no {columns[0]}"
 
 
 def _matching(model: Model, change: Change, names: Mapping[str, str]) -> list[str]:

@@ -5,7 +5,7 @@ from random import Random
 
 import sympy as sp
 
-from analysis.discrepancy.library import Effect
+from analysis.discrepancy.effect import Effect
 from analysis.model import Model, ModelError
 from analysis.model.check import check_model
 from analysis.simulation import system_of
