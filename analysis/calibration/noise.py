@@ -45,10 +45,10 @@ LEAST_RUN = 5
 
 
 class Whitening:
-    """Turns the differences of a section, all outputs one after the other (N,), into unit independent noise."""
+    """Turns differences (N,) whose v has standard deviations `level` (N,) into unit independent noise; B is (N, D)."""
 
-    def __init__(self, section: Section, levels: Levels, disturbed: Array) -> None:
-        self._weight = 1.0 / np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
+    def __init__(self, level: Array, disturbed: Array) -> None:
+        self._weight = 1.0 / level
         C = disturbed * self._weight[:, None]
         power, V = np.linalg.eigh(C.T @ C)
         seen = power > FAINT**2
@@ -60,6 +60,11 @@ class Whitening:
         weighted = (e.T * self._weight).T
         lessened = self._U @ ((self._U.T @ weighted).T * self._less).T
         return np.asarray(weighted - lessened)
+
+
+def level_of(section: Section, levels: Levels) -> Array:
+    """The standard deviation of v of every sample of a section, all outputs one after the other (N,)."""
+    return np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
 
 
 def stacked(section: Section, by_output: Mapping[str, Array], lag: Mapping[str, float] = MappingProxyType({})) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, least_squares
 
-from analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, stacked
+from analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, level_of, stacked
 from analysis.calibration.sections import Section
 from analysis.model import Parameter
 from analysis.simulation import Drive, System, Trajectory, run
@@ -135,7 +135,7 @@ class Problem:
     def weights(self, x: Array, levels: Levels) -> list[Whitening]:
         """Those that hold at `x`."""
         return [
-            Whitening(section, levels, disturbances(section, trajectory, self.commands))
+            Whitening(level_of(section, levels), disturbances(section, trajectory, self.commands))
             for section, trajectory in zip(self.sections, self.trajectories(x), strict=True)
         ]
 

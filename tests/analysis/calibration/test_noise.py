@@ -13,6 +13,7 @@ from analysis.calibration.noise import (
     by_square,
     commands_of,
     disturbances,
+    level_of,
     levels_of,
     stacked,
 )
@@ -63,7 +64,7 @@ def test_noise_of_the_stated_model_becomes_unit_and_independent(section: Section
     """
     levels = made_levels(section)
     B = disturbances(section, trajectory, COMMANDS)
-    white = Whitening(section, levels, B)
+    white = Whitening(level_of(section, levels), B)
     ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
@@ -86,7 +87,7 @@ def test_without_the_disturbances_it_would_not_be(section: Section, trajectory: 
     B = disturbances(section, trajectory, COMMANDS)
     rng = np.random.default_rng(0)
     noise = drawn_noise(section, levels, rng) + B @ rng.standard_normal(B.shape[1])
-    plain = Whitening(section, levels, np.zeros((len(B), 1)))(noise)
+    plain = Whitening(level_of(section, levels), np.zeros((len(B), 1)))(noise)
     assert np.sum(plain**2) > len(plain) + 10 * np.sqrt(2 * len(plain))
 
 
@@ -96,10 +97,10 @@ def test_whitening_is_the_inverse_of_the_covariance(section: Section, trajectory
     B = disturbances(section, trajectory, COMMANDS)
     sd = np.concatenate([levels[name][s.mode] for name, s in section.samples.items()])
     e = np.random.default_rng(1).standard_normal((len(sd), 3)) * sd[:, None]
-    white = Whitening(section, levels, B)(e)
+    white = Whitening(level_of(section, levels), B)(e)
     expected = e.T @ np.linalg.solve(np.diag(sd**2) + B @ B.T, e)
     assert white.T @ white == pytest.approx(expected, rel=1e-3, abs=1.0)
-    assert Whitening(section, levels, B)(e[:, 0]) == pytest.approx(white[:, 0])
+    assert Whitening(level_of(section, levels), B)(e[:, 0]) == pytest.approx(white[:, 0])
 
 
 def test_the_disturbances_are_those_of_speed_levels_and_steps(section: Section, trajectory: Trajectory) -> None:

@@ -1,0 +1,222 @@
+"""A model with effects added, fitted and judged: how likely it makes the training data, and then the held-out data.
+
+Both are probabilities with everything unknown integrated out, around the optimum (Laplace). The held-out data are
+predicted: what the training has left uncertain may still move there, and every recording has zero errors of its own.
+All attempts have the same weights, those of the baseline, so that their evidences can be subtracted; the baseline is
+among them, because an effect at its null value is the baseline's model exactly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.problem import Problem, Unknowns
+from analysis.calibration.sections import Section, fitting
+from analysis.discrepancy.effect import Effect
+from analysis.discrepancy.likelihood import Likelihood, bins_of, blocks, levels_of
+from analysis.discrepancy.rewrite import rewritten
+from analysis.discrepancy.search import Optimum, descend
+from analysis.model import Model
+from analysis.simulation import system_of
+from service.core.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+BLOCK_S = 10.0
+"""Longer than the hose remembers: what is left of blocks is independent."""
+
+ROUNDS = 3
+"""How often the baseline is fitted, with levels from what the one before left."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is known: the `model` as it is, a library of effects, and the sections to fit and those held out.
+
+    The sections are those of the model's system; `fitting` makes them another's.
+    """
+
+    model: Model
+    library: Mapping[str, Effect]
+    training: tuple[Section, ...]
+    held: tuple[Section, ...]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Where the model without effects has been fitted: `x` (n,), and the `levels` (outputs, modes) of bins there."""
+
+    x: Array
+    levels: Array
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came out for a model with `effects`.
+
+    `x` (n,) are its `unknowns`' most likely values, `curvature` (n, n) the precision there, `inside` (n,) those not at
+    a bound. `training` and `predicted` are log evidences [nats], comparable between attempts of one baseline. `starts`
+    are the costs [nats] that the searches ended at, by where they began. `blocks` are log likelihoods of `BLOCK_S` at
+    the optimum, training first; `dispersion` is the mean square of what is left, 1 if nothing but noise is.
+    """
+
+    effects: tuple[str, ...]
+    unknowns: Unknowns
+    x: Array
+    curvature: Array
+    inside: npt.NDArray[np.bool_]
+    training: float
+    predicted: float
+    starts: Mapping[str, float]
+    blocks: Array
+    dispersion: float
+
+    @property
+    def evidence(self) -> float:
+        """Of all data [nats]."""
+        return self.training + self.predicted
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters' values."""
+        return self.unknowns.theta(self.x)
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """The parameters' standard deviations, in their units; zero of one at a bound."""
+        place = np.flatnonzero(self.inside)
+        variance = np.zeros(len(self.x))
+        variance[place] = np.diag(np.linalg.inv(self.curvature[np.ix_(place, place)]))
+        n = len(self.unknowns.parameters)
+        found = np.sqrt(variance[:n]) * np.abs(self.unknowns.theta_by_x(self.x))
+        return dict(zip(self.unknowns.parameters, found.tolist(), strict=True))
+
+
+class Judge:
+    """Makes attempts, with the weights that hold at the baseline."""
+
+    def __init__(self, study: Study, baseline: Baseline) -> None:
+        self._study = study
+        self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
+        problems = _problems(study, study.model)
+        self._likelihoods = [
+            Likelihood(problem, baseline.x, baseline.levels, bins)
+            for problem, bins in zip(problems, self._bins, strict=True)
+        ]
+        self._baseline = baseline
+
+    def attempt(
+        self, effects: Sequence[str], near: Attempt | None = None, starts: Sequence[str] = ("near", "prior")
+    ) -> Attempt:
+        """The attempt with `effects`, searched from `near` (none: the baseline) and from the prior.
+
+        The second start matters: a fit without the effect has bent other parameters until they do its work.
+
+        Raises:
+            InputError: an effect has no place in the model, or the model cannot be run from any start.
+        """
+        model = self._study.model
+        for name in effects:
+            model = rewritten(model, self._study.library[name])
+        training, held = _problems(self._study, model)
+        x = near.x if near else self._baseline.x
+        old = near.unknowns if near else _problems(self._study, self._study.model)[0].unknowns
+        found: dict[str, Optimum] = {}
+        failed: InputError | None = None
+        for start in starts:
+            begin = carried(x, old, training.unknowns)
+            if start == "prior":
+                begin[: len(training.unknowns.parameters)] = 0.0
+                begin[
+                    [k for k, name in enumerate(training.unknowns.parameters) if self._is_strength(name, effects)]
+                ] = 1.0
+            try:
+                found[start] = descend(self._likelihoods[0], training, begin)
+            except InputError as error:
+                failed = error
+        if not found:
+            raise failed or InputError("no start was given; give at least one")
+        best = min(found.values(), key=lambda optimum: optimum.cost)
+        predicted, after = predictive(self._likelihoods[1], held, best)
+        left = self._likelihoods[0].left(training, best.x), after
+        e = np.concatenate(left)
+        number = np.concatenate([blocks(self._bins[0], BLOCK_S), blocks(self._bins[1], BLOCK_S)])
+        number[len(left[0]) :] += number[: len(left[0])].max() + 1
+        return Attempt(
+            effects=tuple(effects),
+            unknowns=training.unknowns,
+            x=best.x,
+            curvature=best.curvature,
+            inside=best.inside,
+            training=best.log_evidence,
+            predicted=predicted,
+            starts={start: optimum.cost for start, optimum in found.items()},
+            blocks=np.asarray(-0.5 * np.bincount(number, e**2), dtype=np.float64),
+            dispersion=float(e @ e) / len(e),
+        )
+
+    def _prior(self, effects: Sequence[str], parameters: Sequence[str]) -> list[float]:
+        """All as expected beforehand, but effects as strong as would be seen well."""
+        strengths = {name for effect in effects for name in self._study.library[effect].strengths}
+        return [1.0 if name in strengths else 0.0 for name in parameters]
+
+
+def baseline_of(study: Study) -> Baseline:
+    """The model without effects, fitted to the training sections.
+
+    Raises:
+        InputError: it cannot be run.
+    """
+    problems = _problems(study, study.model)
+    bins = [[bins_of(section) for section in sections] for sections in (study.training, study.held)]
+    x, outputs = np.zeros(problems[0].unknowns.size), [*problems[0].system.outputs]
+    for _ in range(ROUNDS):
+        left = [
+            [part.mean(e) for part, e in zip(parts, problem.left(x), strict=True)]
+            for parts, problem in zip(bins, problems, strict=True)
+        ]
+        levels = levels_of(study.model, outputs, [*bins[0], *bins[1]], [*left[0], *left[1]])
+        x = descend(Likelihood(problems[0], x, levels, bins[0]), problems[0], x).x
+    return Baseline(x, levels)
+
+
+def _problems(study: Study, model: Model) -> tuple[Problem, Problem]:
+    """The training's and the held-out's, with all outputs' lags unknown."""
+    system = system_of(model, model.calibrated)
+    training, held = (
+        Problem(system, [fitting(section, system) for section in sections], lagging=True)
+        for sections in (study.training, study.held)
+    )
+    return training, held
+
+
+def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
+    """X as an x of a model with other parameters; those that are new are as expected beforehand."""
+    found = np.zeros(new.size)
+    place = {name: k for k, name in enumerate(old.parameters)}
+    for k, name in enumerate(new.parameters):
+        if name in place:
+            found[k] = x[place[name]]
+    found[len(new.parameters) :] = x[len(old.parameters) :]
+    return found
+
+
+def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum) -> tuple[float, Array]:
+    """The log probability [nats] of held-out data given the training, and what they leave (M,) at their own optimum."""
+    unknowns = problem.unknowns
+    begin = len(unknowns.parameters)
+    zeros = np.arange(len(optimum.x))
+    own = (zeros >= begin) & (zeros < begin + len(unknowns.zeros))
+    x, free = np.where(own, 0.0, optimum.x), optimum.inside
+    covariance = np.linalg.inv(optimum.curvature[np.ix_(free, free)])
+    covariance[own[free]] = 0.0
+    covariance[:, own[free]] = 0.0
+    covariance[own[free], own[free]] = 1.0
+    e, J = likelihood.left(problem, x), likelihood.slopes(problem, x)[:, free]
+    H = np.linalg.inv(covariance)
+    M, b = J.T @ J + H, J.T @ e
+    step = np.linalg.solve(M, b)
+    log_probability = -0.5 * float(e @ e - b @ step) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(H)[1])
+    return log_probability, e - J @ step

@@ -1,0 +1,159 @@
+"""How likely the measurements are under a model that runs freely: what makes models comparable.
+
+Samples are averaged over bins of `BIN_S`. What is faster than that, the valve's pulses as they alias into pump speed
+and pressures, is neither noise nor physics that a model of mean flows could have: left in, a slow sensor that smoothes
+it gets dozens of nats in data in which nothing is hidden. The weights are those of `analysis.calibration.noise`, the
+same for every model that is compared: a bin's own level, and the errors of inputs that the run integrates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.noise import Whitening, disturbances
+from analysis.calibration.problem import Problem
+from analysis.calibration.sections import Section
+from analysis.model import Model
+from service.core.manifest import MODES
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+BIN_S = 1.0
+"""Some periods of the valve, and a fraction of what the hose takes to settle."""
+
+FEW = 10
+"""With fewer pairs of neighbours than this a mode's level is that of all modes."""
+
+
+@dataclass(frozen=True)
+class Bins:
+    """How the samples of a section, all outputs one after the other (N,), make bins (M,).
+
+    `number` (N,) is each sample's bin and `share` (N,) its weight in the mean; of each bin: its `output` by number, its
+    `mode`, the time `t` [s] of its middle, whether the bin before is its `neighbour`, and how much `larger` its
+    standard deviation is than that of a full one.
+    """
+
+    number: Ints
+    share: Array
+    output: Ints
+    mode: Ints
+    t: Array
+    neighbour: npt.NDArray[np.bool_]
+    larger: Array
+
+    def mean(self, values: Array) -> Array:
+        """The means (M, ...) of values (N, ...)."""
+        weighted = (values.T * self.share).T
+        first = np.flatnonzero(np.diff(self.number, prepend=-1))
+        return np.asarray(np.add.reduceat(weighted, first, axis=0))
+
+
+def bins_of(section: Section) -> Bins:
+    """The bins of a section: samples of one output and mode, without a gap, within `BIN_S`."""
+    t = np.concatenate([s.t for s in section.samples.values()])
+    mode = np.concatenate([s.mode for s in section.samples.values()])
+    output = np.repeat(np.arange(len(section.samples)), [len(s.t) for s in section.samples.values()])
+    period = np.array([np.median(np.diff(s.t)) for s in section.samples.values()])[output]
+    same = (np.diff(output, prepend=-1) == 0) & (np.diff(mode, prepend=-1) == 0)
+    whole = same & (np.diff(t, prepend=0.0) < 2 * period)
+    run = np.cumsum(~whole)
+    begin = t[np.flatnonzero(~whole)][run - 1]
+    piece = ((t - begin) / BIN_S + 1e-6).astype(np.int64)
+    fresh = ~whole | (np.diff(piece, prepend=-1) != 0)
+    number = np.cumsum(fresh) - 1
+    first = np.flatnonzero(fresh)
+    count = np.bincount(number).astype(np.float64)
+    middle = np.add.reduceat(t, first) / count
+    return Bins(
+        number=number,
+        share=1.0 / count[number],
+        output=output[first],
+        mode=mode[first],
+        t=middle,
+        neighbour=whole[first],
+        larger=np.sqrt(np.maximum(BIN_S / period[first] / count, 1.0)),
+    )
+
+
+def levels_of(model: Model, outputs: Sequence[str], bins: Sequence[Bins], left: Sequence[Array]) -> Array:
+    """The standard deviation (outputs, modes) of a full bin that the differences `left` (M,) of each section show.
+
+    It shows between neighbours, as what is missing in a model is slower; it is at least what the sensor's noise leaves.
+    """
+    changes: list[list[list[Array]]] = [[[] for _ in MODES] for _ in outputs]
+    for section, e in zip(bins, left, strict=True):
+        change = np.diff(e, prepend=0.0) / np.hypot(section.larger, np.roll(section.larger, 1))
+        for o in range(len(outputs)):
+            for k in range(len(MODES)):
+                changes[o][k].append(change[section.neighbour & (section.output == o) & (section.mode == k)])
+    found = np.zeros((len(outputs), len(MODES)))
+    for o, name in enumerate(outputs):
+        every = np.concatenate([part for by_mode in changes[o] for part in by_mode])
+        for k in range(len(MODES)):
+            some = np.concatenate(changes[o][k])
+            found[o, k] = max(_deviation(some if len(some) >= FEW else every), LEAST_SHARE * model.known[name].noise)
+    return found
+
+
+LEAST_SHARE = 0.3
+"""Of a sample's noise: what is left of it in the mean of ten."""
+
+
+def _deviation(change: Array) -> float:
+    """From (N,) changes, mostly by their median: a transient that the model misses is no noise."""
+    return 1.4826 * float(np.median(np.abs(change))) if len(change) else 0.0
+
+
+class Likelihood:
+    """Weights for one set of sections that hold near x, where `problem` had been fitted."""
+
+    def __init__(self, problem: Problem, x: Array, levels: Array, bins: Sequence[Bins]) -> None:
+        self._parts = [
+            Weight(part, Whitening(levels[part.output, part.mode] * part.larger, part.mean(B)))
+            for part, B in zip(bins, _disturbances(problem, x), strict=True)
+        ]
+
+    @property
+    def weights(self) -> list["Weight"]:
+        """Those of each section, from differences (N, ...) to unit independent noise (M, ...)."""
+        return self._parts
+
+    def left(self, problem: Problem, x: Array) -> Array:
+        """What a model leaves of all sections, whitened, (M,)."""
+        return np.concatenate([w(e) for w, e in zip(self._parts, problem.left(x), strict=True)])
+
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """The derivatives of that, (M, n)."""
+        return np.concatenate([w(J) for w, J in zip(self._parts, problem.slopes(x), strict=True)])
+
+
+@dataclass(frozen=True)
+class Weight:
+    """Averages and whitens the differences of a section."""
+
+    bins: Bins
+    whitening: Whitening
+
+    def __call__(self, e: Array) -> Array:
+        """Of (N, ...), (M, ...)."""
+        return self.whitening(self.bins.mean(e))
+
+
+def _disturbances(problem: Problem, x: Array) -> list[Array]:
+    pairs = zip(problem.sections, problem.trajectories(x), strict=True)
+    return [disturbances(section, trajectory, problem.commands) for section, trajectory in pairs]
+
+
+def blocks(bins: Sequence[Bins], length_s: float) -> Ints:
+    """The number (M,) of the block of so many seconds in which each bin of all sections lies, from zero on."""
+    found: list[Ints] = []
+    before = 0
+    for part in bins:
+        number = (part.t / length_s).astype(np.int64)
+        found.append(before + number)
+        before += int(number.max()) + 1
+    return np.concatenate(found)
