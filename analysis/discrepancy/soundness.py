@@ -32,7 +32,7 @@ def check_rewritten(before: Model, after: Model, effect: Effect) -> None:
         problem = f"{rows} equations and differentials for {added} new unknowns"
         raise ModelError(f"{effect.place}: {problem}; a model needs as many, add what is missing")
     for finding in unit_findings(after):
-        if finding not in list(unit_findings(before)):
+        if finding not in [*unit_findings(before)]:
             raise ModelError(f"{effect.place}: {finding.place}: {finding.message}")
     _check_null(before, after, effect)
     _check_runs(before, after, effect)
