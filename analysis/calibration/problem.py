@@ -38,7 +38,7 @@ class Nuisance(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What is fitted, by name: `parameters`, `zeros` of outputs, `delays` of inputs, `lags` of outputs.
+    """What is fitted, by name: `parameters`, `zeros` of outputs for each of `logs`, `delays` of inputs, output `lags`.
 
     A parameter is `values` * exp(`priors` * xi) + `spreads` * xi; one of prior and spread is zero.
     """
@@ -48,13 +48,19 @@ class Unknowns(NamedTuple):
     priors: Array
     spreads: Array
     zeros: dict[str, float]
+    logs: int
     delays: tuple[str, ...]
     lags: tuple[str, ...]
 
     @property
     def size(self) -> int:
         """The length of x."""
-        return len(self.parameters) + len(self.zeros) + len(self.delays) + len(self.lags)
+        return len(self.parameters) + self.logs * len(self.zeros) + len(self.delays) + len(self.lags)
+
+    @property
+    def of_zeros(self) -> slice:
+        """Where in x the zero errors are, log by log: every recording was zeroed anew."""
+        return slice(len(self.parameters), len(self.parameters) + self.logs * len(self.zeros))
 
     def theta(self, x: Array) -> dict[str, float]:
         """The parameters' values."""
@@ -66,15 +72,15 @@ class Unknowns(NamedTuple):
         """The derivative of every parameter to its own xi."""
         return self.values * np.exp(self.priors * x[: len(self.parameters)]) * self.priors + self.spreads
 
-    def zero(self, x: Array) -> dict[str, float]:
-        """The sensors' zero errors, in their units."""
-        begin = len(self.parameters)
-        part = x[begin : begin + len(self.zeros)].tolist()
-        return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part, strict=True)}
+    def zero(self, x: Array, log: int | None = None) -> dict[str, float]:
+        """The sensors' zero errors in a log, in their units; their means over all logs if none is said."""
+        by_log = x[self.of_zeros].reshape(self.logs, len(self.zeros))
+        part = by_log.mean(axis=0) if log is None else by_log[log]
+        return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part.tolist(), strict=True)}
 
     def delay(self, x: Array) -> dict[str, float]:
         """The commands' delays [s]."""
-        begin = len(self.parameters) + len(self.zeros)
+        begin = self.of_zeros.stop
         part = DELAY_S * x[begin : begin + len(self.delays)]
         return dict(zip(self.delays, part.tolist(), strict=True))
 
@@ -88,7 +94,7 @@ class Unknowns(NamedTuple):
         return Nuisance(self.zero(x), self.lag(x), self.delay(x))
 
 
-def unknowns_of(system: System, commands: tuple[str, ...], lags: tuple[str, ...] = ()) -> Unknowns:
+def unknowns_of(system: System, commands: tuple[str, ...], logs: int, lags: tuple[str, ...]) -> Unknowns:
     """The unknowns of a system that has its calibrated parameters as symbols; `lags` are outputs that may lag."""
     model = system.model
     chosen = [model.parameters[name] for name in system.parameters]
@@ -98,6 +104,7 @@ def unknowns_of(system: System, commands: tuple[str, ...], lags: tuple[str, ...]
         priors=np.array([p.prior or 0.0 for p in chosen]),
         spreads=np.array([p.spread or 0.0 for p in chosen]),
         zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
+        logs=logs,
         delays=commands,
         lags=lags,
     )
@@ -125,7 +132,9 @@ class Problem:
     def __init__(self, system: System, sections: Sequence[Section], *, lagging: bool = False) -> None:
         self.system, self.sections = system, sections
         self.commands = commands_of(system, sections)
-        self.unknowns = unknowns_of(system, self.commands, tuple(system.outputs) if lagging else ())
+        self._log = np.cumsum([section.number == 0 for section in sections]) - 1
+        lags = tuple(system.outputs) if lagging else ()
+        self.unknowns = unknowns_of(system, self.commands, int(self._log[-1]) + 1, lags)
         self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
         for k, name in enumerate(system.parameters):
             self.bounds[:, k] = _bounds(system.model.parameters[name])
@@ -153,9 +162,9 @@ class Problem:
 
     def left(self, x: Array) -> list[Array]:
         """The differences y - y_hat of every section (N,)."""
-        zero, lag = self.unknowns.zero(x), self.unknowns.lag(x)
-        found = []
-        for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
+        lag, found = self.unknowns.lag(x), []
+        for section, log, trajectory in zip(self.sections, self._log, self.trajectories(x), strict=True):
+            zero = self.unknowns.zero(x, log)
             measured = [s.value - zero.get(name, 0.0) for name, s in section.samples.items()]
             found.append(np.concatenate(measured) - stacked(section, trajectory.outputs(), lag))
         return found
@@ -164,10 +173,10 @@ class Problem:
         """Their derivatives (N, n)."""
         unknowns, found = self.unknowns, []
         scale, lag = unknowns.theta_by_x(x), unknowns.lag(x)
-        for section, trajectory in zip(self.sections, self.trajectories(x), strict=True):
+        for section, log, trajectory in zip(self.sections, self._log, self.trajectories(x), strict=True):
             columns = [stacked(section, trajectory.by_parameters(), lag) * scale]
-            for name, sd in unknowns.zeros.items():
-                columns.append(_of_output(section, name, sd))
+            for other in range(unknowns.logs):
+                columns += [_of_output(section, name, sd * (other == log)) for name, sd in unknowns.zeros.items()]
             for name in unknowns.delays:
                 u = trajectory.drive.inputs[:, self.system.inputs.index(name)]
                 lost = -DELAY_S * np.gradient(u, section.drive.step_s)

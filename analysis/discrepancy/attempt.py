@@ -35,9 +35,10 @@ ROUNDS = 3
 class Study:
     """What is known: the `model` as it is, a library of effects, and the sections to fit and those held out.
 
-    The sections are those of the model's system; `fitting` makes them another's.
+    The sections are those of the model's system; `fitting` makes them another's. `key` is a hash of model and data.
     """
 
+    key: str
     model: Model
     library: Mapping[str, Effect]
     training: tuple[Section, ...]
@@ -106,6 +107,8 @@ class Judge:
             for problem, bins in zip(problems, self._bins, strict=True)
         ]
         self._baseline = baseline
+        self._nominal = problems[0].unknowns
+        self._problems: dict[tuple[str, ...], tuple[Problem, Problem]] = {(): problems}
 
     def attempt(
         self, effects: Sequence[str], near: Attempt | None = None, starts: Sequence[str] = ("near", "prior")
@@ -117,21 +120,14 @@ class Judge:
         Raises:
             InputError: an effect has no place in the model, or the model cannot be run from any start.
         """
-        model = self._study.model
-        for name in effects:
-            model = rewritten(model, self._study.library[name])
-        training, held = _problems(self._study, model)
-        x = near.x if near else self._baseline.x
-        old = near.unknowns if near else _problems(self._study, self._study.model)[0].unknowns
+        training, held = self._with(effects)
+        x, old = (near.x, near.unknowns) if near else (self._baseline.x, self._nominal)
         found: dict[str, Optimum] = {}
         failed: InputError | None = None
         for start in starts:
             begin = carried(x, old, training.unknowns)
             if start == "prior":
-                begin[: len(training.unknowns.parameters)] = 0.0
-                begin[
-                    [k for k, name in enumerate(training.unknowns.parameters) if self._is_strength(name, effects)]
-                ] = 1.0
+                begin[: len(training.unknowns.parameters)] = self._prior(effects, training.unknowns.parameters)
             try:
                 found[start] = descend(self._likelihoods[0], training, begin)
             except InputError as error:
@@ -139,7 +135,7 @@ class Judge:
         if not found:
             raise failed or InputError("no start was given; give at least one")
         best = min(found.values(), key=lambda optimum: optimum.cost)
-        predicted, after = predictive(self._likelihoods[1], held, best)
+        predicted, after = predictive(self._likelihoods[1], held, best, training.unknowns)
         left = self._likelihoods[0].left(training, best.x), after
         e = np.concatenate(left)
         number = np.concatenate([blocks(self._bins[0], BLOCK_S), blocks(self._bins[1], BLOCK_S)])
@@ -156,6 +152,23 @@ class Judge:
             blocks=np.asarray(-0.5 * np.bincount(number, e**2), dtype=np.float64),
             dispersion=float(e @ e) / len(e),
         )
+
+    def directions(self, effects: Sequence[str]) -> tuple[Array, Array]:
+        """What x changes at the baseline, whitened: (M, n) of the training and of the held-out data."""
+        found = []
+        for likelihood, problem in zip(self._likelihoods, self._with(effects), strict=True):
+            x = carried(self._baseline.x, self._nominal, problem.unknowns)
+            found.append(likelihood.slopes(problem, x))
+        return found[0], found[1]
+
+    def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
+        """The problems of the model with effects."""
+        if tuple(effects) not in self._problems:
+            model = self._study.model
+            for name in effects:
+                model = rewritten(model, self._study.library[name])
+            self._problems[tuple(effects)] = _problems(self._study, model)
+        return self._problems[tuple(effects)]
 
     def _prior(self, effects: Sequence[str], parameters: Sequence[str]) -> list[float]:
         """All as expected beforehand, but effects as strong as would be seen well."""
@@ -193,30 +206,41 @@ def _problems(study: Study, model: Model) -> tuple[Problem, Problem]:
 
 
 def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
-    """X as an x of a model with other parameters; those that are new are as expected beforehand."""
+    """The same x for a model with other parameters, or for other logs; what is new is as expected beforehand."""
     found = np.zeros(new.size)
     place = {name: k for k, name in enumerate(old.parameters)}
     for k, name in enumerate(new.parameters):
         if name in place:
             found[k] = x[place[name]]
-    found[len(new.parameters) :] = x[len(old.parameters) :]
+    found[new.of_zeros.stop :] = x[old.of_zeros.stop :]
+    if old.logs == new.logs:
+        found[new.of_zeros] = x[old.of_zeros]
     return found
 
 
-def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum) -> tuple[float, Array]:
-    """The log probability [nats] of held-out data given the training, and what they leave (M,) at their own optimum."""
-    unknowns = problem.unknowns
-    begin = len(unknowns.parameters)
-    zeros = np.arange(len(optimum.x))
-    own = (zeros >= begin) & (zeros < begin + len(unknowns.zeros))
-    x, free = np.where(own, 0.0, optimum.x), optimum.inside
-    covariance = np.linalg.inv(optimum.curvature[np.ix_(free, free)])
-    covariance[own[free]] = 0.0
-    covariance[:, own[free]] = 0.0
-    covariance[own[free], own[free]] = 1.0
+def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum, known: Unknowns) -> tuple[float, Array]:
+    """The log probability [nats] of held-out data given the training, and what they leave (M,) at their own optimum.
+
+    `known` are the optimum's unknowns; zero errors are each recording's own.
+    """
+    own, other = problem.unknowns.of_zeros, known.of_zeros
+    x = carried(optimum.x, known, problem.unknowns)
+    x[own] = 0.0
+    inside = np.delete(optimum.inside, other)
+    covariance = np.zeros((len(x), len(x)))
+    place = np.flatnonzero(optimum.inside)
+    between = np.linalg.inv(optimum.curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
+    kept = np.delete(np.arange(len(x)), own)[inside]
+    covariance[np.ix_(kept, kept)] = between
+    covariance[own, own] = np.eye(own.stop - own.start)
+    free = np.sort(np.concatenate([kept, np.arange(own.start, own.stop)]))
     e, J = likelihood.left(problem, x), likelihood.slopes(problem, x)[:, free]
-    H = np.linalg.inv(covariance)
+    H = np.linalg.inv(covariance[np.ix_(free, free)])
     M, b = J.T @ J + H, J.T @ e
     step = np.linalg.solve(M, b)
     log_probability = -0.5 * float(e @ e - b @ step) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(H)[1])
     return log_probability, e - J @ step
+
+
+def _within(place: npt.NDArray[np.int64], part: slice) -> npt.NDArray[np.bool_]:
+    return np.asarray((place >= part.start) & (place < part.stop))

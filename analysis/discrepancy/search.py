@@ -30,7 +30,7 @@ AT_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class Optimum:
-    """`x` (n,), its `cost` [nats] (half the squares of whitened differences and of x), and the `curvature` (n, n) there.
+    """`x` (n,), its `cost` [nats] (half the squares of whitened differences and of x), and the `curvature` (n, n).
 
     `inside` (n,) tells which unknowns are not at a bound.
     """
