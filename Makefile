@@ -7,8 +7,12 @@ BIN := .venv/bin
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
 
+# One thread each, and one process more than there are cores: one test mostly waits, for two minutes. What must not share
+# the machine comes after, by itself.
+WORKERS ?= 3
 test: lint  ## everything that CI checks
-	@$(BIN)/python -m pytest
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" -n $(WORKERS) --dist worksteal
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m alone
 
 lint: .venv/.test
 	@$(BIN)/ruff check

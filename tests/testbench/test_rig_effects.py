@@ -27,7 +27,7 @@ WINDOW = 10.0  # s
 NOISE = (4e2, 8e2, 1e3, 0.05)  # sd of a sample: p_tp, p_ap, p_du [Pa], n_p [rev/s]
 
 
-def run(effects: Mapping[str, float], *faults: Fault, cycle: str = "training", duration: float = 240.0) -> Run:
+def run(effects: Mapping[str, float], *faults: Fault, cycle: str = "training", duration: float = 160.0) -> Run:
     return simulate(BENCH, CYCLES[cycle], faults, seed=4, duration=duration, effects=effects)
 
 

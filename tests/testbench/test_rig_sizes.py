@@ -7,9 +7,14 @@ import pytest
 from testbench.command import main
 from testbench.cycles import CYCLES
 from testbench.faults import FAULTS, Fault, limit
-from testbench.simulation import simulate
+from testbench.simulation import Run, simulate
 from testbench.sizes import DURATION, SIGMAS, effect, frozen
 from testbench.vehicles import BENCH
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Run:
+    return simulate(BENCH, CYCLES["validation"], (), 1, DURATION)
 
 
 def test_every_fault_has_both() -> None:
@@ -18,16 +23,14 @@ def test_every_fault_has_both() -> None:
 
 
 @pytest.mark.parametrize("name", ["fA_du", "fq_pump", "fy_p_tp"])
-def test_small_is_three_sigma_and_large_twice_that(name: str) -> None:
-    healthy = simulate(BENCH, CYCLES["validation"], (), 1, DURATION)
+def test_small_is_three_sigma_and_large_twice_that(healthy: Run, name: str) -> None:
     small, large = frozen()[name]
     assert effect(Fault(name, small, 0.0), healthy) == pytest.approx(SIGMAS, rel=0.05)
     assert effect(Fault(name, large, 0.0), healthy) == pytest.approx(2 * SIGMAS, rel=0.05)
     assert effect(Fault(name, small / 2, 0.0), healthy) < SIGMAS
 
 
-def test_a_clogged_pump_filter_shows_only_when_the_pump_starves() -> None:
-    healthy = simulate(BENCH, CYCLES["validation"], (), 1, DURATION)
+def test_a_clogged_pump_filter_shows_only_when_the_pump_starves(healthy: Run) -> None:
     small, _ = frozen()["fA_p"]
     assert effect(Fault("fA_p", 0.9 * small, 0.0), healthy) < SIGMAS
     assert effect(Fault("fA_p", 1.01 * small, 0.0), healthy) > 2 * SIGMAS

@@ -45,7 +45,9 @@ def daemon(tmp_path: Path, bus: str, speed: float, out: IO[bytes] | None = None)
         process.wait(10)
 
 
-@pytest.mark.parametrize("speed", [20.0, 1.0])
+@pytest.mark.parametrize(
+    "speed", [pytest.param(20.0, marks=pytest.mark.alone), pytest.param(1.0, marks=pytest.mark.waits)]
+)
 def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> None:
     bus = f"udp_multicast:239.74.163.2:{free_port()}"
     with (tmp_path / "out").open("wb") as out, daemon(tmp_path, bus, speed, out) as process:
