@@ -19,7 +19,7 @@ from analysis.discrepancy.likelihood import Likelihood, bins_of, blocks, levels_
 from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.search import Optimum, descend
 from analysis.model import Model
-from analysis.simulation import system_of
+from analysis.simulation import System, system_of
 from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -101,14 +101,14 @@ class Judge:
     def __init__(self, study: Study, baseline: Baseline) -> None:
         self._study = study
         self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
-        problems = _problems(study, study.model)
+        self._systems: dict[tuple[str, ...], System] = {}  # compiled once; a problem with its runs takes 100 MB
+        problems = self._with(())
         self._likelihoods = [
             Likelihood(problem, baseline.x, baseline.levels, bins)
             for problem, bins in zip(problems, self._bins, strict=True)
         ]
         self._baseline = baseline
         self._nominal = problems[0].unknowns
-        self._problems: dict[tuple[str, ...], tuple[Problem, Problem]] = {(): problems}
 
     def attempt(
         self, effects: Sequence[str], near: Attempt | None = None, starts: Sequence[str] = ("near", "prior")
@@ -162,13 +162,13 @@ class Judge:
         return found[0], found[1]
 
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
-        """The problems of the model with effects."""
-        if tuple(effects) not in self._problems:
+        """The problems of the model with effects: the training's and the held-out's."""
+        if tuple(effects) not in self._systems:
             model = self._study.model
             for name in effects:
                 model = rewritten(model, self._study.library[name])
-            self._problems[tuple(effects)] = _problems(self._study, model)
-        return self._problems[tuple(effects)]
+            self._systems[tuple(effects)] = system_of(model, model.calibrated)
+        return _problems(self._study, self._systems[tuple(effects)])
 
     def _prior(self, effects: Sequence[str], parameters: Sequence[str]) -> list[float]:
         """All as expected beforehand, but effects as strong as would be seen well."""
@@ -182,7 +182,7 @@ def baseline_of(study: Study) -> Baseline:
     Raises:
         InputError: it cannot be run.
     """
-    problems = _problems(study, study.model)
+    problems = _problems(study, system_of(study.model, study.model.calibrated))
     bins = [[bins_of(section) for section in sections] for sections in (study.training, study.held)]
     x, outputs = np.zeros(problems[0].unknowns.size), [*problems[0].system.outputs]
     for _ in range(ROUNDS):
@@ -195,9 +195,8 @@ def baseline_of(study: Study) -> Baseline:
     return Baseline(x, levels)
 
 
-def _problems(study: Study, model: Model) -> tuple[Problem, Problem]:
+def _problems(study: Study, system: System) -> tuple[Problem, Problem]:
     """The training's and the held-out's, with all outputs' lags unknown."""
-    system = system_of(model, model.calibrated)
     training, held = (
         Problem(system, [fitting(section, system) for section in sections], lagging=True)
         for sections in (study.training, study.held)

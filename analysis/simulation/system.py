@@ -169,9 +169,9 @@ def system_of(model: Model, parameters: Sequence[str], *, disturbed: bool = Fals
             f"{model.name}: {len(equations)} equations besides its sensors' ({', '.join(outputs) or 'none'}) for "
             f"{len(derivatives) + len(algebraic)} derivatives and algebraic variables; a free run needs as many"
         )
-    left = [_expanded(e.xreplace(numbers)) for e in equations.values()]
+    left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
     shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
-    left, shown, algebraic = _substituted(left, shown, algebraic)
+    left, shown, algebraic = _substituted(left, shown, algebraic, set(derivatives))
     rootless, roots = _without_roots([*left, *shown.values()])
     left, shown = rootless[: len(left)], dict(zip(shown, rootless[len(left) :], strict=True))
     return System(
@@ -219,15 +219,20 @@ def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str
 
 
 def _substituted(
-    equations: list[sp.Expr], outputs: dict[str, sp.Expr], algebraic: list[sp.Symbol]
+    equations: list[sp.Expr], outputs: dict[str, sp.Expr], algebraic: list[sp.Symbol], derivatives: set[sp.Symbol]
 ) -> tuple[list[sp.Expr], dict[str, sp.Expr], list[sp.Symbol]]:
-    """Puts in every algebraic variable that an equation gives as a sum: variable = what does not know it."""
+    """Puts in every algebraic variable that an equation gives as a sum: variable = what does not know it.
+
+    A balance, which has a derivative, gives none: solved for a flow it would set that by how fast a pressure changes.
+    """
     left = list(algebraic)
-    while choice := next(((e, v) for e in equations for v in left if _given(e, v)), None):
+    while choice := next(
+        ((e, v) for e in equations if not e.free_symbols & derivatives for v in left if _given(e, v)), None
+    ):
         equation, variable = choice
         value = _solved(equation, variable)
-        equations = [_expanded(e.xreplace({variable: value})) for e in equations if e is not equation]
-        outputs = {signal: _expanded(e.xreplace({variable: value})) for signal, e in outputs.items()}
+        equations = [sp.expand(e.xreplace({variable: value})) for e in equations if e is not equation]
+        outputs = {signal: sp.expand(e.xreplace({variable: value})) for signal, e in outputs.items()}
         left.remove(variable)
     return equations, outputs, left
 
@@ -235,18 +240,13 @@ def _substituted(
 def _given(equation: sp.Expr, variable: sp.Symbol) -> bool:
     if variable not in equation.free_symbols:
         return False
-    slope = _expanded(_derivative(equation, variable))
+    slope = sp.expand(_derivative(equation, variable))
     return bool(slope.is_number and slope != 0)
 
 
 def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
     """The variable from an equation that has a multiple of it; rounding leaves nothing of the variable."""
-    return _expanded(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
-
-
-def _expanded(expression: sp.Expr) -> sp.Expr:
-    """A sum of products, in which what cancels does; a power of a difference stays, as its terms would lose digits."""
-    return sp.expand(expression, multinomial=False)
+    return sp.expand(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
 
 
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
