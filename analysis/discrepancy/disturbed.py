@@ -47,7 +47,7 @@ class DisturbedRuns:
 
         In a balance of flows it does not matter which flow is wrong: that saves half of the time.
         """
-        numbers = {sp.Symbol(name): value for name, value in self.trajectories[0].parameters.items()}
+        numbers = {sp.Symbol(name): sp.Float(value) for name, value in self.trajectories[0].parameters.items()}
         found: dict[str, tuple[str, float]] = {}
         first: dict[tuple[float, ...], tuple[str, float]] = {}
         for name in self.system.model.equations:

@@ -156,9 +156,13 @@ class Operation:
             return []
         centred = (u - u.mean()) / np.ptp(u)
         square = u * u / float(np.max(u * u))
+        usual = float(np.median(u))
+        parts = (("largest", np.maximum(u - usual, 0.0)), ("least", np.maximum(usual - u, 0.0)))
+        beyond = [(end, part / float(part.max())) for end, part in parts if part.max() > 0.0]
         return [
             Course(f"from the lowest to the highest {words}", centred, _cost(4.0, name, own)),
             Course(f"with the square of {words}, at its largest", square, _cost(8.0, name, own)),
+            *(Course(f"beyond the usual {words}, at its {end}", value, _cost(6.0, name, own)) for end, value in beyond),
         ]
 
     def _of_rate(self, name: str) -> list[Course]:
@@ -166,10 +170,11 @@ class Operation:
         words, size = _named(self.model, state), float(np.quantile(np.abs(d), FASTEST))
         if size <= 0.0:
             return []
+        moving = np.asarray(np.abs(d) / size, dtype=np.float64)
         return [
             Course(f"with the rate of {words}, at its fastest rise", d / size, 4.0, scales=False),
-            Course(f"while moving either way: {words}, at its fastest", np.abs(d) / size, 6.0, scales=False),
-            Course(f"while rising: {words}", (d > 0.0) * 1.0, 6.0, scales=False),
+            Course(f"while moving either way: {words}, at its fastest", moving, 6.0, scales=False),
+            Course(f"while rising: {words}", np.where(d > 0.0, 1.0, 0.0), 6.0, scales=False),
         ]
 
     def _of_sum(self, name: str, own: set[str]) -> list[Course]:

@@ -41,6 +41,9 @@ LITTLE = 4.0
 FAR = 0.5
 """A fit that is further off than this, in standard deviations of the prior, is made again without the effect."""
 
+ABSURD = 5.0
+"""Parameters so far off, in standard deviations of their prior, are no place to begin from: something has bent them."""
+
 
 @dataclass(frozen=True)
 class Suspect:
@@ -111,6 +114,8 @@ class Location:
 def locate(problem: Problem, x: Array, weights: Sequence[Whitening]) -> Location:
     """Where the problem's model misses something, with its fit `x` and the weights that hold there.
 
+    If the effect has bent the fit out of all reason, weights that hold at the parameters as expected are better.
+
     Raises:
         InputError: the model cannot be run at `x`.
     """
@@ -118,10 +123,11 @@ def locate(problem: Problem, x: Array, weights: Sequence[Whitening]) -> Location
     best = search.best
     if not search.suspects[best].significant:
         return Location(search.sorted(), (), (), (), (), (), x)
-    y = without(problem, x, weights, search.responses[best], search.latents[best])
-    if np.abs(y - x).max() > FAR:
-        search = _Search(problem, y, weights, search.misfit.square)
-        best = search.best
+    nearer = search.made_again()
+    if np.abs(x).max() > ABSURD:  # the effect has bent the fit; from there the way back may be too long
+        other = _Search(problem, _as_expected(problem, x), weights, search.square).made_again()
+        nearer = max(nearer, other, key=lambda found: found.suspects[found.best].evidence)
+    search, best = nearer, nearer.best
     members = search.members(best)
     findings = [finding_of(search.operation, search.misfit, member) for member in members]
     findings.sort(key=lambda finding: -finding.evidence)
@@ -134,13 +140,20 @@ def locate(problem: Problem, x: Array, weights: Sequence[Whitening]) -> Location
     )
 
 
+def _as_expected(problem: Problem, x: Array) -> Array:
+    """The parameters as they are expected, all else as it is."""
+    count = len(problem.unknowns.parameters)
+    return np.concatenate([np.clip(np.zeros(count), *problem.bounds[:, :count]), x[count:]])
+
+
 class _Search:
     """All equations' unknown inputs at `x`. `square` is the misfit's at the fit, to which gains refer."""
 
     def __init__(self, problem: Problem, x: Array, weights: Sequence[Whitening], square: float | None = None) -> None:
-        self.x, self._model = x, problem.system.model
+        self.x, self._problem, self._weights, self._model = x, problem, weights, problem.system.model
         self.misfit = Misfit(problem, x, weights)
-        self._gained = 0.0 if square is None else square - self.misfit.square
+        self.square = self.misfit.square if square is None else square
+        self._gained = self.square - self.misfit.square
         runs = disturbed_runs(problem, x)
         self._cells = cells_of(runs)
         self._roots, self.operation = self._cells.roots, Operation(runs)
@@ -183,6 +196,11 @@ class _Search:
             size=scale,
             explained=float(np.clip(removed / excess, 0.0, 1.0)),
         )
+
+    def made_again(self) -> "_Search":
+        """At the fit made again without what the best equation misses; this one if that is near."""
+        x = without(self._problem, self.x, self._weights, self.responses[self.best], self.latents[self.best])
+        return _Search(self._problem, x, self._weights, self.square) if np.abs(x - self.x).max() > FAR else self
 
     @property
     def best(self) -> str:

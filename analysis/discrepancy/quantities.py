@@ -77,7 +77,7 @@ class Term:
 def terms_of(model: Model, equation: str, values: Mapping[str, Array], numbers: Mapping[str, float]) -> list[Term]:
     """The equation's terms that are a multiple of one unknown, the largest first; if it has none, all its terms."""
     expression = sp.expand(model.expression(equation, with_fault=False))
-    known = {sp.Symbol(name): value for name, value in numbers.items()}
+    known = {sp.Symbol(name): sp.Float(value) for name, value in numbers.items()}
     found = []
     for name in values.keys() & model.unknown.keys():
         slope = sp.diff(expression, sp.Symbol(name)).xreplace(known)
