@@ -1,4 +1,4 @@
-"""What a calibrated model says of the recordings that it was calibrated on."""
+"""What a calibrated model says of the recordings that it was calibrated on, or that its effects were discovered in."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,10 @@ from analysis.model import Model
 from service.core.errors import InputError
 from service.logs import Log
 
-COMMAND = "calibrate"
+COMMAND, DISCOVER = "calibrate", "discover"
+
+USED = {COMMAND: ("recordings",), DISCOVER: ("recordings", "held_out")}
+"""Where entries of a command name recordings that the model has seen. Those held out have chosen the effect."""
 
 
 def entry(logs: Sequence[Log], sections: int) -> dict[str, object]:
@@ -18,14 +21,17 @@ def entry(logs: Sequence[Log], sections: int) -> dict[str, object]:
 
 
 def recordings_of(model: Model) -> list[str]:
-    """The SHA-256 of the recordings that the model was calibrated on."""
-    entries = [entry.get("recordings", []) for entry in model.provenance if entry.get("command") == COMMAND]
-    return [str(sha) for entry in entries if isinstance(entry, (list, tuple)) for sha in entry]
+    """The SHA-256 of the recordings that the model has seen: of calibration and discovery, once each.
+
+    A discovery's held-out recordings count: the effects were chosen for describing them.
+    """
+    lists = [entry.get(key, []) for entry in model.provenance for key in USED.get(str(entry.get("command")), ())]
+    return list(dict.fromkeys(str(sha) for found in lists if isinstance(found, (list, tuple)) for sha in found))
 
 
 def vehicle_of(model: Model) -> str | None:
-    """The vehicle that the model was last calibrated for, if it says so."""
-    named = [entry["vehicle"] for entry in model.provenance if entry.get("command") == COMMAND and "vehicle" in entry]
+    """The vehicle that the model was last calibrated for, or its effects were last discovered on, if it says so."""
+    named = [entry["vehicle"] for entry in model.provenance if entry.get("command") in USED and "vehicle" in entry]
     return str(named[-1]) if named else None
 
 
