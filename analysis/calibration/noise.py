@@ -25,6 +25,9 @@ from service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 Spread = Callable[[Array], float]
+Weigh = Callable[[Array], Array]
+"""From a section's differences (N, ...) to unit independent noise (M, ...)."""
+
 Levels = Mapping[str, Array]
 """Standard deviation of v by output and mode (modes,), in the output's unit."""
 

@@ -11,16 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from analysis.calibration.problem import Problem, Unknowns
 from analysis.calibration.sections import Section, fitting
 from analysis.discrepancy.effect import Effect
 from analysis.discrepancy.likelihood import Likelihood, bins_of, blocks, levels_of
+from analysis.discrepancy.locate import Location, locate
 from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.search import Optimum, descend
+from analysis.discrepancy.sensitivity import Direction, remaining
 from analysis.model import Model
 from analysis.simulation import System, system_of
-from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -58,9 +60,9 @@ class Attempt:
     """What came out for a model with `effects`.
 
     `x` (n,) are its `unknowns`' most likely values, `curvature` (n, n) the precision there, `inside` (n,) those not at
-    a bound. `training` and `predicted` are log evidences [nats], comparable between attempts of one baseline. `starts`
-    are the costs [nats] that the searches ended at, by where they began. `blocks` are log likelihoods of `BLOCK_S` at
-    the optimum, training first; `dispersion` is the mean square of what is left, 1 if nothing but noise is.
+    a bound. `cost` [nats] is what the search ended at, `training` and `predicted` are log evidences [nats], comparable
+    between attempts of one baseline. `blocks` are log likelihoods of `BLOCK_S` at the optimum, training first;
+    `dispersion` is the mean square of what is left, 1 if nothing but noise is.
     """
 
     effects: tuple[str, ...]
@@ -68,9 +70,9 @@ class Attempt:
     x: Array
     curvature: Array
     inside: npt.NDArray[np.bool_]
+    cost: float
     training: float
     predicted: float
-    starts: Mapping[str, float]
     blocks: Array
     dispersion: float
 
@@ -95,6 +97,26 @@ class Attempt:
         return dict(zip(self.unknowns.parameters, found.tolist(), strict=True))
 
 
+@dataclass(frozen=True)
+class Begin:
+    """Where a search begins: the values `x` of other `unknowns`, and what is new at null, or `typical` in size."""
+
+    unknowns: Unknowns
+    x: Array
+    typical: bool = False
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What a few steps from some beginning come to: `cost` [nats], where, and what the next step promises [nats]."""
+
+    effects: tuple[str, ...]
+    unknowns: Unknowns
+    x: Array
+    cost: float
+    promised: float
+
+
 class Judge:
     """Makes attempts, with the weights that hold at the baseline."""
 
@@ -102,6 +124,8 @@ class Judge:
         self._study = study
         self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
         self._systems: dict[tuple[str, ...], System] = {}  # compiled once; a problem with its runs takes 100 MB
+        numbers = [blocks(bins, BLOCK_S) for bins in self._bins]
+        self._blocks = np.concatenate([numbers[0], numbers[1] + numbers[0].max() + 1])
         problems = self._with(())
         self._likelihoods = [
             Likelihood(problem, baseline.x, baseline.levels, bins)
@@ -110,56 +134,68 @@ class Judge:
         self._baseline = baseline
         self._nominal = problems[0].unknowns
 
-    def attempt(
-        self, effects: Sequence[str], near: Attempt | None = None, starts: Sequence[str] = ("near", "prior")
-    ) -> Attempt:
-        """The attempt with `effects`, searched from `near` (none: the baseline) and from the prior.
-
-        The second start matters: a fit without the effect has bent other parameters until they do its work.
+    def glance(self, effects: Sequence[str], begin: Begin, steps: int) -> Glance:
+        """How far a few steps come.
 
         Raises:
-            InputError: an effect has no place in the model, or the model cannot be run from any start.
+            InputError: an effect has no place in the model, or the model cannot be run there.
+        """
+        training, _ = self._with(effects)
+        found = descend(self._likelihoods[0], training, self._start(effects, begin, training.unknowns), steps)
+        return Glance(tuple(effects), training.unknowns, found.x, found.cost, found.promised)
+
+    def attempt(self, effects: Sequence[str], begin: Begin | None = None) -> Attempt:
+        """The attempt with `effects`, searched from there (none: from the baseline).
+
+        Raises:
+            InputError: an effect has no place in the model, or the model cannot be run there.
         """
         training, held = self._with(effects)
-        x, old = (near.x, near.unknowns) if near else (self._baseline.x, self._nominal)
-        found: dict[str, Optimum] = {}
-        failed: InputError | None = None
-        for start in starts:
-            begin = carried(x, old, training.unknowns)
-            if start == "prior":
-                begin[: len(training.unknowns.parameters)] = self._prior(effects, training.unknowns.parameters)
-            try:
-                found[start] = descend(self._likelihoods[0], training, begin)
-            except InputError as error:
-                failed = error
-        if not found:
-            raise failed or InputError("no start was given; give at least one")
-        best = min(found.values(), key=lambda optimum: optimum.cost)
+        begin = begin or Begin(self._nominal, self._baseline.x)
+        best = descend(self._likelihoods[0], training, self._start(effects, begin, training.unknowns))
         predicted, after = predictive(self._likelihoods[1], held, best, training.unknowns)
-        left = self._likelihoods[0].left(training, best.x), after
-        e = np.concatenate(left)
-        number = np.concatenate([blocks(self._bins[0], BLOCK_S), blocks(self._bins[1], BLOCK_S)])
-        number[len(left[0]) :] += number[: len(left[0])].max() + 1
+        e = np.concatenate([self._likelihoods[0].left(training, best.x), after])
         return Attempt(
             effects=tuple(effects),
             unknowns=training.unknowns,
             x=best.x,
             curvature=best.curvature,
             inside=best.inside,
+            cost=best.cost,
             training=best.log_evidence,
             predicted=predicted,
-            starts={start: optimum.cost for start, optimum in found.items()},
-            blocks=np.asarray(-0.5 * np.bincount(number, e**2), dtype=np.float64),
+            blocks=np.asarray(-0.5 * np.bincount(self._blocks, e**2), dtype=np.float64),
             dispersion=float(e @ e) / len(e),
         )
 
-    def directions(self, effects: Sequence[str]) -> tuple[Array, Array]:
-        """What x changes at the baseline, whitened: (M, n) of the training and of the held-out data."""
-        found = []
-        for likelihood, problem in zip(self._likelihoods, self._with(effects), strict=True):
+    def left(self, attempt: Attempt) -> tuple[Array, npt.NDArray[np.int64]]:
+        """What an attempt leaves of all data, whitened (M,), and the number of each bin's block."""
+        training, held = self._with(attempt.effects)
+        optimum = Optimum(attempt.x, attempt.cost, attempt.curvature, attempt.inside, 0.0)
+        _, after = predictive(self._likelihoods[1], held, optimum, attempt.unknowns)
+        return np.concatenate([self._likelihoods[0].left(training, attempt.x), after]), self._blocks
+
+    def direction(self, effect: str) -> Direction:
+        """What one effect would do to all data at the baseline, and what remains of it if all else may move."""
+        strengths = self._study.library[effect].strengths
+        problems = self._with((effect,))
+        parts = []
+        for likelihood, problem in zip(self._likelihoods, problems, strict=True):
             x = carried(self._baseline.x, self._nominal, problem.unknowns)
-            found.append(likelihood.slopes(problem, x))
-        return found[0], found[1]
+            parts.append((likelihood.slopes(problem, x), problem.unknowns.of_zeros))
+        unknowns = problems[0].unknowns
+        what = np.flatnonzero([name in strengths for name in unknowns.parameters])
+        lower, upper = problems[0].bounds[:, what]
+        zeros = [J[:, part] for J, part in parts]
+        shared = np.concatenate([np.delete(J, np.r_[part], axis=1) for J, part in parts])
+        apart = block_diag(*zeros)
+        others = np.hstack([np.delete(shared, what, axis=1), apart])
+        return Direction(effect, remaining(shared[:, what], others), lower, upper, unknowns.spreads[what])
+
+    def locate(self, attempt: Attempt) -> Location:
+        """Where the model of an attempt misses something still."""
+        training, _ = self._with(attempt.effects)
+        return locate(training, attempt.x, self._likelihoods[0].weights)
 
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
         """The problems of the model with effects: the training's and the held-out's."""
@@ -170,10 +206,12 @@ class Judge:
             self._systems[tuple(effects)] = system_of(model, model.calibrated)
         return _problems(self._study, self._systems[tuple(effects)])
 
-    def _prior(self, effects: Sequence[str], parameters: Sequence[str]) -> list[float]:
-        """All as expected beforehand, but effects as strong as would be seen well."""
-        strengths = {name for effect in effects for name in self._study.library[effect].strengths}
-        return [1.0 if name in strengths else 0.0 for name in parameters]
+    def _start(self, effects: Sequence[str], begin: Begin, unknowns: Unknowns) -> Array:
+        x = carried(begin.x, begin.unknowns, unknowns)
+        if begin.typical:
+            strengths = {name for effect in effects for name in self._study.library[effect].strengths}
+            x[[k for k, name in enumerate(unknowns.parameters) if name in strengths]] = 1.0
+        return x
 
 
 def baseline_of(study: Study) -> Baseline:

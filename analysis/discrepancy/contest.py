@@ -6,11 +6,10 @@ model the rest is asked again (forward); once another has come in, the first may
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 
-from analysis.discrepancy.attempt import Attempt
+from analysis.discrepancy.attempt import Attempt, Begin, Glance
 from analysis.discrepancy.work import Crew, Order
 
 AT_MOST = 3
@@ -25,8 +24,16 @@ QUANTILE = 2.33
 SHARE = 0.05
 """Of the first effect's evidence: less is what its form leaves, not another effect."""
 
+STEPS = 2
+"""Of a glance: most effects have shown by then that they are not what is missing."""
+
 WORTH = 3.0
-"""Evidence [nats] from which an entry is searched a second time, from the prior."""
+"""Gain [nats] in a glance from which anything is looked at again."""
+
+FIELD = 8
+"""So many are fitted to the end, and besides all that come near the best: those in `NEAR` of its gain."""
+
+NEAR = 0.4
 
 Say = Callable[[str, int, int], None]
 
@@ -61,21 +68,26 @@ class Outcome:
         return self.chosen.evidence - self.nominal.evidence
 
 
-def contest(crew: Crew, effects: Sequence[str], nominal: Attempt, threshold: float, say: Say) -> Outcome:
-    """The contest of `effects` for a place in the model."""
-    singles = _round(crew, (), effects, nominal, say)
+def contest(
+    crew: Crew, effects: Sequence[str], nominal: Attempt, threshold: float, unbent: Callable[[], Begin | None], say: Say
+) -> Outcome:
+    """The contest of `effects` for a place in the model.
+
+    `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
+    """
+    singles = _round(crew, nominal, effects, unbent, say)
     chosen, places = nominal, list[Place]()
     if singles and singles[0].evidence - nominal.evidence > threshold * scale(singles[0]):
-        chosen, field = singles[0], singles
-        places = [Place(rivals(field, nominal), chosen.evidence - nominal.evidence)]
+        chosen = singles[0]
+        places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
         while len(chosen.effects) < AT_MOST:
-            others = [name for name in effects if name not in chain.from_iterable(place.rivals for place in places)]
-            field = _round(crew, chosen.effects, others, chosen, say)
+            taken = {name for place in places for name in place.rivals}
             needed = max(threshold * scale(chosen), SHARE * places[0].gain)
+            field = _round(crew, chosen, [name for name in effects if name not in taken], None, say)
             if not field or field[0].evidence - chosen.evidence < needed:
                 break
-            places.append(Place((field[0].effects[-1],), field[0].evidence - chosen.evidence))
-            chosen, places = _reconsidered(crew, field[0], chosen, places, field, nominal, needed, say)
+            places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
+            chosen, places = _reconsidered(crew, field[0], places, needed, say)
     return Outcome(nominal, tuple(singles), chosen, tuple(places), threshold)
 
 
@@ -97,50 +109,46 @@ def scale(best: Attempt) -> float:
     return max(best.dispersion, 1.0)
 
 
-def _round(crew: Crew, base: tuple[str, ...], names: Sequence[str], near: Attempt, say: Say) -> list[Attempt]:
-    """Attempts with each of `names` on top of `base`, by evidence, the best first."""
-    title = f"on top of {', '.join(base)}" if base else "effects one by one"
-    start = near if base else None
-    found = crew.attempts([Order((*base, name), start, ("near",)) for name in names], lambda n, of: say(title, n, of))
-    best = {attempt.effects: attempt for attempt in found}
-    if any(attempt.evidence - near.evidence > WORTH for attempt in found):
-        again = [Order((*base, name), start, ("prior",)) for name in names]
-        for attempt in crew.attempts(again, lambda n, of: say(f"{title}, from elsewhere", n, of)):
-            other = best.get(attempt.effects)
-            if other is None or min(attempt.starts.values()) < min(other.starts.values()):
-                best[attempt.effects] = attempt
-    return sorted(best.values(), key=lambda attempt: -attempt.evidence)
+def _round(
+    crew: Crew, base: Attempt, names: Sequence[str], unbent: Callable[[], Begin | None] | None, say: Say
+) -> list[Attempt]:
+    """Attempts with one of `names` on top of `base`, by evidence, the best first: of those that may be the best."""
+    title = f"on top of {', '.join(base.effects)}" if base.effects else "effects one by one"
+    begin = Begin(base.unknowns, base.x)
+    orders = [Order((*base.effects, name), begin, STEPS) for name in names]
+    found = crew.glances(orders, lambda n, of: say(title, n, of))
+    if all(base.cost - glance.cost < WORTH for glance in found):
+        return []
+    other = unbent() if unbent is not None else None
+    if other is not None:
+        orders = [Order((*base.effects, name), other, STEPS) for name in names]
+        found += crew.glances(orders, lambda n, of: say(f"{title}, from elsewhere", n, of))
+    best = min(glance.cost for glance in found)
+    best_of: dict[str, Glance] = {}
+    for glance in sorted(found, key=lambda glance: glance.cost):
+        best_of.setdefault(glance.effects[-1], glance)
+    near = best + (1.0 - NEAR) * (base.cost - best)
+    field = [glance for k, glance in enumerate(best_of.values()) if k < FIELD or glance.cost - glance.promised < near]
+    field = [glance for glance in field if base.cost - glance.cost + glance.promised > 0.0]
+    orders = [Order(glance.effects, Begin(glance.unknowns, glance.x)) for glance in field]
+    attempts = crew.attempts(orders, lambda n, of: say(f"{title}, to the end", n, of))
+    return sorted(attempts, key=lambda attempt: -attempt.evidence)
 
 
 def _reconsidered(
-    crew: Crew,
-    chosen: Attempt,
-    before: Attempt,
-    places: Sequence[Place],
-    field: Sequence[Attempt],
-    nominal: Attempt,
-    needed: float,
-    say: Say,
+    crew: Crew, chosen: Attempt, places: Sequence[Place], needed: float, say: Say
 ) -> tuple[Attempt, list[Place]]:
-    """With the newest effect in, the rivals of each place again, and whether every effect is still needed."""
+    """With the newest effect in, the rivals of the others again, and whether each is still needed."""
     found: list[Place] = []
-    effects = list(chosen.effects)
-    for k, place in enumerate(places):
-        rest = effects[:k] + effects[k + 1 :]
-        newest = k + 1 == len(places)
-        if newest:
-            ranked, without = list(field), before
-        else:
-            orders = [Order((*rest, name), chosen) for name in place.rivals]
-            orders.append(Order(tuple(rest), chosen))
-            tried = crew.attempts(orders, lambda n, of: say("backward", n, of))
-            without = next(attempt for attempt in tried if len(attempt.effects) == len(rest))
-            ranked = sorted((a for a in tried if a is not without), key=lambda a: -a.evidence)
-        gain = ranked[0].evidence - without.evidence
-        if gain < needed:
-            return without, [p for j, p in enumerate(places) if j != k]
-        effects[k] = ranked[0].effects[-1]
-        if ranked[0].evidence > chosen.evidence:
-            chosen = ranked[0]
-        found.append(Place(rivals(ranked, without), gain))
-    return chosen, found
+    for k, place in enumerate(places[:-1]):
+        rest = [name for name in chosen.effects if name not in place.rivals]
+        begin = Begin(chosen.unknowns, chosen.x)
+        orders = [Order((*rest, name), begin) for name in place.rivals] + [Order(tuple(rest), begin)]
+        *tried, without = crew.attempts(orders, lambda n, of: say("backward", n, of))
+        tried.sort(key=lambda attempt: -attempt.evidence)
+        if tried[0].evidence - without.evidence < needed:
+            return without, [*places[:k], *places[k + 1 :]]
+        best = tried[0]
+        chosen = max((chosen, best), key=lambda attempt: attempt.evidence)
+        found.append(Place(rivals(tried, without), best.evidence - without.evidence))
+    return chosen, [*found, places[-1]]

@@ -1,16 +1,18 @@
 """Attempts as JSON files: what an interrupted run had done is there when it is called again."""
 
-import os
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
 
-from analysis.discrepancy.attempt import Attempt
+from analysis.discrepancy.attempt import Attempt, Glance
 from service.core.errors import InputError
 
+Kept = TypeVar("Kept", Attempt, Glance)
 
-def keep(path: Path, attempt: Attempt) -> None:
+
+def keep(path: Path, result: Attempt | Glance) -> None:
     """Writes it whole or not at all.
 
     Raises:
@@ -19,16 +21,16 @@ def keep(path: Path, attempt: Attempt) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         new = path.with_suffix(".new")
-        new.write_bytes(msgspec.json.encode(attempt, enc_hook=_plain))
-        os.replace(new, path)
+        new.write_bytes(msgspec.json.encode(result, enc_hook=_plain))
+        new.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; give --out another place") from error
 
 
-def kept(path: Path) -> Attempt | None:
+def kept(path: Path, kind: type[Kept]) -> Kept | None:
     """What was kept there; None if nothing was, or not by this version."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Attempt, dec_hook=_array)
+        return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=_array)
     except (FileNotFoundError, msgspec.DecodeError):
         return None
 
@@ -40,4 +42,5 @@ def _plain(value: object) -> object:
 
 
 def _array(kind: type, value: object) -> object:
+    del kind  # an array is the only thing that JSON has not
     return np.array(value)

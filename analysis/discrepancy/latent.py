@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from analysis.calibration.noise import Whitening
+from analysis.calibration.noise import Weigh
 from analysis.calibration.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ class Misfit:
     `left` (N + n) is it, with the priors' n rows at the end; `dof` is how large its square is if nothing is missing.
     """
 
-    def __init__(self, problem: Problem, x: Array, weights: Sequence[Whitening]) -> None:
+    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh]) -> None:
         free = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
         e = np.concatenate([white(part) for white, part in zip(weights, problem.left(x), strict=True)])
         J = np.concatenate([white(-part[:, free]) for white, part in zip(weights, problem.slopes(x), strict=True)])

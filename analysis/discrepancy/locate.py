@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Whitening
+from analysis.calibration.noise import Weigh
 from analysis.calibration.problem import Problem
 from analysis.discrepancy.classes import inseparable, splitting_sensors
 from analysis.discrepancy.disturbed import disturbed_runs
@@ -111,7 +111,7 @@ class Location:
         return tuple(found)
 
 
-def locate(problem: Problem, x: Array, weights: Sequence[Whitening]) -> Location:
+def locate(problem: Problem, x: Array, weights: Sequence[Weigh]) -> Location:
     """Where the problem's model misses something, with its fit `x` and the weights that hold there.
 
     If the effect has bent the fit out of all reason, weights that hold at the parameters as expected are better.
@@ -149,7 +149,7 @@ def _as_expected(problem: Problem, x: Array) -> Array:
 class _Search:
     """All equations' unknown inputs at `x`. `square` is the misfit's at the fit, to which gains refer."""
 
-    def __init__(self, problem: Problem, x: Array, weights: Sequence[Whitening], square: float | None = None) -> None:
+    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh], square: float | None = None) -> None:
         self.x, self._problem, self._weights, self._model = x, problem, weights, problem.system.model
         self.misfit = Misfit(problem, x, weights)
         self.square = self.misfit.square if square is None else square

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Whitening
+from analysis.calibration.noise import Weigh
 from analysis.calibration.problem import Problem
 from analysis.discrepancy.latent import Latent, Response
 from service.core.errors import InputError
@@ -27,7 +27,7 @@ FAINT = 1e-10
 """Relative power of directions that are nothing but rounding."""
 
 
-def without(problem: Problem, x: Array, weights: Sequence[Whitening], response: Response, latent: Latent) -> Array:
+def without(problem: Problem, x: Array, weights: Sequence[Weigh], response: Response, latent: Latent) -> Array:
     """The x that is most likely with the input of `latent` unknown, from `x` on."""
     lessening = _Lessening(response, latent)
 

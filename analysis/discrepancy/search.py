@@ -21,7 +21,7 @@ STEPS = 15
 ENOUGH = 0.05
 """A step that promises less [nats] is not made."""
 
-SHORTEST = 1e-3
+SHORTEST = 1e-2
 """A part of the step; if that does not help either, there is no better place near."""
 
 AT_BOUND = 1e-6
@@ -32,13 +32,15 @@ AT_BOUND = 1e-6
 class Optimum:
     """`x` (n,), its `cost` [nats] (half the squares of whitened differences and of x), and the `curvature` (n, n).
 
-    `inside` (n,) tells which unknowns are not at a bound.
+    `inside` (n,) tells which unknowns are not at a bound. `promised` [nats] is what another step would bring, were the
+    model linear.
     """
 
     x: Array
     cost: float
     curvature: Array
     inside: npt.NDArray[np.bool_]
+    promised: float
 
     @property
     def log_evidence(self) -> float:
@@ -47,20 +49,20 @@ class Optimum:
         return -self.cost - 0.5 * float(np.linalg.slogdet(free)[1])
 
 
-def descend(likelihood: Likelihood, problem: Problem, x: Array) -> Optimum:
-    """The optimum near `x`.
+def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STEPS) -> Optimum:
+    """The optimum near `x`, or how far so many `steps` come.
 
     Raises:
         InputError: the model cannot be run at `x`.
     """
     x = np.clip(x, *problem.bounds)
     e = likelihood.left(problem, x)
-    for number in range(STEPS + 1):
+    for number in range(steps + 1):
         J = likelihood.slopes(problem, x)
         H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
         step = _bounded(H, g, problem.bounds[0] - x, problem.bounds[1] - x)
         promised = float(g @ step - 0.5 * step @ H @ step)
-        if promised < ENOUGH or number == STEPS:
+        if promised < ENOUGH or number == steps:
             break
         share, before = 1.0, _cost(e, x)
         while share >= SHORTEST:
@@ -68,7 +70,7 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array) -> Optimum:
             try:
                 left = likelihood.left(problem, trial)
             except InputError:  # too far: the model cannot be run there
-                share /= 2.0
+                share /= 4.0
                 continue
             if _cost(left, trial) < before:
                 break
@@ -77,7 +79,7 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array) -> Optimum:
             break
         x, e = trial, left
     inside = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
-    return Optimum(x, _cost(e, x), H, inside)
+    return Optimum(x, _cost(e, x), H, inside, promised)
 
 
 def _cost(e: Array, x: Array) -> float:

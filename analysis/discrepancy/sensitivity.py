@@ -27,7 +27,7 @@ LEAST = 5.0
 class Direction:
     """Of one effect: `visible` (M, S) is what remains of what its strengths do, at their spreads.
 
-    `lower` and `upper` (S,) are the strengths' bounds, in spreads from null; `spreads` (S,) are in the strengths' units.
+    `lower` and `upper` (S,) are the strengths' bounds, in spreads from null; `spreads` (S,) are in their units.
     """
 
     effect: str
@@ -67,8 +67,8 @@ def alike(directions: Sequence[Direction]) -> dict[str, tuple[str, ...]]:
 def chance(directions: Sequence[Direction], left: Array, block: npt.NDArray[np.int64], seed: int = 1) -> float:
     """The evidence [nats] that the best effect stays below, in 99 of 100 cases, where nothing is missing.
 
-    `left` (M,) is what a model that describes the data leaves of them, in blocks (M,) of some seconds. The blocks change
-    their signs at random (wild bootstrap, Wu 1986): the law has the noise that there is, not the noise that is assumed.
+    `left` (M,) is what a model that describes the data leaves of them, in blocks (M,) of some seconds. The blocks
+    change signs at random (wild bootstrap, Wu 1986): the law has the noise that there is, not what is assumed of it.
     """
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1.0, 1.0], (DRAWS, int(block.max()) + 1))

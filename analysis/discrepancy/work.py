@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from analysis.discrepancy.attempt import Attempt, Baseline, Judge, Study
+from analysis.discrepancy.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
 from analysis.discrepancy.kept import keep, kept
+from analysis.discrepancy.sensitivity import Direction
 from service.core.errors import InputError
 
 _judges: dict[str, Judge] = {}
@@ -25,15 +26,15 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Order:
-    """An attempt that is wanted: with `effects`, searched from `near` and from the `starts` that `Judge` knows."""
+    """An attempt that is wanted, or a glance of so many `steps`: with `effects`, searched from `begin`."""
 
     effects: tuple[str, ...]
-    near: Attempt | None = None
-    starts: tuple[str, ...] = ("near", "prior")
+    begin: Begin
+    steps: int | None = None
 
 
 class Crew:
-    """Makes attempts of one study side by side."""
+    """Makes attempts and glances of one study side by side."""
 
     def __init__(self, executor: Executor, study: Study, baseline: Baseline, folder: Path | None) -> None:
         self._executor, self._study, self._folder = executor, study, folder
@@ -45,49 +46,72 @@ class Crew:
         Raises:
             InputError: a result cannot be kept.
         """
-        found: list[Attempt | None] = [self._kept(order) for order in orders]
+        return [found for found in self._all(orders, say) if isinstance(found, Attempt)]
+
+    def glances(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Glance]:
+        """The same of orders that have `steps`."""
+        return [found for found in self._all(orders, say) if isinstance(found, Glance)]
+
+    def directions(self, effects: Sequence[str]) -> list[Direction]:
+        """What each effect would do to the data."""
+        waiting = [self._executor.submit(_direction, self._study.key, self._payload, effect) for effect in effects]
+        return [future.result() for future in waiting]
+
+    def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt | Glance | None]:
+        found = [self._kept(order) for order in orders]
         waiting = {
-            self._executor.submit(_attempt, self._study.key, self._payload, order): k
+            self._executor.submit(_worked, self._study.key, self._payload, order): k
             for k, order in enumerate(orders)
             if found[k] is None
         }
         say(len(orders) - len(waiting), len(orders))
         for number, future in enumerate(as_completed(waiting), len(orders) - len(waiting) + 1):
             k = waiting[future]
-            attempt = future.result()
-            if attempt is not None:
-                found[k] = attempt
-                self._keep(orders[k], attempt)
+            result = future.result()
+            if result is not None:
+                found[k] = result
+                place = self._place(orders[k])
+                if place is not None:
+                    keep(place, result)
             say(number, len(orders))
-        return [attempt for attempt in found if attempt is not None]
+        return found
+
+    def _kept(self, order: Order) -> Attempt | Glance | None:
+        place = self._place(order)
+        if place is None:
+            return None
+        return kept(place, Attempt) if order.steps is None else kept(place, Glance)
 
     def _place(self, order: Order) -> Path | None:
         if self._folder is None:
             return None
         entries = [repr(self._study.library[name]) for name in order.effects]
-        near = [] if order.near is None else [repr(order.near.effects), repr(order.near.x.tolist())]
-        text = "\n".join([self._study.key, *order.effects, *entries, *near, *order.starts])
-        return self._folder / f"{'+'.join(order.effects) or 'none'}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
-
-    def _kept(self, order: Order) -> Attempt | None:
-        place = self._place(order)
-        return None if place is None else kept(place)
-
-    def _keep(self, order: Order, attempt: Attempt) -> None:
-        place = self._place(order)
-        if place is not None:
-            keep(place, attempt)
+        begin = order.begin
+        text = "\n".join([self._study.key, *entries, repr(begin.unknowns.parameters), repr(begin.x.tolist())])
+        digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}".encode()).hexdigest()[:16]
+        return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
 
 
-def _attempt(key: str, payload: bytes, order: Order) -> Attempt | None:
-    """In a worker; None if the model cannot be run from any start."""
+def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | None:
+    """In a worker; None if the model cannot be run from there."""
+    judge = _judge(key, payload)
+    try:
+        if order.steps is None:
+            return judge.attempt(order.effects, order.begin)
+        return judge.glance(order.effects, order.begin, order.steps)
+    except InputError:
+        return None
+
+
+def _direction(key: str, payload: bytes, effect: str) -> Direction:
+    return _judge(key, payload).direction(effect)
+
+
+def _judge(key: str, payload: bytes) -> Judge:
     if key not in _judges:
         _judges.clear()
         _judges[key] = Judge(*pickle.loads(payload))  # noqa: S301  (our own bytes, from the process that asks)
-    try:
-        return _judges[key].attempt(order.effects, order.near, order.starts)
-    except InputError:
-        return None
+    return _judges[key]
 
 
 @contextmanager
@@ -105,11 +129,11 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
             yield executor
         return
     try:
-        from distributed import Client  # noqa: PLC0415  (a cluster is the exception)
+        from distributed import Client
     except ImportError as error:
         raise InputError("--scheduler needs dask: pip install 'faultline[scale]'") from error
     try:
-        with Client(scheduler, timeout="10s") as client:
+        with Client(scheduler, timeout="10s") as client:  # type: ignore[no-untyped-call]
             yield client.get_executor(pure=False)
     except OSError as error:
         raise InputError(f"{scheduler}: no Dask scheduler answers ({error}); check address and port") from error

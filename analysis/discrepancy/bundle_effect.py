@@ -1,0 +1,184 @@
+"""What added effects do to the bundle: both models' tests tuned, exported and judged on the same recordings.
+
+A test tolerates a lasting deviation of nu spreads of its residual. A model that knows the vehicle better leaves less of
+it, so its tests tolerate less: smaller faults are seen, and what the model does not know raises no alarm.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import mean, median
+from tempfile import TemporaryDirectory
+
+from analysis.calibration.provenance import recordings_of
+from analysis.evaluation.judge import Verdict, judge
+from analysis.evaluation.story import tell
+from analysis.evaluation.truth import Truth, load_truth
+from analysis.export import bundle_files
+from analysis.graph.bank import build_bank
+from analysis.model import Model
+from analysis.progress import Progress
+from analysis.recordings.observe import open_known
+from analysis.tuning.command import tune
+from service.bundle import Bundle, load_bundle, verify_golden
+from service.core.errors import InputError
+from service.core.manifest import Generator
+from service.core.modes import EDGE
+from service.logs import Log
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A recording's verdict, and for how long it was fault-free [h]; `assumed` if no truth says so."""
+
+    verdict: Verdict
+    hours: float
+    assumed: bool
+
+
+@dataclass(frozen=True)
+class Bundled:
+    """A model's bundle: its generators, what each tolerates [unit of its signal], and its verdicts by recording.
+
+    `reason` says why there is no bundle; None if there is one.
+    """
+
+    generators: tuple[Generator, ...] = ()
+    tolerated: tuple[float, ...] = ()
+    judged: Mapping[str, Judged] = field(default_factory=dict)
+    reason: str | None = None
+
+    @property
+    def false_alarms(self) -> int:
+        """In all recordings, before the faults."""
+        return sum(judged.verdict.false_alarms for judged in self.judged.values())
+
+    @property
+    def hours(self) -> float:
+        """Without a fault, over all recordings."""
+        return sum(judged.hours for judged in self.judged.values())
+
+    @property
+    def sentence(self) -> str:
+        """The bundle in a line."""
+        if self.reason is not None:
+            return f"there is no bundle: {self.reason}"
+        found = f"{len(self.generators)} generators"
+        if self.judged:
+            found += f", {self.false_alarms} false alarms in {60.0 * self.hours:.3g} min without a fault"
+        taken = [name for name, judged in self.judged.items() if judged.assumed]
+        return f"{found} ({', '.join(taken)} taken as fault-free: no truth was given)" if taken else found
+
+
+@dataclass(frozen=True)
+class BundleEffect:
+    """The bundles of the model before and after the effects were added."""
+
+    before: Bundled
+    after: Bundled
+
+    @property
+    def tolerance(self) -> float | None:
+        """What the tests tolerate after, as a fraction of before: the median over those that are the same; or None."""
+        was = {(g.test, *g.faults): t for g, t in zip(self.before.generators, self.before.tolerated, strict=True)}
+        now = {(g.test, *g.faults): t for g, t in zip(self.after.generators, self.after.tolerated, strict=True)}
+        shares = [now[key] / was[key] for key in was if key in now]
+        return median(shares) if shares else None
+
+    def sentences(self) -> list[str]:
+        """Both bundles in words, and what has changed."""
+        found = [f"without the effect: {self.before.sentence}", f"with it: {self.after.sentence}"]
+        if self.tolerance is not None:
+            found.append(f"tests tolerate {self.tolerance:.3g} of the lasting deviation that they did (median)")
+        for name, judged in self.before.judged.items():
+            if name in self.after.judged and judged.verdict.faults:
+                was, now = judged.verdict, self.after.judged[name].verdict
+                found.append(f"{name}, {', '.join(was.faults)}: {_told(was)} without the effect, {_told(now)} with it")
+        return found
+
+
+def bundle_effect(
+    before: Model,
+    after: Model,
+    tuning: Sequence[Path],
+    evaluation: Sequence[tuple[Path, Path | None]],
+    progress: Progress,
+) -> BundleEffect:
+    """Makes both bundles from the fault-free recordings `tuning` and judges them on recordings with their truths.
+
+    A recording without a truth is taken as fault-free. A model that has no bundle says why.
+
+    Raises:
+        InputError: a recording or truth cannot be read, a recording is too short, of another DBC, or was used before:
+            to make either model, for tuning, or twice.
+    """
+    used = {sha: "calibrate the model or to discover its effects" for m in (before, after) for sha in recordings_of(m)}
+    first, logs = None, list[tuple[Log, Truth | None]]()
+    for path in tuning:
+        log = _unused(path, used, "tune", progress)
+        first = first or log
+    if first is None or first.dbc_path is None:
+        raise InputError("no recording to tune on; give fault-free recordings that neither fit nor choice has seen")
+    for path, told in evaluation:
+        log = _unused(path, used, "evaluate", progress)
+        logs.append((log, None if told is None else load_truth(told, log.id)))
+    made = []
+    for title, model in (("without the effect", before), ("with it", after)):
+        progress.say(f"bundle {title}")
+        made.append(_bundled(model, tuning, first.dbc_path, logs, progress))
+    return BundleEffect(*made)
+
+
+def _unused(path: Path, used: dict[str, str], purpose: str, progress: Progress) -> Log:
+    log = open_known(path, progress.note)
+    if log.sha256 in used:
+        raise InputError(f"{path}: this recording was used to {used[log.sha256]}; give one of its own to {purpose} on")
+    used[log.sha256] = purpose
+    return log
+
+
+def _bundled(
+    model: Model, tuning: Sequence[Path], dbc: Path, logs: Sequence[tuple[Log, Truth | None]], progress: Progress
+) -> Bundled:
+    """The model's bundle, or why there is none."""
+    try:
+        bank = build_bank(model)
+        tuned = tune(bank, [*tuning], progress)
+        bundle = _written(bundle_files(bank, tuned, dbc.name, dbc.read_bytes(), model.name))
+    except InputError as error:
+        return Bundled(reason=str(error))
+    judged = {}
+    for log, truth in logs:
+        progress.say(log.id)
+        judged[log.id] = _judged(bundle, log, truth)
+    return Bundled(
+        generators=bank.generators,
+        tolerated=tuple(d.nu * mean(s for k, s in enumerate(d.scale) if k != EDGE) for d in tuned.detectors),
+        judged=judged,
+    )
+
+
+def _written(files: Mapping[str, bytes]) -> Bundle:
+    """The bundle of these files, as a vehicle would load it."""
+    with TemporaryDirectory(prefix="faultline-") as folder:
+        for name, content in files.items():
+            (Path(folder) / name).write_bytes(content)
+        bundle = load_bundle(Path(folder))
+    verify_golden(bundle)
+    return bundle
+
+
+def _judged(bundle: Bundle, log: Log, truth: Truth | None) -> Judged:
+    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    story = tell(bundle, log)
+    known = truth or Truth(schema=1, recording=log.id)
+    tests = [generator.test for generator in bundle.manifest.generators]
+    verdict = judge(known, story.events, tests, story.origin_s, story.end_s)
+    stop = min(story.end_s, *(fault.onset_s for fault in known.fault)) if known.fault else story.end_s
+    return Judged(verdict, max(stop - story.origin_s, 0.0) / 3600.0, assumed=truth is None)
+
+
+def _told(verdict: Verdict) -> str:
+    if not verdict.detected:
+        return "not detected"
+    return f"detected after {verdict.delay_s:g} s, isolated {{{', '.join(verdict.isolated)}}}"

@@ -1,0 +1,111 @@
+"""The recordings of a study: to fit and held out, with what makes them unfit for it said before a minute is spent."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from analysis.calibration.provenance import check_vehicle, vehicle_of
+from analysis.calibration.sections import Section, sections
+from analysis.model import Model, dump_model
+from analysis.recordings.observe import open_known
+from analysis.simulation import System, system_of
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.core.manifest import MODES
+from service.core.modes import EDGE
+from service.logs import Log
+
+STEP_S = 0.1
+"""Of the free runs: models are compared on the same grid, and half the calibration's takes half the time."""
+
+LEAST_S = 60.0
+"""In a mode, over all recordings of a kind: less shows little of what happens there only."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """The logs and their sections; `key` is a hash of the model and of all logs."""
+
+    model: Model
+    system: System
+    training: tuple[Log, ...]
+    held: tuple[Log, ...]
+    training_sections: tuple[Section, ...]
+    held_sections: tuple[Section, ...]
+
+    @property
+    def key(self) -> str:
+        """A hash of what was measured and of the model as it is."""
+        logs = [*(log.sha256 for log in self.training), "held out", *(log.sha256 for log in self.held)]
+        text = "\n".join([dump_model(self.model), *logs])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def vehicle(self) -> str | None:
+        """The vehicle of the first recording."""
+        return self.training[0].recording.vehicle if self.training[0].recording else None
+
+    @property
+    def sources(self) -> list[str]:
+        """Where the recordings are from, as they say."""
+        return sorted({log.recording.source for log in (*self.training, *self.held) if log.recording})
+
+    def gaps(self) -> Iterator[str]:
+        """What the recordings lack, in sentences: nothing can be found where nothing was measured."""
+        modes = self.model.modes
+        if modes is None:
+            return
+        meant = [k for k in range(len(MODES)) if k != EDGE]
+        if modes.idle_below is None:
+            meant.remove(MODES.index("idle"))
+        if modes.maximum_above is None:
+            meant.remove(MODES.index("maximum"))
+        for title, found in (("training", self.training_sections), ("held-out", self.held_sections)):
+            for k in meant:
+                seconds = sum(_seconds(section, k) for section in found)
+                if seconds < LEAST_S:
+                    yield f"the {title} recordings have {seconds:.0f} s of mode {MODES[k]}; record a minute of it"
+
+
+def _seconds(section: Section, mode: int) -> float:
+    """How long an output that tells was compared in a mode [s]."""
+    s = next(iter(section.samples.values()))
+    return float(np.sum(s.mode == mode) * np.median(np.diff(s.t)))
+
+
+def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Callable[[str], None]) -> Data:
+    """The study's recordings.
+
+    Raises:
+        InputError: one cannot be read, is given twice, is of another vehicle, or has nothing to fit a model to.
+    """
+    if not model.calibrated:
+        raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
+    system = system_of(model, model.calibrated)
+    logs: dict[str, Path] = {}
+    found: list[tuple[Log, list[Section]]] = []
+    for path in (*training, *held):
+        log = open_known(path, note)
+        if log.sha256 in logs:
+            raise InputError(
+                f"{path}: the same recording as {logs[log.sha256]}; evidence needs recordings that the fit has not "
+                "seen, record another drive"
+            )
+        logs[log.sha256] = path
+        first = found[0][0] if found else log
+        check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))
+        check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
+        table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(path))
+        found.append((log, sections(model, system, table, log.relative(), str(path), STEP_S)))
+    fitted, kept = found[: len(training)], found[len(training) :]
+    return Data(
+        model=model,
+        system=system,
+        training=tuple(log for log, _ in fitted),
+        held=tuple(log for log, _ in kept),
+        training_sections=tuple(section for _, part in fitted for section in part),
+        held_sections=tuple(section for _, part in kept for section in part),
+    )

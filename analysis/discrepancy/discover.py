@@ -1,0 +1,97 @@
+"""The whole search: is anything missing, where, what is it, and how sure is that."""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from analysis.discrepancy.attempt import Baseline, Begin, Judge, Study, baseline_of
+from analysis.discrepancy.contest import Outcome, Say, contest, scale
+from analysis.discrepancy.data import Data
+from analysis.discrepancy.effect import Effect
+from analysis.discrepancy.locate import Location
+from analysis.discrepancy.rewrite import applicable
+from analysis.discrepancy.sensitivity import LEAST, Direction, chance
+from analysis.discrepancy.work import Crew
+
+Kind = Literal["nothing missing", "named", "one of", "unnamed"]
+
+REMAINDER = 30.0
+"""Evidence [nats] of an unknown input that is left in the model with the best effects in it, ..."""
+
+REMAINDER_SHARE = 0.3
+"""... and as a part of what they brought: more, and their names would be wrong."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found: `kind`, for every effect its candidates (one if it is named), in the order of their evidence.
+
+    `remainder` [nats] is the evidence that something is missing still, with the chosen effects in the model.
+    """
+
+    kind: Kind
+    sets: tuple[tuple[str, ...], ...]
+    gain: float
+    remainder: float
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """All that a search came to.
+
+    `before` is where the model as it was misses something, `after` where that with the chosen effects does.
+    `unfit` are entries that have no place in this model, with the reason.
+    """
+
+    study: Study
+    baseline: Baseline
+    outcome: Outcome
+    before: Location
+    after: Location
+    verdict: Verdict
+    directions: tuple[Direction, ...]
+    unfit: Mapping[str, str]
+
+
+def discover(data: Data, library: Mapping[str, Effect], executor: Executor, folder: Path | None, say: Say) -> Discovery:
+    """The search in the recordings of `data` for effects of the library; `folder` keeps what is done.
+
+    Raises:
+        InputError: the model cannot be run, or a result cannot be kept.
+    """
+    reasons = {name: applicable(data.model, effect) for name, effect in library.items()}
+    unfit = {name: reason for name, reason in reasons.items() if reason is not None}
+    fit = {name: effect for name, effect in library.items() if name not in unfit}
+    study = Study(data.key, data.model, fit, data.training_sections, data.held_sections)
+    say("the model as it is", 0, 1)
+    baseline = baseline_of(study)
+    judge = Judge(study, baseline)
+    nominal = judge.attempt(())
+    crew = Crew(executor, study, baseline, folder)
+    before = judge.locate(nominal)
+    say("the model as it is", 1, 1)
+
+    def unbent() -> Begin | None:
+        return Begin(nominal.unknowns, before.x) if before.members else None
+
+    outcome = contest(crew, [*fit], nominal, LEAST, unbent, say)
+    directions = tuple(crew.directions([*fit]))
+    threshold = chance(directions, *judge.left(outcome.chosen))
+    if outcome.chosen.effects and outcome.places[0].gain <= threshold * scale(outcome.chosen):
+        outcome = Outcome(nominal, outcome.singles, nominal, (), threshold)
+    after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
+    return Discovery(study, baseline, outcome, before, after, verdict_of(outcome, after), directions, unfit)
+
+
+def verdict_of(outcome: Outcome, after: Location) -> Verdict:
+    """What to say of an outcome, with what is left unexplained."""
+    remainder = 0.5 * after.suspects[0].evidence if after.members else 0.0
+    sets = tuple(place.rivals for place in outcome.places)
+    if not sets:
+        return Verdict("unnamed" if remainder > REMAINDER else "nothing missing", (), 0.0, remainder)
+    if remainder > max(REMAINDER, REMAINDER_SHARE * outcome.gain):
+        return Verdict("unnamed", sets, outcome.gain, remainder)
+    kind: Kind = "named" if all(len(names) == 1 for names in sets) else "one of"
+    return Verdict(kind, sets, outcome.gain, remainder)
