@@ -78,18 +78,21 @@ class BundleEffect:
     after: Bundled
 
     @property
-    def tolerance(self) -> float | None:
-        """What the tests tolerate after, as a fraction of before: the median over those that are the same; or None."""
+    def tolerances(self) -> dict[str, float]:
+        """What every test with the same faults before and after tolerates now, as a fraction of before."""
         was = {(g.test, *g.faults): t for g, t in zip(self.before.generators, self.before.tolerated, strict=True)}
         now = {(g.test, *g.faults): t for g, t in zip(self.after.generators, self.after.tolerated, strict=True)}
-        shares = [now[key] / was[key] for key in was if key in now]
-        return median(shares) if shares else None
+        return {key[0]: now[key] / was[key] for key in was if key in now}
 
     def sentences(self) -> list[str]:
         """Both bundles in words, and what has changed."""
         found = [f"without the effect: {self.before.sentence}", f"with it: {self.after.sentence}"]
-        if self.tolerance is not None:
-            found.append(f"tests tolerate {self.tolerance:.3g} of the lasting deviation that they did (median)")
+        if shares := self.tolerances:
+            least, most = min(shares, key=lambda test: shares[test]), max(shares, key=lambda test: shares[test])
+            found.append(
+                f"tests tolerate {median(shares.values()):.3g} of the lasting deviation that they did (median; "
+                f"{least} {shares[least]:.3g}, {most} {shares[most]:.3g})"
+            )
         for name, judged in self.before.judged.items():
             if name in self.after.judged and judged.verdict.faults:
                 was, now = judged.verdict, self.after.judged[name].verdict

@@ -32,7 +32,16 @@ def attempt(model: Model, at: Mapping[str, float]) -> Attempt:
     for name, distance in at.items():
         x[unknowns.parameters.index(name)] = distance
     return Attempt(
-        ("made",), unknowns, x, np.eye(len(x)), np.ones(len(x), bool), 0.0, 0.0, {}, np.zeros(1), dispersion=1.0
+        effects=("made",),
+        unknowns=unknowns,
+        x=x,
+        curvature=np.eye(len(x)),
+        inside=np.ones(len(x), bool),
+        cost=0.0,
+        training=0.0,
+        predicted=0.0,
+        blocks=np.zeros(1),
+        dispersion=1.0,
     )
 
 

@@ -28,8 +28,18 @@ def attempt(model: Model, spreads: Mapping[str, float], at_bound: tuple[str, ...
     unknowns = unknowns_of(system_of(model, model.calibrated), (), 1, ())
     sd = np.array([spreads.get(name, WELL) for name in unknowns.parameters] + [1.0] * len(unknowns.zeros))
     inside = np.array([name not in at_bound for name in unknowns.parameters] + [True] * len(unknowns.zeros))
-    x, curvature = np.zeros(unknowns.size), np.diag(sd**-2)
-    return Attempt(("made",), unknowns, x, curvature, inside, 0.0, 0.0, {}, np.zeros(1), 1.0)
+    return Attempt(
+        effects=("made",),
+        unknowns=unknowns,
+        x=np.zeros(unknowns.size),
+        curvature=np.diag(sd**-2),
+        inside=inside,
+        cost=0.0,
+        training=0.0,
+        predicted=0.0,
+        blocks=np.zeros(1),
+        dispersion=1.0,
+    )
 
 
 @cache
