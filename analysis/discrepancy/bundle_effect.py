@@ -7,7 +7,7 @@ it, so its tests tolerate less: smaller faults are seen, and what the model does
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import mean, median
+from statistics import mean
 from tempfile import TemporaryDirectory
 
 from analysis.calibration.provenance import recordings_of
@@ -25,6 +25,9 @@ from service.core.errors import InputError
 from service.core.manifest import Generator
 from service.core.modes import EDGE
 from service.logs import Log
+
+ALIKE = 0.1
+"""A test that tolerates up to so much more or less than it did, of that, tolerates as much."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,11 @@ class BundleEffect:
         """Both bundles in words, and what has changed."""
         found = [f"without the effect: {self.before.sentence}", f"with it: {self.after.sentence}"]
         if shares := self.tolerances:
-            least, most = min(shares, key=lambda test: shares[test]), max(shares, key=lambda test: shares[test])
-            found.append(
-                f"tests tolerate {median(shares.values()):.3g} of the lasting deviation that they did (median; "
-                f"{least} {shares[least]:.3g}, {most} {shares[most]:.3g})"
-            )
+            moved = sorted((test for test in shares if abs(shares[test] - 1.0) > ALIKE), key=lambda test: shares[test])
+            told = [f"{test} {shares[test]:.2g} times" for test in moved]
+            if len(moved) < len(shares):
+                told.append("the others" if moved else "all tests")
+            found.append(f"lasting deviation that is tolerated: {', '.join(told)} as much as before")
         for name, judged in self.before.judged.items():
             if name in self.after.judged and judged.verdict.faults:
                 was, now = judged.verdict, self.after.judged[name].verdict
