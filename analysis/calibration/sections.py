@@ -95,7 +95,15 @@ def sections(
     Raises:
         InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
     """
-    tracks = _tracks(model, table, frames, where)
+    return cut(model, system, _tracks(model, table, frames, where), where, step_s)
+
+
+def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, step_s: float = STEP_S) -> list[Section]:
+    """The sections of signals, by name, as they were sampled or as an experiment plans them.
+
+    Raises:
+        InputError: no stretch is long enough; the message starts with `where`.
+    """
     found = [
         (low, high) for low, high in _stretches(model, system, tracks) if high - low >= model.warm_up_s + SHORTEST_S
     ]

@@ -21,11 +21,11 @@ UNLIKELY = 5.0
 QUANTILE = 2.33
 """And so many standard deviations of the difference, from block to block: 99 % (Vuong 1989)."""
 
-SHARE = 0.05
+SHARE = 0.1
 """Of the first effect's evidence: less is what its form leaves, not another effect."""
 
-STEPS = 2
-"""Of a glance: most effects have shown by then that they are not what is missing."""
+STEPS, FURTHER = 2, 1
+"""Of a glance, and of one for a further effect: most have shown by then that they are not what is missing."""
 
 WORTH = 3.0
 """Gain [nats] in a glance from which anything is looked at again."""
@@ -40,13 +40,18 @@ Say = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Place:
-    """One effect of the model that was chosen: the `rivals` that may be it as well (itself first), and what it brings.
+    """One effect of the model that was chosen: `attempts` with it, and with those that may be it as well, best first.
 
     `gain` [nats] is the evidence lost without it.
     """
 
-    rivals: tuple[str, ...]
+    attempts: tuple[Attempt, ...]
     gain: float
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """The effects' names."""
+        return tuple(attempt.effects[-1] for attempt in self.attempts)
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def contest(
 
     `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
     """
-    singles = _round(crew, nominal, effects, unbent, say)
+    singles = _round(crew, nominal, effects, WORTH, unbent, say)
     chosen, places = nominal, list[Place]()
     if singles and singles[0].evidence - nominal.evidence > threshold * scale(singles[0]):
         chosen = singles[0]
@@ -83,7 +88,7 @@ def contest(
         while len(chosen.effects) < AT_MOST:
             taken = {name for place in places for name in place.rivals}
             needed = max(threshold * scale(chosen), SHARE * places[0].gain)
-            field = _round(crew, chosen, [name for name in effects if name not in taken], None, say)
+            field = _round(crew, chosen, [name for name in effects if name not in taken], needed, None, say)
             if not field or field[0].evidence - chosen.evidence < needed:
                 break
             places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
@@ -91,16 +96,16 @@ def contest(
     return Outcome(nominal, tuple(singles), chosen, tuple(places), threshold)
 
 
-def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[str, ...]:
-    """The last effects of the attempts, sorted by evidence, that the data cannot tell from the first one's."""
+def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[Attempt, ...]:
+    """Of attempts sorted by evidence, those whose last effects the data cannot tell from the first one's."""
     best = field[0]
-    found = [best.effects[-1]]
+    found = [best]
     for other in field[1:]:
         gap = best.evidence - other.evidence
         spread = float(np.std(best.blocks - other.blocks)) * np.sqrt(len(best.blocks))
         helps = other.evidence - without.evidence > 0.0
         if helps and gap < max(UNLIKELY * scale(best), QUANTILE * spread):
-            found.append(other.effects[-1])
+            found.append(other)
     return tuple(found)
 
 
@@ -110,14 +115,17 @@ def scale(best: Attempt) -> float:
 
 
 def _round(
-    crew: Crew, base: Attempt, names: Sequence[str], unbent: Callable[[], Begin | None] | None, say: Say
+    crew: Crew, base: Attempt, names: Sequence[str], worth: float, unbent: Callable[[], Begin | None] | None, say: Say
 ) -> list[Attempt]:
-    """Attempts with one of `names` on top of `base`, by evidence, the best first: of those that may be the best."""
+    """Attempts with one of `names` on top of `base`, by evidence, the best first: of those that may be the best.
+
+    None where a glance promises none of them a gain of `worth` [nats].
+    """
     title = f"on top of {', '.join(base.effects)}" if base.effects else "effects one by one"
     begin = Begin(base.unknowns, base.x)
-    orders = [Order((*base.effects, name), begin, STEPS) for name in names]
+    orders = [Order((*base.effects, name), begin, FURTHER if base.effects else STEPS) for name in names]
     found = crew.glances(orders, lambda n, of: say(title, n, of))
-    if all(base.cost - glance.cost < WORTH for glance in found):
+    if all(base.cost - glance.cost + glance.promised < worth for glance in found):
         return []
     other = unbent() if unbent is not None else None
     if other is not None:
