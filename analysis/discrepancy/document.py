@@ -1,0 +1,233 @@
+"""What a discovery found, for programs: `discovery.json`, from which page, summary and terminal are written too.
+
+All values are in the model's units, evidences in nats; what is not known is null. Nothing of when or where it was
+computed is in it: the same recordings, model and library give the same document.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from analysis.discrepancy.discover import Kind
+
+SCHEMA = "faultline.discovery/1"
+
+
+class Candidate(msgspec.Struct, frozen=True, kw_only=True):
+    """An effect that the data ask for: its entry of the library, or one that they cannot tell from it."""
+
+    name: str
+    statement: str
+    component: str
+    separated_by: tuple[str, ...]
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """One effect of the model that was chosen: its `candidates`, the chosen one first, and the evidence it brings."""
+
+    candidates: tuple[Candidate, ...]
+    gain: float
+
+
+class Verdict(msgspec.Struct, frozen=True, kw_only=True):
+    """`kind` is *nothing missing*, *named*, *one of* or *unnamed*; `sentence` says it in words.
+
+    Of an unnamed one, `places` are the effects that come nearest: what is left with them is `remainder`. Chance alone
+    brings less than `threshold` in 99 of 100 cases.
+    """
+
+    kind: Kind
+    sentence: str
+    places: tuple[Place, ...]
+    gain: float
+    remainder: float
+    threshold: float
+
+
+class Evidence(msgspec.Struct, frozen=True, kw_only=True):
+    """Log probabilities of the data, up to a constant, with the model as it was and with the effects in it.
+
+    `dispersion` is the mean square of what is left, in the noise's: about one or less if nothing but noise is.
+    """
+
+    training_before: float
+    training_after: float
+    held_out_before: float
+    held_out_after: float
+    dispersion_before: float
+    dispersion_after: float
+
+
+class Strength(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter of an effect; `interval` (95 %) is null at a bound, `no_effect` is its value without the effect."""
+
+    effect: str
+    parameter: str
+    description: str
+    unit: str
+    value: float
+    interval: tuple[float, float] | None
+    no_effect: float | None
+    words: str
+
+
+class Part(msgspec.Struct, frozen=True, kw_only=True):
+    """What an equation misses: a `value` with its standard deviation, a fraction of a term's size, and in words."""
+
+    equation: str
+    words: str
+    value: float
+    sd: float
+
+
+class Course(msgspec.Struct, frozen=True, kw_only=True):
+    """An equation's unknown input over the training recordings' log time, in cells of some seconds.
+
+    `value` and `sd` are an amount of `variable`; divided by `size`, a fraction of it.
+    """
+
+    equation: str
+    variable: str
+    unit: str
+    size: float
+    t_s: tuple[float, ...]
+    value: tuple[float, ...]
+    sd: tuple[float, ...]
+
+
+class Located(msgspec.Struct, frozen=True, kw_only=True):
+    """Where something is missing: the class of equations that do the same, and those that no recording tells apart.
+
+    Each of `sensors`, if it were measured, would tell more of these apart.
+    """
+
+    sentences: tuple[str, ...]
+    equations: tuple[str, ...]
+    inseparable: tuple[str, ...]
+    sensors: tuple[str, ...]
+    parts: tuple[Part, ...]
+    course: Course | None
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """An entry of the library, alone in the model: by how much it is better than the model as it was.
+
+    The gains are null where a few steps of the fit showed that others do more, or where the entry has `no_place` in
+    this model. `smallest` is the size from which these recordings would show it, null if no possible one is; `alike`
+    are entries that do the same in these recordings.
+    """
+
+    name: str
+    statement: str
+    gain: float | None
+    gain_training: float | None
+    gain_held_out: float | None
+    smallest: float | None
+    unit: str
+    alike: tuple[str, ...]
+    no_place: str | None
+
+
+class White(msgspec.Struct, frozen=True, kw_only=True):
+    """Of what is left: correlation of neighbouring seconds, and the probability (Ljung, Box) of more in noise."""
+
+    lag1: float
+    probability: float
+
+
+class Regime(msgspec.Struct, frozen=True, kw_only=True):
+    """The held-out free run's error of one output in one operating mode (*steady*: all but *edge*), in its unit.
+
+    `expected` is the `floor` with what the inputs' noise makes of a free run; `closure` is the part of the gap above it
+    that is closed, null where there was none.
+    """
+
+    output: str
+    unit: str
+    mode: str
+    samples: int
+    rms_before: float
+    rms_after: float
+    bias_before: float
+    bias_after: float
+    floor: float | None
+    expected: float | None
+    closure: float | None
+    white_before: White | None
+    white_after: White | None
+
+
+class Zero(msgspec.Struct, frozen=True, kw_only=True):
+    """A sensor's zero error in a held-out recording, in parts of its standard deviation: it, too, can hide a gap."""
+
+    recording: str
+    output: str
+    before: float
+    after: float
+
+
+class Drift(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter as the datasheet has it and fitted; distances are in standard deviations of the prior."""
+
+    name: str
+    unit: str
+    datasheet: float
+    before: float
+    after: float
+    distance_before: float
+    distance_after: float
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True):
+    """Something else that was found out, in `sentences` and for programs."""
+
+    sentences: tuple[str, ...]
+    data: Mapping[str, Any] = {}
+
+
+class Origin(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the recordings are from; `missing` says in sentences what they lack."""
+
+    training: tuple[str, ...]
+    held_out: tuple[str, ...]
+    sources: tuple[str, ...]
+    vehicle: str | None = None
+    missing: tuple[str, ...] = ()
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any says that it is."""
+        return any("simulat" in source.lower() for source in self.sources)
+
+
+class Document(msgspec.Struct, frozen=True, kw_only=True):
+    """All of it. `drifts` and what follows are null where they were not asked for.
+
+    `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
+    there if something set in while it was recorded: a fault rather than a missing effect.
+    """
+
+    schema: str = SCHEMA
+    model: str
+    origin: Origin
+    simulated: bool
+    verdict: Verdict
+    evidence: Evidence
+    strengths: tuple[Strength, ...]
+    located: Located
+    left: Located
+    regimes: tuple[Regime, ...]
+    zeros: tuple[Zero, ...]
+    entries: tuple[Entry, ...]
+    drifts: tuple[Drift, ...] | None = None
+    drift: Section | None = None
+    structure: Section | None = None
+    bundle: Section | None = None
+    experiment: Section | None = None
+    onset: Section | None = None
+
+
+def encoded(document: Document) -> bytes:
+    """As a file."""
+    return msgspec.json.format(msgspec.json.encode(document)) + b"\n"

@@ -1,0 +1,277 @@
+"""A discovery told: the document made of what a search came to, with what else was found out."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import isfinite
+
+import msgspec
+
+from analysis.discrepancy import document as told
+from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
+from analysis.discrepancy.data import Data
+from analysis.discrepancy.discover import Discovery
+from analysis.discrepancy.drift import Drifts
+from analysis.discrepancy.effect import Effect
+from analysis.discrepancy.experiment import RESOLVES, Plan
+from analysis.discrepancy.locate import Location, Suspect
+from analysis.discrepancy.onset import Onset
+from analysis.discrepancy.sensitivity import alike, smallest_sizes
+from analysis.discrepancy.show import Gap, Shown
+from analysis.discrepancy.sizes import sizes
+from analysis.discrepancy.structure_change import StructureChange
+from analysis.discrepancy.verdicts import sentence_of
+from analysis.discrepancy.whiteness import Whiteness
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What else may have been found out; of the `plans` the first is the experiment that is proposed."""
+
+    drifts: Drifts | None = None
+    structure: StructureChange | None = None
+    bundle: BundleEffect | None = None
+    plans: Sequence[Plan] = ()
+    onset: Onset | None = None
+
+
+def origin_of(data: Data) -> told.Origin:
+    """Of the recordings of a study."""
+    return told.Origin(
+        training=tuple(log.id for log in data.training),
+        held_out=tuple(log.id for log in data.held),
+        sources=tuple(data.sources),
+        vehicle=data.vehicle,
+        missing=tuple(data.gaps()),
+    )
+
+
+def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Extras | None = None) -> told.Document:
+    """The document of a discovery, with the free runs over its held-out recordings."""
+    extras = extras or Extras()
+    outcome, library = found.outcome, found.study.library
+    first = found.before.members[0] if found.before.members else found.before.suspects[0].equation
+    return told.Document(
+        model=found.study.model.name,
+        origin=origin,
+        simulated=origin.simulated,
+        verdict=_verdict(found),
+        evidence=told.Evidence(
+            training_before=outcome.nominal.training,
+            training_after=outcome.chosen.training,
+            held_out_before=outcome.nominal.predicted,
+            held_out_after=outcome.chosen.predicted,
+            dispersion_before=outcome.nominal.dispersion,
+            dispersion_after=outcome.chosen.dispersion,
+        ),
+        strengths=tuple(
+            told.Strength(
+                effect=size.effect,
+                parameter=size.parameter,
+                description=size.description,
+                unit=size.unit,
+                value=size.value,
+                interval=size.interval,
+                no_effect=size.null,
+                words=size.words,
+            )
+            for size in sizes(outcome.chosen, library)
+        ),
+        located=_located(found.before, first),
+        left=_located(found.after, first),
+        regimes=tuple(_regime(gap, found.study.model.known[gap.output].unit) for gap in shown.gaps),
+        zeros=_zeros(found, shown, origin),
+        entries=_entries(found),
+        drifts=_drifts(extras.drifts),
+        drift=_section(extras.drifts.sentences()) if extras.drifts else None,
+        structure=_section(extras.structure.sentences(), extras.structure) if extras.structure else None,
+        bundle=_bundle(extras.bundle) if extras.bundle else None,
+        experiment=_experiment(extras.plans[0]) if extras.plans else None,
+        onset=_section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
+    )
+
+
+def _verdict(found: Discovery) -> told.Verdict:
+    verdict, library = found.verdict, found.study.library
+    gains = [place.gain for place in found.outcome.places]
+    places = tuple(
+        told.Place(candidates=tuple(_candidate(library[name]) for name in names), gain=gain)
+        for names, gain in zip(verdict.sets, gains, strict=True)
+    )
+    where = found.before.sentences[0] if found.before.members else ""
+    return told.Verdict(
+        kind=verdict.kind,
+        sentence=sentence_of(verdict.kind, places, where),
+        places=places,
+        gain=verdict.gain,
+        remainder=verdict.remainder,
+        threshold=found.outcome.threshold,
+    )
+
+
+def _candidate(effect: Effect) -> told.Candidate:
+    return told.Candidate(
+        name=effect.name,
+        statement=effect.statement,
+        component=effect.component,
+        separated_by=effect.separated_by,
+    )
+
+
+def _located(location: Location, equation: str) -> told.Located:
+    """The location; the unknown input is that of `equation`, so that before and after are of the same."""
+    course = next((suspect for suspect in location.suspects if suspect.equation == equation), None)
+    return told.Located(
+        sentences=location.sentences,
+        equations=location.members,
+        inseparable=location.inseparable,
+        sensors=location.sensors,
+        parts=tuple(
+            told.Part(equation=finding.equation, words=part.words, value=part.value, sd=part.sd)
+            for finding in location.findings
+            for part in finding.parts
+        ),
+        course=None if course is None else _course(course),
+    )
+
+
+def _course(suspect: Suspect) -> told.Course:
+    return told.Course(
+        equation=suspect.equation,
+        variable=suspect.variable,
+        unit=suspect.unit,
+        size=suspect.size,
+        t_s=tuple(suspect.t.round(3).tolist()),
+        value=tuple(suspect.value.tolist()),
+        sd=tuple(suspect.sd.tolist()),
+    )
+
+
+def _regime(gap: Gap, unit: str) -> told.Regime:
+    return told.Regime(
+        output=gap.output,
+        unit=unit,
+        mode=gap.mode,
+        samples=gap.after.samples,
+        rms_before=gap.before.rms,
+        rms_after=gap.after.rms,
+        bias_before=gap.before.bias,
+        bias_after=gap.after.bias,
+        floor=_known(gap.after.floor),
+        expected=_known(gap.expected),
+        closure=gap.closure,
+        white_before=_white(gap.white_before),
+        white_after=_white(gap.white_after),
+    )
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def _white(found: Whiteness | None) -> told.White | None:
+    return None if found is None else told.White(lag1=found.lag1, probability=found.probability)
+
+
+def _zeros(found: Discovery, shown: Shown, origin: told.Origin) -> tuple[told.Zero, ...]:
+    sd = found.outcome.nominal.unknowns.zeros
+    pairs = zip(origin.held_out, shown.before.zeros, shown.after.zeros, strict=True)
+    return tuple(
+        told.Zero(recording=recording, output=name, before=was[name] / sd[name], after=now[name] / sd[name])
+        for recording, was, now in pairs
+        for name in sd
+    )
+
+
+def _entries(found: Discovery) -> tuple[told.Entry, ...]:
+    """All entries: those that were fitted to the end by their evidence, then the rest, then those without a place."""
+    nominal, library = found.outcome.nominal, found.study.library
+    smallest = smallest_sizes(found.directions, found.outcome.threshold)
+    same = alike(found.directions)
+    singles = {attempt.effects[0]: attempt for attempt in found.outcome.singles}
+    order = [*singles, *(name for name in library if name not in singles)]
+    entries = []
+    for name in order:
+        single = singles.get(name)
+        entries.append(
+            told.Entry(
+                name=name,
+                statement=library[name].statement,
+                gain=single.evidence - nominal.evidence if single else None,
+                gain_training=single.training - nominal.training if single else None,
+                gain_held_out=single.predicted - nominal.predicted if single else None,
+                smallest=_known(smallest[name]) if name in smallest else None,
+                unit=next(iter(library[name].strengths.values())).unit,
+                alike=same.get(name, ()),
+                no_place=None,
+            )
+        )
+    return (*entries, *(_without_place(name, reason) for name, reason in found.unfit.items()))
+
+
+def _without_place(name: str, reason: str) -> told.Entry:
+    return told.Entry(
+        name=name,
+        statement="",
+        gain=None,
+        gain_training=None,
+        gain_held_out=None,
+        smallest=None,
+        unit="",
+        alike=(),
+        no_place=reason,
+    )
+
+
+def _drifts(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
+    if drifts is None:
+        return None
+    return tuple(
+        told.Drift(
+            name=d.name,
+            unit=d.unit,
+            datasheet=d.datasheet,
+            before=d.without,
+            after=d.with_it,
+            distance_before=d.before,
+            distance_after=d.after,
+        )
+        for d in drifts.parameters
+    )
+
+
+def _section(sentences: Sequence[str], data: StructureChange | Onset | None = None) -> told.Section:
+    return told.Section(sentences=tuple(sentences), data=msgspec.to_builtins(asdict(data)) if data else {})
+
+
+def _experiment(plan: Plan) -> told.Section:
+    """What the experiment is, and what is to be expected of it."""
+    experiment, weakest = plan.experiment, plan.weakest
+    sentence = (
+        f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s): at least {weakest:.0f} nats of "
+        "evidence are expected for the right candidate"
+    )
+    if weakest < RESOLVES:
+        sentence = f"no shipped experiment is expected to tell all candidates apart; the best is to {sentence}"
+    data = {
+        "name": experiment.name,
+        "duration_s": experiment.duration_s,
+        "weakest": weakest,
+        "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
+    }
+    return told.Section(sentences=(sentence,), data=data)
+
+
+def _bundle(effect: BundleEffect) -> told.Section:
+    data = {"tolerances": effect.tolerances, "before": _bundled(effect.before), "after": _bundled(effect.after)}
+    return told.Section(sentences=tuple(effect.sentences()), data=data)
+
+
+def _bundled(bundled: Bundled) -> dict[str, object]:
+    return {
+        "generators": [generator.test for generator in bundled.generators],
+        "tolerated": [*bundled.tolerated],
+        "false_alarms": bundled.false_alarms,
+        "fault_free_s": round(3600.0 * bundled.hours, 3),
+        "verdicts": {name: msgspec.to_builtins(judged.verdict) for name, judged in bundled.judged.items()},
+        "reason": bundled.reason,
+    }

@@ -1,0 +1,153 @@
+"""The verdict in words: what it is, how sure, what it means for diagnosis, what to do next, what it does not say."""
+
+from collections.abc import Sequence
+
+from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.document import Candidate, Document, Entry, Place
+
+MANY = 6
+"""Names that a sentence lists."""
+
+FAR = 3.0
+"""Standard deviations from which a zero error is not what the datasheet says."""
+
+
+def sentence_of(kind: Kind, places: Sequence[Place], where: str) -> str:
+    """What was found, for example "missing in the model: the dosing valve passes more when ... (full_open_gain)"."""
+    if kind == "nothing missing":
+        return "nothing is missing in the model that these recordings could show"
+    if kind == "unnamed":
+        return f"something is missing in the model that no entry of the library describes: {where}"
+    return f"missing in the model: {'; and besides, '.join(_one(place.candidates) for place in places)}"
+
+
+def _one(candidates: Sequence[Candidate]) -> str:
+    said = [f"{candidate.statement} ({candidate.name})" for candidate in candidates]
+    return (
+        said[0]
+        if len(said) == 1
+        else f"one of {len(said)} effects that these data cannot tell apart: {'; or '.join(said)}"
+    )
+
+
+def confidence(d: Document) -> list[str]:
+    """How sure that is."""
+    v, best = d.verdict, max((entry.gain for entry in d.entries if entry.gain is not None), default=None)
+    if v.kind == "nothing missing":
+        tried = sum(entry.no_place is None for entry in d.entries)
+        brought = "none brought any evidence" if best is None else f"the best brought {best:.1f} nats of evidence"
+        return [f"{tried} effects were looked for; {brought}, where chance brings up to {v.threshold:.1f} in 99 of 100"]
+    lines = []
+    if v.places:
+        e = d.evidence
+        lines.append(
+            f"evidence {v.gain:.0f} nats ({e.training_after - e.training_before:.0f} of the training recordings, "
+            f"{e.held_out_after - e.held_out_before:.0f} of the held-out ones), where chance brings up to "
+            f"{v.threshold:.1f} in 99 of 100"
+        )
+    if v.kind == "unnamed":
+        nearest = f" with the nearest ones in ({', '.join(_names(d))})" if v.places else ""
+        lines.append(f"{v.remainder:.0f} nats of evidence for an unknown input are left{nearest}")
+    return lines
+
+
+def _names(d: Document) -> list[str]:
+    return [place.candidates[0].name for place in d.verdict.places]
+
+
+def meaning(d: Document) -> list[str]:
+    """What it means for a diagnosis with this model."""
+    kind = d.verdict.kind
+    if kind == "nothing missing":
+        return ["Tests made from this model see nothing but noise on a healthy vehicle, as far as these recordings go."]
+    found = [
+        "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
+        "tolerate it, and small faults stay unseen, or they raise false alarms."
+    ]
+    if d.drift and d.strengths:
+        found.append(f"A fit without it has bent parameters instead: {d.drift.sentences[0]}.")
+    if kind == "one of":
+        found.append(
+            "The candidates describe these recordings equally well: a diagnosis in the same operation does not depend "
+            "on which it is; outside of it, it may."
+        )
+    if kind == "unnamed":
+        found.append(
+            "The place is known, not the reason. It must not be given the name of the effect that fits best: its "
+            "parameters, and others, would absorb what it does not describe."
+        )
+    return found
+
+
+def next_steps(d: Document) -> list[str]:
+    """What to do now."""
+    if d.onset:
+        return list(d.onset.sentences)
+    kind = d.verdict.kind
+    if kind == "nothing missing":
+        return ["use the model as it is: `faultline tune`, `faultline export`"]
+    if kind == "named":
+        return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
+    if kind == "one of":
+        if d.experiment:
+            return list(d.experiment.sentences)
+        named = experiments(d)
+        return [
+            f"record what tells them apart: {', '.join(named)}" if named else "no experiment is known that tells them"
+        ]
+    steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
+    if d.located.sensors:
+        steps.append(f"a sensor of {d.located.sensors[0]} would tell better where it is")
+    return steps
+
+
+def experiments(d: Document) -> tuple[str, ...]:
+    """Of the library: which experiments tell candidates of a place apart, those first that most of them name."""
+    named: dict[str, int] = {}
+    for place in d.verdict.places:
+        if len(place.candidates) > 1:
+            for candidate in place.candidates:
+                for experiment in candidate.separated_by:
+                    named[experiment] = named.get(experiment, 0) + 1
+    return tuple(sorted(named, key=lambda name: -named[name]))
+
+
+def limits(d: Document) -> list[str]:
+    """What these recordings could not show, and what was taken for granted."""
+    found = [*d.origin.missing]
+    unseen = [entry.name for entry in d.entries if entry.no_place is None and entry.smallest is None]
+    if unseen:
+        found.append(f"these recordings cannot show, at any possible size: {_listed(unseen)}")
+    groups = alike_groups(d.entries)
+    if groups:
+        found.append(f"look the same in these recordings: {'; '.join(_listed(group) for group in groups)}")
+    absent = [entry.name for entry in d.entries if entry.no_place is not None]
+    if absent:
+        found.append(f"have no place in this model: {_listed(absent)}")
+    found += [
+        f"{zero.recording}: the zero error of {zero.output} would be {abs(zero.after):.1f} times what its datasheet "
+        "says; check the sensor"
+        for zero in d.zeros
+        if abs(zero.after) > FAR
+    ]
+    found.append(
+        "the library is what was looked for: an effect that looks like an entry's here may be another elsewhere"
+    )
+    if d.simulated:
+        found.append("these data are simulated: no figure here is of a real vehicle")
+    return found
+
+
+def alike_groups(entries: Sequence[Entry]) -> list[list[str]]:
+    """Entries that do the same, each group once."""
+    groups: list[list[str]] = []
+    for entry in entries:
+        group = sorted((entry.name, *entry.alike))
+        if entry.alike and group not in groups:
+            groups.append(group)
+    return groups
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - MANY} more" if len(names) > MANY else ""
+    return f"{', '.join(names[:MANY])}{rest}"
