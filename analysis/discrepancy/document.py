@@ -205,7 +205,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """All of it. `drifts` and what follows are null where they were not asked for.
 
     `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
-    there if something set in while it was recorded: a fault rather than a missing effect.
+    there if something set in while it was recorded: a fault rather than a missing effect. `refused` are reasons why the
+    effects should not be added to the model.
     """
 
     schema: str = SCHEMA
@@ -226,6 +227,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     bundle: Section | None = None
     experiment: Section | None = None
     onset: Section | None = None
+    refused: tuple[str, ...] = ()
 
 
 def encoded(document: Document) -> bytes:

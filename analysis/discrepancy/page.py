@@ -19,7 +19,7 @@ CAPTIONS = {
     ),
     "unknown-input": (
         "An unknown input is put on the equation and told from the data alone. A constant part of it is hard to tell "
-        "from the parameters, which is most of the band; with the effect in, the curve is flat."
+        "from the parameters, which is most of the band. With what is missing in the model it is flat."
     ),
     "evidence": (
         "How much more likely all recordings are with an entry of the library in the model, its own freedom and that "
@@ -57,6 +57,7 @@ td,th{white-space:normal}}
 def page(d: Document, pictures: Mapping[str, bytes]) -> str:
     """The file's text; `pictures` are PNGs by their name in `CAPTIONS`."""
     of = f" of vehicle {escape(d.origin.vehicle)}" if d.origin.vehicle else ""
+    adopted = d.verdict.kind in {"named", "one of"}
     body = [
         f"<h1>What model {escape(d.model)}{of} lacks</h1>",
         f'<p class="verdict">{escape(_upper(d.verdict.sentence))}.</p>',
@@ -73,10 +74,11 @@ def page(d: Document, pictures: Mapping[str, bytes]) -> str:
             "Where something is still missing", _list(d.left.sentences) if d.left.equations and d.strengths else ""
         ),
         *_section("What it means for diagnosis", "".join(f"<p>{escape(text)}</p>" for text in meaning(d))),
+        *_section("Why it should not be added as it is", _list(d.refused)),
         *_section("What to do next", _list(next_steps(d))),
         *_section("The held-out free run by operating mode", _regimes(d)),
-        *_section("Parameters against the datasheet", _list(d.drift.sentences) if d.drift else ""),
-        *_section("What changes in the structure", _list(d.structure.sentences) if d.structure else ""),
+        *_section("Parameters against the datasheet", _list(d.drift.sentences) if d.drift and adopted else ""),
+        *_section("What changes in the structure", _list(d.structure.sentences) if d.structure and adopted else ""),
         *_section("What changes on the vehicle", _list(d.bundle.sentences) if d.bundle else ""),
         *_section("The library, entry by entry", _entries(d)),
         *_section("What this does not say", _list(limits(d))),

@@ -36,9 +36,9 @@ SMOOTH_S = 1.0
 MANY = 16
 """Entries with bars."""
 
-IS, WAS, WITH = "model as it is", "model as it was", "with the effect"
+IS, WAS = "model as it is", "model as it was"
 
-SMALL_PA = 2e3
+SMALL_PA = 4e3
 """Pressures that keep within this are drawn in mbar."""
 
 
@@ -51,15 +51,17 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
     grid = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
     section = shown.after.sections[0]
     begin = section.start_s + min(float(s.t[0]) for s in section.samples.values()) - 5.0
-    _run(grid[0], shown, widest, model)
+    _run(grid[0], shown, document, widest, model)
     for axes, name in zip(grid[1:-1], outputs, strict=True):
-        _left(axes, shown, name, model)
+        _left(axes, shown, document, name, model)
     _inputs(grid[-1], shown.after, model)
     for axes in grid:
         axes.set_xlim(begin, min(_end(shown.after), begin + SHOWN_S))
         axes.grid(visible=True, alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
-    note = "means of a second; grey: twice the error that the noise of sensors and inputs lets expect"
+    note = (
+        "means of a second; grey: twice the error that the noise of sensors and inputs lets expect, in steady operation"
+    )
     grid[-2].annotate(note, (0.995, 0.04), xycoords="axes fraction", ha="right", fontsize=8, color=INK)
     grid[-1].set_xlabel("log time [s]")
     many = len(document.origin.held_out) > 1
@@ -68,14 +70,14 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
     return _png(figure)
 
 
-def _run(axes: Axes, shown: Shown, name: str, model: Model) -> None:
+def _run(axes: Axes, shown: Shown, document: Document, name: str, model: Model) -> None:
     one, unit = _unit(model.known[name].unit, np.inf)
     for k, section in enumerate(_first(shown.after)):
         s = section.samples[name]
         label = None if k else "measured"
         told = (s.value + shown.after.zeros[0].get(name, 0.0)) / one
         axes.plot(section.start_s + s.t, told, ".", color=QUIET, markersize=2.5, label=label)
-    for found, color, title in _models(shown):
+    for found, color, title in _models(shown, document):
         for k, section in enumerate(_first(found)):
             inside = section.t > section.samples[name].t[0]
             y = (found.trajectories[k].outputs()[name][inside] + found.zeros[0].get(name, 0.0)) / one
@@ -85,10 +87,10 @@ def _run(axes: Axes, shown: Shown, name: str, model: Model) -> None:
     axes.margins(y=0.18)
 
 
-def _left(axes: Axes, shown: Shown, name: str, model: Model) -> None:
-    largest = max(float(np.abs(errors[name]).max()) for errors in shown.before.errors)
+def _left(axes: Axes, shown: Shown, document: Document, name: str, model: Model) -> None:
+    largest = max(float(np.quantile(np.abs(errors[name]), 0.99)) for errors in shown.before.errors)
     one, unit = _unit(model.known[name].unit, largest)
-    for found, color, _ in _models(shown):
+    for found, color, _ in _models(shown, document):
         for section, errors in zip(_first(found), found.errors, strict=False):
             t, e = _means(section.samples[name].t, errors[name] / one)
             axes.plot(section.start_s + t, e, color=color, linewidth=1.1)
@@ -131,14 +133,15 @@ def regimes(document: Document) -> bytes:
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     grid = figure.subplots(1, len(outputs), squeeze=False)[0]
     for axes, name in zip(grid, outputs, strict=True):
-        _bars(axes, [regime for regime in document.regimes if regime.output == name], bool(document.strengths))
+        _bars(axes, [regime for regime in document.regimes if regime.output == name], document)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     figure.suptitle(f"Held-out free run, RMS error by operating mode{_simulated(document)}", fontweight="bold")
     return _png(figure)
 
 
-def _bars(axes: Axes, of: Sequence[Regime], changed: bool) -> None:
+def _bars(axes: Axes, of: Sequence[Regime], document: Document) -> None:
+    changed = bool(document.strengths)
     one, unit = _unit(of[0].unit, max(regime.rms_before for regime in of))
     of = sorted(of, key=lambda regime: [*MODES, STEADY].index(regime.mode))
     place, width = np.arange(len(of)), 0.36 if changed else 0.6
@@ -147,7 +150,7 @@ def _bars(axes: Axes, of: Sequence[Regime], changed: bool) -> None:
     color, label = (BEFORE, WAS) if changed else (AFTER, IS)
     axes.bar(place - shift, was, width, color=color, label=label)
     if changed:
-        axes.bar(place + shift, now, width, color=AFTER, label=WITH)
+        axes.bar(place + shift, now, width, color=AFTER, label=_with(document))
     for k, (name, style, label) in enumerate(
         (("floor", "-", "noise floor of the sensor"), ("expected", ":", "with the inputs' noise"))
     ):
@@ -160,12 +163,12 @@ def _bars(axes: Axes, of: Sequence[Regime], changed: bool) -> None:
 
 
 def unknown_input(document: Document, abscissa: Abscissa | None) -> bytes | None:
-    """What the worst equation misses, before and after: over time, and over what it depends on; None if nothing is missing."""
+    """What the worst equation misses, over time and over what it depends on; None if nothing is missing."""
     before, after = document.located.course, document.left.course
     if before is None or after is None or not document.located.equations:
         return None
     changed = bool(document.strengths)
-    courses = ((before, BEFORE, WAS), *(((after, AFTER, WITH),) if changed else ()))
+    courses = ((before, BEFORE, WAS), *(((after, AFTER, _with(document)),) if changed else ()))
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     for course, color, title in courses:
@@ -224,15 +227,20 @@ def evidence(document: Document) -> bytes | None:
     axes.set_xlabel(f"evidence against the model as it was [nats], alone in the model{more}")
     axes.grid(visible=True, axis="x", alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    coloured = " (blue: the verdict)" if chosen else ""
+    coloured = " (blue: the verdict)" if chosen else " (what they leave is not noise: none is its name)"
+    coloured = coloured if v.kind != "nothing missing" else ""
     figure.suptitle(f"Evidence for the entries of the library{coloured}", fontweight="bold")
     return _png(figure)
 
 
-def _models(shown: Shown) -> list[tuple[FreeRun, str, str]]:
+def _models(shown: Shown, document: Document) -> list[tuple[FreeRun, str, str]]:
     if shown.after is shown.before:
         return [(shown.after, AFTER, IS)]
-    return [(shown.before, BEFORE, WAS), (shown.after, AFTER, WITH)]
+    return [(shown.before, BEFORE, WAS), (shown.after, AFTER, _with(document))]
+
+
+def _with(document: Document) -> str:
+    return "with the nearest effects" if document.verdict.kind == "unnamed" else "with the effect"
 
 
 def _first(found: FreeRun) -> list[Section]:

@@ -12,6 +12,7 @@ MOST = 25
 
 def sentences(d: Document) -> list[str]:
     """What a reader needs to know, the verdict first."""
+    adopted = d.verdict.kind in {"named", "one of"}
     lines = [d.verdict.sentence, *(f"  {line}" for line in confidence(d))]
     nearest = "nearest, and not its name: " if d.verdict.kind == "unnamed" else ""
     lines += [f"  {nearest}{strength.effect}: {strength.words}" for strength in d.strengths]
@@ -20,9 +21,9 @@ def sentences(d: Document) -> list[str]:
     if d.left.equations and d.strengths:
         lines += ["still left, with the effects in:", *(f"  {sentence}" for sentence in d.left.sentences[:1])]
     lines += gap_lines(d)
-    if d.drift:
+    if d.drift and adopted:
         lines += [f"parameters: {sentence}" for sentence in d.drift.sentences[:3]]
-    if d.structure:
+    if d.structure and adopted:
         lines += [f"structure: {sentence}" for sentence in d.structure.sentences[:3]]
     if d.bundle:
         lines += [f"bundle: {sentence}" for sentence in d.bundle.sentences[:3]]

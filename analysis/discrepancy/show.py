@@ -26,7 +26,7 @@ from service.core.modes import EDGE
 Array = npt.NDArray[np.float64]
 
 REAL = 1.25
-"""Times the expected error, from which a free run's error is a gap: less differs between runs of a right model."""
+"""Times what a right model has, from which a free run's error is a gap: less differs from run to run."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +57,25 @@ class Gap:
 
     @property
     def expected(self) -> float:
-        """The error that a right model would have: the noise floor and what the inputs' noise makes of a free run."""
+        """What noise lets expect of a right model: the floor and what the inputs' noise makes of a free run."""
         return self.after.expected
+
+    @property
+    def reachable(self) -> float:
+        """What a right model has: as expected, or what the model shows that does better than that."""
+        return float(np.minimum(self.expected, np.maximum(self.after.rms, self.after.floor)))
 
     @property
     def real(self) -> bool:
         """Whether there was more to close than what differs from run to run."""
-        return bool(self.before.rms > REAL * self.expected)
+        return bool(self.before.rms > REAL * self.reachable)
 
     @property
     def closure(self) -> float | None:
         """The part of the gap that is closed, one where the error is as expected or less; None where there was none."""
         if not self.real:
             return None
-        return float(min(1.0, (self.before.rms - self.after.rms) / (self.before.rms - self.expected)))
+        return float(min(1.0, (self.before.rms - self.after.rms) / (self.before.rms - self.reachable)))
 
 
 @dataclass(frozen=True)

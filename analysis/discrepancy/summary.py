@@ -23,6 +23,8 @@ def summary(d: Document) -> str:
     parts += ["## What it means for diagnosis", *meaning(d)]
     if d.bundle:
         parts += ["For the tests on the vehicle:", *_bullets([*d.bundle.sentences])]
+    if d.refused:
+        parts += ["It should not be added to the model as it is:", *_bullets([*d.refused])]
     parts += ["## What to do next", *_bullets([_upper(step) for step in next_steps(d)])]
     parts += ["## What this does not say", *_bullets([_upper(limit) for limit in limits(d)])]
     return "\n\n".join(part for part in parts if part) + "\n"

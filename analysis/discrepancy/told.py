@@ -25,13 +25,17 @@ from analysis.discrepancy.whiteness import Whiteness
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What else may have been found out; of the `plans` the first is the experiment that is proposed."""
+    """What else may have been found out; of the `plans` the first is the experiment that is proposed.
+
+    `refused` are reasons why the effects should not be added to the model.
+    """
 
     drifts: Drifts | None = None
     structure: StructureChange | None = None
     bundle: BundleEffect | None = None
     plans: Sequence[Plan] = ()
     onset: Onset | None = None
+    refused: Sequence[str] = ()
 
 
 def origin_of(data: Data) -> told.Origin:
@@ -87,6 +91,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         bundle=_bundle(extras.bundle) if extras.bundle else None,
         experiment=_experiment(extras.plans[0]) if extras.plans else None,
         onset=_section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
+        refused=tuple(extras.refused),
     )
 
 

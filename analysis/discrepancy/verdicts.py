@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from analysis.discrepancy.discover import Kind
 from analysis.discrepancy.document import Candidate, Document, Entry, Place
+from analysis.discrepancy.drift import MOVED
 
 MANY = 6
 """Names that a sentence lists."""
@@ -64,8 +65,12 @@ def meaning(d: Document) -> list[str]:
         "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
         "tolerate it, and small faults stay unseen, or they raise false alarms."
     ]
-    if d.drift and d.strengths:
-        found.append(f"A fit without it has bent parameters instead: {d.drift.sentences[0]}.")
+    back = [drift.name for drift in d.drifts or () if abs(drift.distance_before) - abs(drift.distance_after) >= MOVED]
+    if back and kind != "unnamed":
+        found.append(
+            f"A fit without it has bent {_listed(back)} instead; with it they come back towards the datasheet, so that "
+            "a component that wears is seen where it is."
+        )
     if kind == "one of":
         found.append(
             "The candidates describe these recordings equally well: a diagnosis in the same operation does not depend "
@@ -86,6 +91,8 @@ def next_steps(d: Document) -> list[str]:
     kind = d.verdict.kind
     if kind == "nothing missing":
         return ["use the model as it is: `faultline tune`, `faultline export`"]
+    if kind == "named" and d.refused:
+        return [f"do not add it as it is, {d.refused[0]}: try other forms of the same effect in a file for --library"]
     if kind == "named":
         return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
     if kind == "one of":
