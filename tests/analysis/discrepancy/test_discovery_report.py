@@ -1,0 +1,240 @@
+"""What is written about a discovery: the same in every form, for a program, a review and a page."""
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from made_discovery import ENTRIES, GAIN, discovery
+
+from analysis.discrepancy.abscissa import abscissa_of
+from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.document import Document, Origin, Section, Zero, encoded
+from analysis.discrepancy.drift import drifts
+from analysis.discrepancy.experiment import Experiment, Plan
+from analysis.discrepancy.onset import Onset
+from analysis.discrepancy.page import page
+from analysis.discrepancy.report import described, write
+from analysis.discrepancy.sentences import MOST, sentences
+from analysis.discrepancy.show import Shown, model_with
+from analysis.discrepancy.sizes import readable, sizes
+from analysis.discrepancy.structure_change import structure_change
+from analysis.discrepancy.summary import summary
+from analysis.discrepancy.told import Extras
+from analysis.discrepancy.verdicts import limits, next_steps, sentence_of
+from service.core.errors import InputError
+
+ORIGIN = Origin(
+    training=("t-1",), held_out=("v-1",), sources=("simulated by the rig",), vehicle="truck-1", missing=("too short",)
+)
+KINDS: tuple[Kind, ...] = ("nothing missing", "named", "one of", "unnamed")
+
+
+@pytest.fixture(scope="module")
+def told() -> tuple[Document, Shown]:
+    found = discovery()
+    nominal, chosen = found.outcome.nominal, found.outcome.chosen
+    extras = Extras(
+        drifts=drifts(found.study.model, nominal, chosen),
+        structure=structure_change(found.study.model, model_with(found.study, chosen.effects), chosen),
+    )
+    return described(found, ORIGIN, extras)
+
+
+@pytest.fixture(scope="module")
+def document(told: tuple[Document, Shown]) -> Document:
+    return told[0]
+
+
+@pytest.fixture(scope="module")
+def written(told: tuple[Document, Shown], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("report") / "new"
+    return {path.name: path.read_bytes() for path in write(folder, discovery(), *told)}
+
+
+def as_kind(document: Document, kind: Kind) -> Document:
+    """The same, as if it had come to another verdict."""
+    [place] = document.verdict.places
+    twin = msgspec.structs.replace(place.candidates[0], name="twin", statement="a twin of it")
+    candidates = (place.candidates[0], twin) if kind == "one of" else place.candidates
+    places = () if kind == "nothing missing" else (msgspec.structs.replace(place, candidates=candidates),)
+    verdict = msgspec.structs.replace(
+        document.verdict,
+        kind=kind,
+        places=places,
+        remainder=300.0,
+        sentence=sentence_of(kind, places, document.located.sentences[0]),
+    )
+    rest: dict[str, Any] = {"strengths": ()} if kind == "nothing missing" else {}
+    return msgspec.structs.replace(document, verdict=verdict, **rest)
+
+
+def test_a_program_reads_what_was_found(written: Mapping[str, bytes], document: Document) -> None:
+    read = msgspec.json.decode(written["discovery.json"], type=Document)
+    assert read.verdict == document.verdict
+    assert read.regimes == document.regimes
+    assert (read.verdict.kind, read.schema) == ("named", "faultline.discovery/1")
+    [strength] = read.strengths
+    assert strength.interval is not None
+    assert strength.interval[0] < GAIN < strength.interval[1]
+    assert strength.parameter == "full_open_gain_g"
+    assert read.located.course is not None
+    assert read.left.course is not None
+    assert read.located.course.equation == read.left.course.equation == read.located.equations[0]
+    assert max(read.located.course.value) > 100.0 * max(np.abs(read.left.course.value))
+    assert read.entries[0].name == "full_open_gain"
+    assert {entry.name for entry in read.entries} == {*ENTRIES}
+    assert all(zero.recording == "v-1" for zero in read.zeros)
+    assert read.evidence.held_out_after > read.evidence.held_out_before
+    assert b"NaN" not in written["discovery.json"]
+
+
+def test_the_same_discovery_gives_the_same_bytes(
+    written: Mapping[str, bytes], told: tuple[Document, Shown], tmp_path: Path
+) -> None:
+    again = {path.name: path.read_bytes() for path in write(tmp_path, discovery(), *told)}
+    assert again == dict(written)
+
+
+def test_entries_that_have_no_place_say_why(document: Document) -> None:
+    entry = msgspec.structs.replace(document.entries[-1], no_place="it has no <pump>")
+    other = msgspec.structs.replace(document, entries=(*document.entries[:-1], entry))
+    assert "no place in this model: it has no &lt;pump&gt;" in page(other, {})
+    assert any("have no place in this model" in limit for limit in limits(other))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_verdict_is_told_in_every_form(document: Document, kind: Kind) -> None:
+    d = as_kind(document, kind)
+    lines = sentences(d)
+    assert len(lines) <= MOST
+    assert lines[0] == d.verdict.sentence
+    md = summary(d)
+    assert md.count("\n") < 70
+    assert "simulated" in md
+    assert all(f"## {title}" in md for title in ("What was found", "How sure this is", "What to do next"))
+    html = page(d, {})
+    assert f"{d.verdict.sentence[1:]}." in html
+    assert "no figure is of a real vehicle" in html
+
+
+def test_what_is_next_depends_on_the_verdict(document: Document) -> None:
+    assert "--apply" in next_steps(as_kind(document, "named"))[0]
+    assert next_steps(as_kind(document, "one of")) == ["record what tells them apart: dose_staircase"]
+    assert "--library" in next_steps(as_kind(document, "unnamed"))[0]
+    assert "q_dos" in next_steps(as_kind(document, "unnamed"))[1]
+    refused = msgspec.structs.replace(as_kind(document, "named"), refused=("its gain has run into its bound",))
+    assert "its gain has run into its bound" in next_steps(refused)[0]
+    assert "its gain has run into its bound" in summary(refused)
+
+
+def test_an_unnamed_effect_is_not_called_by_the_nearest_name(document: Document) -> None:
+    d = as_kind(document, "unnamed")
+    assert "full_open_gain" not in d.verdict.sentence
+    assert any(line.startswith("  nearest, and not its name: full_open_gain") for line in sentences(d))
+    assert "class=chosen" in page(document, {})
+    assert "class=chosen" not in page(d, {})
+
+
+def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
+    found = discovery()
+    steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),))
+    plan = Plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
+    onset = Onset(100.0, "e04", ())
+    d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
+    assert d.experiment is not None
+    assert d.experiment.data["weakest"] == 12.0
+    assert d.refused == ("it grew worse",)
+    assert "something set in at 100 s (e04)" in next_steps(d)[0]
+    asked = msgspec.structs.replace(as_kind(d, "one of"), onset=None)
+    assert next_steps(asked) == [
+        "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate"
+    ]
+    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, {("a", "b"): 1.0})]))
+    assert weak.experiment is not None
+    assert "no shipped experiment" in weak.experiment.sentences[0]
+
+
+def test_the_page_needs_nothing_else_and_escapes_what_it_is_told(
+    written: Mapping[str, bytes], document: Document
+) -> None:
+    html = written["report.html"].decode()
+    assert html.count('src="data:image/png;base64,') == 4
+    assert not re.search(r"https?://|<script|<link", html)
+    assert "prefers-color-scheme:dark" in html
+    assert 'name="viewport"' in html
+    sly = msgspec.structs.replace(document, origin=msgspec.structs.replace(ORIGIN, vehicle="<b>x"))
+    assert "<b>x" not in page(sly, {})
+
+
+def test_pictures_show_what_the_effect_depends_on(written: Mapping[str, bytes], document: Document) -> None:
+    assert {name for name in written if name.endswith(".png")} == {
+        "free-run.png", "regimes.png", "unknown-input.png", "evidence.png",
+    }  # fmt: skip
+    assert all(data.startswith(b"\x89PNG") for name, data in written.items() if name.endswith(".png"))
+    abscissa, course = abscissa_of(discovery()), document.located.course
+    assert abscissa is not None
+    assert course is not None
+    assert abscissa.words == "dc_dose"
+    largest = np.array(course.value) > 0.5 * max(course.value)
+    assert largest.any()
+    assert abscissa.value[largest] == pytest.approx(np.ones(largest.sum()))
+    assert abscissa.value[~largest].max() < 0.9
+
+
+def test_where_nothing_is_missing_nothing_is_drawn_that_is_not_there(tmp_path: Path) -> None:
+    d, runs = described(discovery(0.0), ORIGIN)
+    names = {path.name for path in write(tmp_path, discovery(0.0), d, runs)}
+    assert {"free-run.png", "regimes.png"} <= names
+    assert "unknown-input.png" not in names
+    assert d.verdict.sentence == "nothing is missing in the model that these recordings could show"
+    assert d.strengths == ()
+
+
+def test_a_zero_error_that_is_too_large_is_said(document: Document) -> None:
+    zero = Zero(recording="v-1", output="y_p_tp", before=0.0, after=-4.2)
+    said = limits(msgspec.structs.replace(document, zeros=(zero,)))
+    assert any("4.2 times what its datasheet says" in line for line in said)
+
+
+def test_long_reports_are_cut_for_the_terminal(document: Document) -> None:
+    many = Section(sentences=tuple(f"sentence {k}" for k in range(60)))
+    located = msgspec.structs.replace(document.located, sentences=many.sentences)
+    lines = sentences(msgspec.structs.replace(document, located=located))
+    assert (len(lines), lines[-1]) == (MOST, "...")
+
+
+def test_sizes_are_wider_where_more_than_noise_is_left() -> None:
+    found = discovery()
+    chosen, library = found.outcome.chosen, found.study.library
+    [usual], [wide] = (sizes(dataclasses.replace(chosen, dispersion=left), library) for left in (1.0, 4.0))
+    assert usual.interval is not None
+    assert wide.interval is not None
+    assert np.diff(wide.interval) == pytest.approx(2.0 * np.diff(usual.interval))
+    outside = dataclasses.replace(chosen, inside=np.zeros(len(chosen.x), bool), curvature=np.eye(len(chosen.x)))
+    [bound] = sizes(outside, library)
+    assert bound.interval is None
+    assert bound.words.endswith("the end of what is possible")
+
+
+def test_values_are_in_units_that_people_read() -> None:
+    assert readable(0.25, "1") == "0.25"
+    assert readable(2.5e4, "Pa") == "0.25 bar"
+    assert readable(1e-7, "m3/s") == "0.1 mL/s"
+    assert readable(0.4, "s") == "0.4 s"
+
+
+def test_a_folder_that_cannot_be_written_is_said(told: tuple[Document, Shown], tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(InputError, match="--out"):
+        write(tmp_path / "file", discovery(), *told)
+
+
+def test_the_document_says_what_it_is_of(document: Document) -> None:
+    assert document.simulated
+    assert encoded(document).endswith(b"}\n")
+    assert not Origin(training=("a",), held_out=("b",), sources=("a truck of ours",)).simulated
