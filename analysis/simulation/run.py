@@ -5,10 +5,10 @@ order's (BDF2, Gear 1971: stable for stiff systems as the thesis's ode15s is, of
 
     d_k = (3 s_k - 4 s_{k-1} + s_{k-2}) / 2h
 
-All instants are solved together by Newton's method. Its matrix is banded, as an instant knows the two before it only,
-so that a step costs one sweep of LAPACK's band solver and the model's functions are evaluated as arrays over time. The
-same factors give the exact derivatives of the trajectory to parameters and inputs (implicit function theorem), one
-column each. `docs/decisions/006-free-run-at-once.md` has it beside scipy's solvers.
+All instants are solved together by Newton's method. An instant knows the states of the two before it and nothing else
+of them, so that its own equations are solved first, as arrays over time (see `instants`); what is left is a triangular
+band in the states. The same two steps give the exact derivatives of the trajectory to parameters and inputs (implicit
+function theorem), one column each. `docs/decisions/006-free-run-at-once.md` has it beside scipy's solvers.
 """
 
 from collections.abc import Mapping
@@ -17,9 +17,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.linalg.lapack import dtbtrs
 
-from analysis.simulation.system import System
+from analysis.simulation.instants import Entries, UndeterminedError, solved
+from analysis.simulation.system import Jacobian, System
 from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +28,12 @@ Array = npt.NDArray[np.float64]
 MAXIMUM_STEPS = 40
 TOLERANCE = 1e-9
 """Relative to the size of a variable: the last step of Newton's method."""
+
+NEAR, AHEAD = 1e-6, 1e-12
+"""A step so short is the last too, if the next, by how the steps' squares go (step**3 / before**2), is below `AHEAD`.
+
+The first is for kinks, where squares say nothing: what a sensor shows has noise a hundred times as large.
+"""
 
 
 @dataclass(frozen=True)
@@ -58,25 +65,28 @@ class Trajectory:
 
     def by_parameters(self) -> dict[str, Array]:
         """The derivatives (K, parameters) of the outputs."""
-        effect = self.system.by_parameter(len(self.w), self._arguments)
-        return self._outputs(-effect[1:], self._shown("parameters"))
+        added = _entries(self.system.by_parameter, self._arguments)
+        return self._outputs(added, len(self.system.parameters), 1.0, self._shown("parameters"))
 
     def by_input(self, name: str, directions: Array) -> dict[str, Array]:
         """The derivatives (K, D) of the outputs to D disturbances (K, D) that are added to the input `name`."""
         k = self.system.inputs.index(name)
-        effect = self.system.by_input(len(self.w), self._arguments)[:, :, k, None] * directions[:, None]
+        added = {(i, 0): value for (i, j), value in _entries(self.system.by_input, self._arguments).items() if j == k}
         direct = {y: slope[:, k, None] * directions for y, slope in self._shown("inputs").items()}
-        return self._outputs(-effect[1:], direct)
+        return self._outputs(added, 1, directions[1:].T, direct)
 
-    def _outputs(self, right: Array, direct: dict[str, Array]) -> dict[str, Array]:
-        moved = np.zeros((len(self.w), self.w.shape[1], right.shape[2]))
-        moved[1:] = self._band.solve(right)
-        rates = _rates(moved[:, : len(self.system.states)], self.drive.step_s)
-        through, by_rate = self._shown("variables"), self._shown("derivatives")
-        return {
-            y: np.einsum("kn,knd->kd", through[y], moved) + np.einsum("kn,knd->kd", by_rate[y], rates) + direct[y]
-            for y in self.system.outputs
-        }
+    def _outputs(self, added: Entries, width: int, times: Array | float, direct: dict[str, Array]) -> dict[str, Array]:
+        """With what is `added` to the equations, see `_Change`, and what shows `direct` (K, D) without them."""
+        change = _Change(self.system, self._arguments, self.drive.step_s, self.w, added, width, times)
+        names = list(self.system.outputs)
+        found = {y: np.array(value.T, order="C") for y, value in direct.items()}
+        for (i, j), slope in _entries(self.system.shown_by["variables"], self._arguments).items():
+            found[names[i]][:, 1:] += slope * change.of(j)
+        for (i, j), slope in _entries(self.system.shown_by["derivatives"], self._arguments).items():
+            moved = np.zeros_like(found[names[i]])
+            moved[:, 1:] = change.of(j)
+            found[names[i]][:, 1:] += slope * _rates(moved.T, self.drive.step_s)[1:].T
+        return {y: np.ascontiguousarray(value.T) for y, value in found.items()}
 
     def _shown(self, to: str) -> dict[str, Array]:
         """The outputs' own derivatives (K, ...), by what they are to (see `System.shown_by`)."""
@@ -87,10 +97,6 @@ class Trajectory:
     def _arguments(self) -> list[Array | float]:
         return _arguments(self.system, self.drive, self.parameters, self.w)
 
-    @cached_property
-    def _band(self) -> "_Band":
-        return _Band(self.system, self._arguments, self.drive.step_s, self.w)
-
 
 def run(system: System, drive: Drive, parameters: Mapping[str, float], near: Trajectory | None = None) -> Trajectory:
     """The trajectory with these values of the system's parameters; `near` is one that may be close to it.
@@ -98,18 +104,30 @@ def run(system: System, drive: Drive, parameters: Mapping[str, float], near: Tra
     Raises:
         InputError: there is no solution near the guess.
     """
-    w = _guess(system, drive, parameters) if near is None else near.w
+    w = np.asfortranarray(_guess(system, drive, parameters) if near is None else near.w)  # variable by variable
+    before = np.inf
     for _ in range(MAXIMUM_STEPS):
-        arguments = _arguments(system, drive, parameters, w)
-        value = np.column_stack([np.broadcast_to(v, len(w)) for v in system.value(*arguments)])
-        step = np.zeros_like(w)
-        step[1:] = _Band(system, arguments, drive.step_s, w).solve(-value[1:, :, None])[:, :, 0]
-        w = w + step
+        with np.errstate(over="ignore", invalid="ignore"):  # a search that runs away ends with what is not finite
+            step = _step(system, drive, parameters, w)
+            w = w + step
+            size = (np.abs(step).max(axis=0) / np.maximum(np.abs(w).max(axis=0), 1e-300)).max()
         if not np.isfinite(w).all():
             break
-        if (np.abs(step).max(axis=0) <= TOLERANCE * np.abs(w).max(axis=0)).all():
+        if size <= TOLERANCE or (size <= NEAR and size**3 <= AHEAD * before**2):
             return Trajectory(system, drive, dict(parameters), w)
+        before = size
     raise InputError(f"{system.model.name}: no free run is found; check the parameters and what the inputs do")
+
+
+def _step(system: System, drive: Drive, parameters: Mapping[str, float], w: Array) -> Array:
+    """Newton's (K, n)."""
+    arguments = _arguments(system, drive, parameters, w)
+    left = {(i, 0): _later(value) for i, value in enumerate(system.value(*arguments))}
+    change = _Change(system, arguments, drive.step_s, w, left, 1)
+    step = np.zeros_like(w)
+    for j in range(w.shape[1]):
+        step[1:, j] = change.of(j)[0]
+    return step
 
 
 def _guess(system: System, drive: Drive, parameters: Mapping[str, float]) -> Array:
@@ -136,45 +154,86 @@ def _rates(s: Array, step_s: float) -> Array:
     return np.asarray(d / step_s)
 
 
-class _Band:
-    """The factors of Newton's matrix for the instants from 1 on."""
+def _entries(jacobian: Jacobian, arguments: list[Array | float]) -> dict[tuple[int, int], float | Array]:
+    """For the instants from 1 on."""
+    values = jacobian.entries(*arguments)
+    return {place: _later(value) for place, value in zip(jacobian.places, values, strict=True)}
 
-    def __init__(self, system: System, arguments: list[Array | float], step_s: float, w: Array) -> None:
-        count, n = w.shape
-        by_derivative = system.by_derivative(count, arguments)[1:] / step_s  # (K - 1, n, states)
-        now = system.by_variable(count, arguments)[1:]
-        lead = np.full((count - 1, 1, 1), 1.5)
-        lead[0] = 1.0
-        states = slice(0, len(system.states))
-        now[:, :, states] += lead * by_derivative
-        before = np.zeros_like(now)
-        before[:, :, states] = np.where(lead > 1.0, -2.0, -1.0) * by_derivative
-        earlier = np.zeros_like(now)
-        earlier[:, :, states] = np.where(lead > 1.0, 0.5, 0.0) * by_derivative
+
+def _later(value: Array | float) -> Array | float:
+    """From instant 1 on."""
+    return value[1:] if isinstance(value, np.ndarray) and value.ndim else value
+
+
+class _Change:
+    """How the variables change with D columns that are `added` to the equations, for the instants from 1 on.
+
+    At every instant the equations give, once solved for all of its variables,
+
+        w_k = here_k - by_past_k past_k,    past_k = -2 s_{k-1} + s_{k-2} / 2
+
+    of which the states' part is a triangular matrix whose band holds three instants: solving it is all that goes from
+    one instant to the next.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        arguments: list[Array | float],
+        step_s: float,
+        w: Array,
+        added: Entries,
+        width: int,
+        times: Array | float = 1.0,
+    ) -> None:
+        """What is added is `added` (n, width) `times` (D, K - 1): of the two, one at most has more than one column."""
+        self._states, count = len(system.states), len(w) - 1
+        lead = np.full(count, 1.5 / step_s)
+        lead[0] = 1.0 / step_s
+        now = _entries(system.by_variable, arguments)
+        right = {(i, self._states + column): -value for (i, column), value in added.items()}
+        for (i, j), value in _entries(system.by_derivative, arguments).items():
+            now[i, j] = now.get((i, j), 0.0) + lead * value
+            right[i, j] = value / step_s
         size = np.abs(w).max(axis=0)
-        self._columns = np.where(size > 0.0, size, 1.0)
-        now, before, earlier = now * self._columns, before * self._columns, earlier * self._columns
-        self._rows = 1.0 / np.maximum(np.abs(now).max(axis=2), 1e-300)  # (K - 1, n)
-        self._lower, self._upper = 3 * n - 1, n - 1
-        self._shape = (count - 1, n)
-        band = np.zeros((2 * self._lower + self._upper + 1, (count - 1) * n))
-        middle = self._lower + self._upper
-        for back, block in enumerate((now, before, earlier)):
-            scaled = block * self._rows[:, :, None]
-            for i in range(n):
-                for j in range(n):
-                    columns = np.arange(count - 1 - back) * n + j
-                    band[middle + back * n + i - j, columns] = scaled[back:, i, j]
-        self._factors, self._pivots, failed = dgbtrf(band, self._lower, self._upper, overwrite_ab=True)
-        if failed:
+        try:
+            found = solved(now, right, np.where(size > 0.0, size, 1.0), (self._states + width, count))
+        except UndeterminedError as error:
             raise InputError(
-                f"{system.model.name}: the equations do not determine {system.variables[(failed - 1) % n]}; "
+                f"{system.model.name}: the equations do not determine {system.variables[error.column]}; "
                 "check them, and that the model is of index 1"
-            )
+            ) from None
+        self._by_past, self._here, self._times = found[:, : self._states], found[:, self._states :], times
+        self._moved = self._solved()
 
-    def solve(self, right: Array) -> Array:
-        """The solution for right hand sides (K - 1, n, D)."""
-        scaled = (right * self._rows[:, :, None]).reshape(-1, right.shape[2])
-        found, _ = dgbtrs(self._factors, self._lower, self._upper, scaled, self._pivots)
-        solution: Array = found.reshape(*self._shape, -1) * self._columns[None, :, None]
-        return solution
+    def of(self, j: int) -> Array:
+        """The change (D, K - 1) of a variable."""
+        if j < self._states:
+            return np.asarray(self._moved[:, :, j])
+        change: Array = self._here[j] * self._times
+        for by_past, past in zip(self._by_past[j], self._past, strict=True):
+            change = change - by_past * past
+        return change
+
+    @cached_property
+    def _past(self) -> list[Array]:
+        """By state (D, K - 1)."""
+        found = np.zeros_like(self._moved)
+        found[:, 1:] = -2.0 * self._moved[:, :-1]
+        found[:, 2:] += 0.5 * self._moved[:, :-2]
+        return [found[:, :, i] for i in range(self._states)]
+
+    def _solved(self) -> Array:
+        """The states' changes (D, K - 1, states)."""
+        n, count = self._states, self._by_past.shape[2]
+        band = np.zeros((count, n, 3 * n))  # by column of the matrix, from its diagonal down
+        for i in range(n):
+            for j in range(n):
+                band[:-1, j, n + i - j] = -2.0 * self._by_past[i, j, 1:]
+                band[:-2, j, 2 * n + i - j] = 0.5 * self._by_past[i, j, 2:]
+        here = np.stack([here * self._times for here in self._here[:n]], axis=-1)
+        if not len(here):
+            return here  # without columns, dtbtrs (scipy 1.17's OpenBLAS) writes outside of what it is given
+        right = here.reshape(len(here), count * n).T
+        found, _ = dtbtrs(band.reshape(count * n, 3 * n).T, right, uplo="L", diag="U", overwrite_b=True)
+        return np.asarray(found.T.reshape(here.shape))

@@ -211,3 +211,12 @@ def test_a_run_near_another_is_the_same() -> None:
     alone = run(system, drive(u, 0.05, start), {"D_p": 1e-7})
     near = run(system, drive(u, 0.05, start), {"D_p": 1e-7}, other)
     assert np.abs(near.w - alone.w).max() < 1e-6 * np.abs(alone.w).max()
+
+
+def test_nothing_to_derive_to_is_no_columns() -> None:
+    """Regression: given none, LAPACK's routine wrote into memory that is not its own."""
+    start, inputs = DRIVES["uds4"]
+    u = inputs(np.arange(0.0, 5.0, 0.05))
+    trajectory = free_run((system_of(UDS4, []), start), u, 0.05)
+    for found in (trajectory.by_parameters(), trajectory.by_input("n_p", np.zeros((len(u), 0)))):
+        assert {y.shape for y in found.values()} == {(len(u), 0)}
