@@ -99,11 +99,12 @@ class Course(msgspec.Struct, frozen=True, kw_only=True):
 class Located(msgspec.Struct, frozen=True, kw_only=True):
     """Where something is missing: the class of equations that do the same, and those that no recording tells apart.
 
-    Each of `sensors`, if it were measured, would tell more of these apart.
+    `descriptions` are the equations' own, by name. Each of `sensors`, if it were measured, would tell more.
     """
 
     sentences: tuple[str, ...]
     equations: tuple[str, ...]
+    descriptions: dict[str, str]
     inseparable: tuple[str, ...]
     sensors: tuple[str, ...]
     parts: tuple[Part, ...]

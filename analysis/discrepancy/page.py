@@ -1,6 +1,7 @@
 """A discovery as one HTML file that needs nothing else: pictures inside, readable on a phone, in the dark, on paper."""
 
 import base64
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
@@ -27,6 +28,8 @@ CAPTIONS = {
     ),
 }
 
+CODE = re.compile("`([^`]*)`")
+
 STYLE = """
 :root{color-scheme:light dark;--ink:#1d2126;--soft:#5b646e;--paper:#fff;--card:#f5f6f8;--line:#d9dde2;--blue:#0072b2}
 @media (prefers-color-scheme:dark){:root{--ink:#e8eaed;--soft:#a5adb6;--paper:#14171a;--card:#1f2428;--line:#363d44;
@@ -39,7 +42,8 @@ h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid var(--line)}
 .verdict{font-size:1.3rem;line-height:1.35;margin:.5rem 0;border-left:.35rem solid var(--blue);padding:.3rem .8rem}
 .note{background:var(--card);border:1px solid var(--line);border-radius:.4rem;padding:.5rem .8rem}
 figure{margin:1.5rem 0}
-figure img{display:block;width:100%;height:auto;background:#fff;border-radius:.4rem;border:1px solid var(--line)}
+figure img{display:block;width:100%;min-width:40rem;height:auto;background:#fff;border-radius:.4rem;
+border:1px solid var(--line)}
 figcaption{color:var(--soft);font-size:.9rem;margin-top:.3rem}
 .wide{overflow-x:auto}
 table{border-collapse:collapse;font-size:.88rem;min-width:100%}
@@ -50,6 +54,7 @@ thead th{color:var(--soft);font-weight:600}
 tr.chosen td{color:var(--blue);font-weight:600}
 li{margin:.2rem 0}
 @media print{body{max-width:none;padding:0;font-size:11pt}figure,tr{break-inside:avoid}.wide{overflow:visible}
+figure img{min-width:0}
 td,th{white-space:normal}}
 """
 
@@ -69,7 +74,7 @@ def page(d: Document, pictures: Mapping[str, bytes]) -> str:
             if name in pictures
         ),
         *_section("How large it is", _list(_strengths(d))),
-        *_section("Where in the model", _list(d.located.sentences)),
+        *_section("Where in the model", _list(d.located.sentences) + _equations(d)),
         *_section(
             "Where something is still missing", _list(d.left.sentences) if d.left.equations and d.strengths else ""
         ),
@@ -77,6 +82,8 @@ def page(d: Document, pictures: Mapping[str, bytes]) -> str:
         *_section("Why it should not be added as it is", _list(d.refused)),
         *_section("What to do next", _list(next_steps(d))),
         *_section("The held-out free run by operating mode", _regimes(d)),
+        *_section("Whether what is left is noise", _whiteness(d)),
+        *_section("Evidence", _evidence(d)),
         *_section("Parameters against the datasheet", _list(d.drift.sentences) if d.drift and adopted else ""),
         *_section("What changes in the structure", _list(d.structure.sentences) if d.structure and adopted else ""),
         *_section("What changes on the vehicle", _list(d.bundle.sentences) if d.bundle else ""),
@@ -103,7 +110,8 @@ def _origin(d: Document) -> str:
 def _figure(name: str, png: bytes) -> str:
     caption = escape(CAPTIONS[name])
     source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
-    return f'<figure><img alt="{caption}" src="{source}"><figcaption>{caption}</figcaption></figure>'
+    picture = f'<div class="wide"><img alt="{caption}" src="{source}"></div>'
+    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
 
 
 def _section(title: str, body: str) -> list[str]:
@@ -111,35 +119,75 @@ def _section(title: str, body: str) -> list[str]:
 
 
 def _list(lines: Iterable[str]) -> str:
-    items = "".join(f"<li>{escape(_upper(line))}</li>" for line in lines)
+    items = "".join(f"<li>{CODE.sub(r'<code>\1</code>', escape(_upper(line)))}</li>" for line in lines)
     return f"<ul>{items}</ul>" if items else ""
+
+
+def _equations(d: Document) -> str:
+    said = [f"{name}: {text}" for name, text in d.located.descriptions.items()]
+    return f"<p>{escape('; '.join(said))}</p>" if said else ""
 
 
 def _strengths(d: Document) -> list[str]:
     nearest = " (the nearest, and not its name)" if d.verdict.kind == "unnamed" else ""
-    return [f"{strength.effect}{nearest}: {strength.words}" for strength in d.strengths]
+    return [f"{strength.words}; {strength.effect}{nearest}" for strength in d.strengths]
+
+
+def _evidence(d: Document) -> str:
+    e = d.evidence
+    rows = [
+        [
+            "training",
+            f"{e.training_before:.1f}",
+            f"{e.training_after:.1f}",
+            f"{e.training_after - e.training_before:+.1f}",
+        ],
+        [
+            "held out",
+            f"{e.held_out_before:.1f}",
+            f"{e.held_out_after:.1f}",
+            f"{e.held_out_after - e.held_out_before:+.1f}",
+        ],
+        ["left, in the noise's mean square", f"{e.dispersion_before:.2f}", f"{e.dispersion_after:.2f}", ""],
+    ]
+    note = (
+        "<p>Log probabilities [nats] of the recordings under the model, up to a constant, with all that is unknown "
+        "integrated out. 5 nats are odds of 150 to 1.</p>"
+    )
+    return _table(["recordings", "before", "after", "gain"], rows, text=()) + note if d.strengths else ""
 
 
 def _regimes(d: Document) -> str:
     head = ["output", "mode", "RMS before", "after", "bias before", "after", "floor", "expected", "gap closed"]
-    head += ["neighbours before", "after", "white? before", "after"]
-    rows = [_regime(r) for r in d.regimes]
     note = (
-        "<p>Floor: the sensor's own flicker; expected: with what the inputs' noise makes of a free run. Neighbours: "
-        "the correlation of what is left from second to second, weighed as the evidence is; white: the probability of "
-        "more correlation (Ljung and Box, ten lags) if it were noise.</p>"
+        "<p>Floor: the sensor's own flicker; expected: with what the inputs' noise makes of a free run. No gap is told "
+        "where there was none that an RMS error could show.</p>"
     )
-    return _table(head, rows) + note
+    return _table(head, [_regime(r) for r in d.regimes]) + note
 
 
 def _regime(r: Regime) -> list[str]:
+    one, unit = (100.0, "mbar") if r.unit == "Pa" else (1.0, r.unit)
+
     def told(value: float | None) -> str:
-        return "-" if value is None else readable(value, r.unit)
+        return "-" if value is None else f"{value / one:z.1f}" if unit == "mbar" else f"{value:.3g}"
 
     closed = "-" if r.closure is None else f"{100 * r.closure:.0f} %"
     values = [told(v) for v in (r.rms_before, r.rms_after, r.bias_before, r.bias_after, r.floor, r.expected)]
-    correlations, chances = zip(*(_white(white) for white in (r.white_before, r.white_after)), strict=True)
-    return [r.output, r.mode, *values, closed, *correlations, *chances]
+    return [f"{r.output} [{unit}]", r.mode, *values, closed]
+
+
+def _whiteness(d: Document) -> str:
+    head = ["output", "mode", "neighbours before", "after", "probability before", "after"]
+    rows = []
+    for r in d.regimes:
+        correlations, chances = zip(*(_white(white) for white in (r.white_before, r.white_after)), strict=True)
+        rows.append([r.output, r.mode, *correlations, *chances])
+    note = (
+        "<p>Of means of a second, weighed as the evidence is: the correlation of neighbours, and the probability of "
+        "more correlation (Ljung and Box, ten lags) if only noise were left.</p>"
+    )
+    return _table(head, rows) + note
 
 
 def _white(found: White | None) -> tuple[str, str]:

@@ -12,6 +12,8 @@ HEADS = {
     "unnamed": "The model lacks something that has no name yet",
 }
 
+NATS = "Nats measure evidence: 5 nats are odds of 150 to 1, and each further one multiplies them by 2.7."
+
 
 def summary(d: Document) -> str:
     """The page, as Markdown."""
@@ -19,7 +21,7 @@ def summary(d: Document) -> str:
     of = f" of vehicle {d.origin.vehicle}" if d.origin.vehicle else ""
     parts = [f"# {HEADS[v.kind]}", f"Model {d.model}{of}. {_origin(d)}"]
     parts += ["## What was found", *_found(d)]
-    parts += ["## How sure this is", *_bullets([_upper(line) for line in confidence(d)]), *_gap(d)]
+    parts += ["## How sure this is", *_bullets([_upper(line) for line in confidence(d)]), NATS, *_gap(d)]
     parts += ["## What it means for diagnosis", *meaning(d)]
     if d.bundle:
         parts += ["For the tests on the vehicle:", *_bullets([*d.bundle.sentences])]
@@ -47,7 +49,14 @@ def _found(d: Document) -> list[str]:
     if v.kind != "unnamed":
         found += _bullets([_upper(strength.words) for strength in d.strengths])
     if d.located.equations:
-        found += ["Where in the model, told without any library:", *_bullets([*d.located.sentences])]
+        _, *others = d.located.equations
+        where = [d.located.sentences[0]]
+        if others:
+            said = "; ".join(d.located.descriptions.get(name) or name for name in others)
+            where.append(f"with what is missing unknown it may as well be in: {said}")
+        if d.located.sensors:
+            where.append(f"a sensor of {d.located.sensors[0]} would tell more")
+        found += ["Where in the model, told from the data alone, without any library:", *_bullets(where)]
     return found
 
 
@@ -56,8 +65,9 @@ def _gap(d: Document) -> list[str]:
     if not steady:
         return []
     said = [f"{regime.output}: {gap_words(regime, changed=bool(d.strengths))}" for regime in steady]
+    nearest = " with the nearest effects, none of which is its name" if d.verdict.kind == "unnamed" else ""
     head = "The model run freely over the held-out recordings, on the inputs alone, is off in steady operation by (RMS"
-    return [f"{head}{', before -> after' if d.strengths else ''}):", *_bullets(said)]
+    return [f"{head}{f', before -> after{nearest}' if d.strengths else ''}):", *_bullets(said)]
 
 
 def _bullets(lines: list[str]) -> list[str]:

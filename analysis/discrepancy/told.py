@@ -21,6 +21,7 @@ from analysis.discrepancy.sizes import sizes
 from analysis.discrepancy.structure_change import StructureChange
 from analysis.discrepancy.verdicts import sentence_of
 from analysis.discrepancy.whiteness import Whiteness
+from analysis.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,8 +81,8 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
             )
             for size in sizes(outcome.chosen, library)
         ),
-        located=_located(found.before, first),
-        left=_located(found.after, first),
+        located=_located(found.study.model, found.before, first),
+        left=_located(found.study.model, found.after, first),
         regimes=tuple(_regime(gap, found.study.model.known[gap.output].unit) for gap in shown.gaps),
         zeros=_zeros(found, shown, origin),
         entries=_entries(found),
@@ -122,12 +123,13 @@ def _candidate(effect: Effect) -> told.Candidate:
     )
 
 
-def _located(location: Location, equation: str) -> told.Located:
+def _located(model: Model, location: Location, equation: str) -> told.Located:
     """The location; the unknown input is that of `equation`, so that before and after are of the same."""
     course = next((suspect for suspect in location.suspects if suspect.equation == equation), None)
     return told.Located(
         sentences=location.sentences,
         equations=location.members,
+        descriptions={name: model.equations[name].description for name in location.members if name in model.equations},
         inseparable=location.inseparable,
         sensors=location.sensors,
         parts=tuple(

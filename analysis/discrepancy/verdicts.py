@@ -40,14 +40,14 @@ def confidence(d: Document) -> list[str]:
         return [f"{tried} effects were looked for; {brought}, where chance brings up to {v.threshold:.1f} in 99 of 100"]
     lines = []
     if v.places:
-        e = d.evidence
+        e, what = d.evidence, "the nearest effects bring" if v.kind == "unnamed" else "evidence"
         lines.append(
-            f"evidence {v.gain:.0f} nats ({e.training_after - e.training_before:.0f} of the training recordings, "
+            f"{what} {v.gain:.0f} nats ({e.training_after - e.training_before:.0f} of the training recordings, "
             f"{e.held_out_after - e.held_out_before:.0f} of the held-out ones), where chance brings up to "
             f"{v.threshold:.1f} in 99 of 100"
         )
     if v.kind == "unnamed":
-        nearest = f" with the nearest ones in ({', '.join(_names(d))})" if v.places else ""
+        nearest = f" with them in ({', '.join(_names(d))})" if v.places else ""
         lines.append(f"{v.remainder:.0f} nats of evidence for an unknown input are left{nearest}")
     return lines
 
@@ -132,10 +132,10 @@ def limits(d: Document) -> list[str]:
     if absent:
         found.append(f"have no place in this model: {_listed(absent)}")
     found += [
-        f"{zero.recording}: the zero error of {zero.output} would be {abs(zero.after):.1f} times what its datasheet "
+        f"the zero error of {zero.output} in {zero.recording} would be {abs(zero.after):.1f} times what its datasheet "
         "says; check the sensor"
         for zero in d.zeros
-        if abs(zero.after) > FAR
+        if abs(zero.after) > FAR and d.verdict.kind != "unnamed"  # there it may do what is missing
     ]
     found.append(
         "the library is what was looked for: an effect that looks like an entry's here may be another elsewhere"
