@@ -119,8 +119,13 @@ def _section(title: str, body: str) -> list[str]:
 
 
 def _list(lines: Iterable[str]) -> str:
-    items = "".join(f"<li>{CODE.sub(r'<code>\1</code>', escape(_upper(line)))}</li>" for line in lines)
+    items = "".join(f"<li>{_marked(line)}</li>" for line in lines)
     return f"<ul>{items}</ul>" if items else ""
+
+
+def _marked(line: str) -> str:
+    """With what is between backticks as code."""
+    return CODE.sub(r"<code>\1</code>", escape(_upper(line)))
 
 
 def _equations(d: Document) -> str:
