@@ -3,7 +3,7 @@
 Gauss and Jordan's elimination in which every entry is an array over time: what is zero at all instants costs nothing,
 and a step is some additions of arrays, where factorising one small matrix after the other mostly costs the calls. All
 instants have the same pivots: of the entries that are large in their rows, the one that fills in least (Markowitz 1957,
-with a threshold). Where that one happens to be small after all, as where a flow turns, LAPACK solves the instant.
+with a threshold). Where that one happens to be small after all, LAPACK solves the instant.
 """
 
 from collections import Counter
