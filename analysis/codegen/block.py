@@ -1,16 +1,28 @@
 """The network of some states of a model: what the implicit step needs where other parts are computed around it."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import sympy as sp
 
 from analysis.codegen.elimination import Solved
+from analysis.graph.linear import last
 from analysis.graph.network import Evaluator, Values, flow_network
 from analysis.model import Differential, Equation, Known, Model, Unknown, sgsqrt
 from analysis.structure import Test
 
 _SENSOR = "the output"
+
+
+@dataclass(frozen=True)
+class Block:
+    """A network's `signals`, matrices and `formulas` of signals and of the `last` states; what its `orifices` are."""
+
+    signals: list[str]
+    values: Values
+    orifices: list[str]
+    formulas: dict[sp.Symbol, sp.Expr]
+    last: list[sp.Symbol]
 
 
 def names_in(expression: sp.Expr) -> set[str]:
@@ -33,8 +45,8 @@ def state_network(
     explicit: Sequence[Solved],
     signals: Sequence[str],
     place: str,
-) -> tuple[Values, list[str]]:
-    """The network of some states, as a small model of its own, and which equations its orifices are.
+) -> Block:
+    """The network of some states, as a small model of its own.
 
     Its equations are the solved ones, its known signals what enters. It measures its first state, which is only to
     make it a test.
@@ -43,13 +55,14 @@ def state_network(
     nothing = Known(unit="1", description="", min=0.0, max=0.0, noise=0.0)
     variable = Unknown(unit="1", description="", initial=(), initial_text=())
     measured = Solved(_SENSOR, _SENSOR, sp.Symbol(constraints[0].state))
+    grouped = [*(_grouped(model, s) for s in explicit), measured.value]
     small = replace(
         model,
         known=dict.fromkeys([*signals, _SENSOR], nothing),
         unknown=dict.fromkeys([*(d.state for d in constraints), *(s.variable for s in explicit)], variable),
         equations={
-            name: Equation(name=name, description="", text="", expression=sp.Symbol(s.variable) - s.value, fault=None)
-            for name, s in {**rows, _SENSOR: measured}.items()
+            name: Equation(name=name, description="", text="", expression=sp.Symbol(s.variable) - value, fault=None)
+            for (name, s), value in zip({**rows, _SENSOR: measured}.items(), grouped, strict=True)
         },
         differentials=tuple(constraints),
     )
@@ -68,9 +81,21 @@ def state_network(
     found = flow_network(small, test, list(signals))
     [values] = Evaluator([found], small)([{}])
     x = sp.Matrix([sp.Symbol(state) for state in test.states])
-    u = sp.Matrix([1, *(sp.Symbol(key) for key in signals)])
-    arguments = list(found.alpha * x + found.beta * u)
-    return values, [_origin(argument, explicit) for argument in arguments]
+    u = sp.Matrix([1, *(sp.Symbol(key) for key in signals), *found.formulas])
+    orifices = [_origin(argument, explicit) for argument in found.alpha * x + found.beta * u]
+    return Block(list(signals), values, orifices, found.formulas, [last(test.name, state) for state in test.states])
+
+
+def _grouped(model: Model, solved: Solved) -> sp.Expr:
+    """The value as the model groups it, if it has it from one equation: a balance has its capacity outside."""
+    if solved.part or solved.equation not in model.equations:
+        return solved.value
+    expression, variable = model.expression(solved.equation, with_fault=False), sp.Symbol(solved.variable)
+    gain = sp.diff(expression, variable)
+    if gain == 0 or gain.has(variable):
+        return solved.value
+    value = -expression.subs(variable, 0) / gain
+    return value if sp.expand(value - solved.value) == 0 else solved.value
 
 
 def _origin(argument: sp.Expr, explicit: Sequence[Solved]) -> str:

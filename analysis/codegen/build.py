@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from analysis.codegen.block import independent, names_in, state_network
+from analysis.codegen.block import Block, independent, names_in, state_network
 from analysis.codegen.elimination import Solved
 from analysis.codegen.identifiers import RESERVED, Names, file_scope, words_in
 from analysis.codegen.implicit import step_lines
@@ -15,7 +15,6 @@ from analysis.codegen.program import Constant, Input, Line, Program, State, aliv
 from analysis.codegen.sequence import Component, ComputationSequence
 from analysis.codegen.text import Writer, number
 from analysis.graph.bank import PERIOD_S
-from analysis.graph.network import Values
 from analysis.model import Differential, Model
 from service.core.errors import InputError
 
@@ -221,23 +220,28 @@ class _Builder:
             fixed = given
             block = self._block(constraints, [solved for solved in explicit if solved not in fixed])
         self._assign(fixed)
-        signals, values, orifices = block
-        inputs = [self._identifiers[key] for key in signals]
+        inputs = [self._identifiers[key] for key in block.signals] + self._formulas(block, last)
         self._lines += step_lines(
-            values, self._period, self._fresh, last=last, new=new, signals=inputs, orifices=orifices
+            block.values, self._period, self._fresh, last=last, new=new, signals=inputs, orifices=block.orifices
         )
         self._assign([solved for solved in explicit if solved not in fixed])
 
-    def _block(
-        self, constraints: Sequence[Differential], explicit: Sequence[Solved]
-    ) -> tuple[list[str], Values, list[str]]:
-        """What enters the network of the states, its matrices, and which equations its orifices are."""
+    def _formulas(self, block: Block, last: Sequence[str]) -> list[str]:
+        """The identifiers of a network's formulas, of which the lines are written."""
+        self._identifiers |= {symbol.name: name for symbol, name in zip(block.last, last, strict=True)}
+        names = [self._fresh.fresh(f"formula{k}") for k in range(1, len(block.formulas) + 1)]
+        for name, formula in zip(names, block.formulas.values(), strict=True):
+            self._lines.append(Line(name, self._write(formula), "a coefficient, with the states of the last step"))
+        return names
+
+    def _block(self, constraints: Sequence[Differential], explicit: Sequence[Solved]) -> Block:
+        """The network of the states."""
         parts = {sp.Symbol(key): value for key, value in self._numbers.items() if key not in self._model.parameters}
         explicit = [solved._replace(value=solved.value.xreplace(parts)) for solved in explicit]
         own = {d.state for d in constraints} | {solved.variable for solved in explicit}
         entering = {d.derivative for d in constraints}.union(*(names_in(solved.value) for solved in explicit))
         signals = [key for key in self._identifiers if key in entering and key not in own and key not in self._numbers]
-        return signals, *state_network(self._model, constraints, explicit, signals, self._place)
+        return state_network(self._model, constraints, explicit, signals, self._place)
 
     def _residual(self) -> tuple[str, str]:
         """The residual's text and unit."""

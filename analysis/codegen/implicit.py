@@ -28,7 +28,7 @@ def step_lines(
 ) -> list[Line]:
     """One step of `period` [s]: the identifiers `last` of the states to the identifiers `new`, with inputs `signals`.
 
-    `orifices` say which equation each orifice is.
+    The last of these are the network's formulas. `orifices` say which equation each orifice is.
     """
     step = _Step(values, period, names, new, orifices)
     lines = step.given(last, ["", *signals])
@@ -55,18 +55,21 @@ class _Step:
         self.driven = [names.fresh(f"driven_{name}") for name in new]
         self.rhs = [names.fresh(f"rhs_{name}") for name in new]
         self.M = [[names.fresh(f"M{i + 1}{k + 1}") for k in range(self.n)] for i in range(self.n)]
-        filled = (self.m.M0[0, 0] != 0) | (self.m.K[0] != 0).any(axis=0)
+        filled = (self.m.M0[0, 0] != 0) | (self.m.K[0] != 0).any(axis=0) | (self.m.J[0] != 0).any(axis=0)
         self.pattern: Pattern = filled.reshape(self.n, self.n).tolist()
         self.inverse, self.filled = _inverted(self.M, self.pattern)
 
     def given(self, last: Sequence[str], u: Sequence[str]) -> list[Line]:
         """What the inputs u = [1; z] give, whatever the new state."""
-        m, lines = self.m, []
+        m, lines = self.m, list[Line]()
+        self.formulas = u[len(u) - m.J.shape[1] :]
         for j, place in enumerate(self.orifices):
             lines.append(Line(self.beta[j], _sum(u, m.beta[0, :, j]), f"{place}: argument without the states"))
             lines.append(Line(self.opening[j], _sum(u, m.mu[0, :, j]), f"{place}: opening"))
         for i, state in enumerate(self.new):
-            text = _plus(last[i], _sum(u, m.B[0, :, i]))
+            capacity = weighted({"": 1.0, **dict(zip(self.formulas, m.V[0, :, i], strict=True))})
+            held = last[i] if capacity == "1.0" else f"({capacity})*{last[i]}"
+            text = _plus(held, _sum(u, m.B[0, :, i]))
             lines.append(Line(self.driven[i], text, f"{state} with the inputs alone"))
         return lines
 
@@ -102,6 +105,7 @@ class _Step:
         n, m, lines = self.n, self.m, []
         for i, k in ((i, k) for i in range(n) for k in range(n) if self.pattern[i][k]):
             terms = {"": m.M0[0, 0, i * n + k], **{q: -m.K[0, j, i * n + k] for j, q in enumerate(self.q)}}
+            terms |= {formula: -m.J[0, j, i * n + k] for j, formula in enumerate(self.formulas)}
             lines.append(Line(self.M[i][k], weighted(terms), f"M, row of {self.new[i]}, column of {self.new[k]}"))
         lines += self.inverse
         for i, state in enumerate(self.new):

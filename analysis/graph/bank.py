@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
+from analysis.graph.formula import Formulas
+from analysis.graph.linear import last
 from analysis.graph.network import Evaluator, Network, flow_network
-from analysis.graph.step import STACKED, Region, Stacked, stack, step_graph
+from analysis.graph.step import OF_FORMULAS, STACKED, Region, Stacked, stack, step_graph
 from analysis.model import Model
 from analysis.structure import Test, find_tests
 from service.core.errors import InputError
@@ -54,6 +56,17 @@ class Bank:
         """The matrices for each trial, a mapping of parameters and faults that differ from the model's values."""
         return stack(self.evaluator(trials), PERIOD_S)
 
+    def formulas(self, trials: Sequence[Trial]) -> Formulas:
+        """The formulas of all networks, with the parameters and faults of each trial."""
+        expressions = tuple(formula for network in self.networks for formula in network.formulas.values())
+        used = {symbol.name for expression in expressions for symbol in expression.free_symbols}
+        parameters = tuple(name for name in (*self.model.parameters, *self.model.faults) if name in used)
+        nominal = {name: p.value for name, p in self.model.parameters.items()} | dict.fromkeys(self.model.faults, 0.0)
+        theta = np.array([[[trial.get(name, nominal[name]) for name in parameters]] for trial in trials])
+        states = tuple(last(network.test, state).name for network in self.networks for state in network.states)
+        signals = tuple(channel.signal for channel in self.inputs)
+        return Formulas(expressions, signals, states, parameters, theta, self.model.name)
+
     def graph(self) -> bytes:
         """The ONNX graph of the model's own parameters, faults at zero."""
         return self._graph(parametric=False)
@@ -64,7 +77,8 @@ class Bank:
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
         lower = np.array([channel.lower for channel in self.inputs])
         region = Region(lower, np.array([channel.upper for channel in self.inputs]), uses)
-        return step_graph(self.stacked([{}]), measured, self.sigma, region, parametric=parametric)
+        formulas = self.formulas([{}])
+        return step_graph(self.stacked([{}]), measured, self.sigma, region, formulas, parametric=parametric)
 
     def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
         """Residuals (K, B, T) of the samples `z` (K, nz) from the states `x0` (nx,), for B trials side by side.
@@ -73,7 +87,10 @@ class Bank:
         """
         graph = Graph(self._graph(parametric=True))
         stacked = self.stacked(trials)
-        matrices = {name: getattr(stacked, name) for name in STACKED}
+        matrices = {name: getattr(stacked, name) for name in STACKED if name not in OF_FORMULAS or stacked.J.size}
+        theta = self.formulas(trials).theta
+        if theta.size:
+            matrices["theta"] = theta
         x = np.tile(x0, (len(trials), 1))
         r = np.empty((len(z), len(trials), len(self.tests)))
         for k, sample in enumerate(z):
@@ -106,6 +123,15 @@ def build_bank(model: Model) -> Bank:
             f"{model.name}: no test that can be run has a state; a bank is for dynamic models, add a differential "
             "constraint to one (`faultline code` writes static tests)"
         )
+    return bank_of(model, tests)
+
+
+def bank_of(model: Model, tests: Sequence[Test]) -> Bank:
+    """The bank of some tests of the model.
+
+    Raises:
+        InputError: the implicit step cannot solve one of them.
+    """
     names = list(model.known)
     inputs = tuple(
         Input(signal=name, unit=k.unit, maximum_age_s=MAXIMUM_AGE_S, lower=k.min, upper=k.max)
@@ -114,7 +140,7 @@ def build_bank(model: Model) -> Bank:
     networks = tuple(flow_network(model, test, names) for test in tests)
     sigma = np.array([model.known[test.predicts].noise for test in tests])
     generators = tuple(_generator(model, test) for test in tests)
-    return Bank(model, tests, inputs, generators, networks, sigma)
+    return Bank(model, tuple(tests), inputs, generators, networks, sigma)
 
 
 def _generator(model: Model, test: Test) -> Generator:

@@ -8,27 +8,33 @@ signals z (nz,), with u = [1; z]:
     x'   = C (m s) + A x + B u                  balance of every volume          [Pa/s]
     y_hat = H x + E u                           prediction of the tested sensor  [Pa]
 
-alpha, beta, mu, C, A, B, H and E depend on the parameters alone. What does not fit this form (a state inside another
-nonlinear function, an opening that depends on a state) is refused with the reason.
+alpha, beta, mu, C, A, B, H and E depend on the parameters alone. What does not fit this form is made to by formulas f
+of signals and last states (see `linear`): z has them as further signals, and the balance terms sum_i f_i J_i x and
+volumes that depend on pressure, (1 + V f) x', in addition.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
+from analysis.graph.linear import Linear, linear_form
 from analysis.model import Model, sgsqrt
 from analysis.structure import Test
 from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
+Form = Callable[[sp.Expr], sp.Expr]
 
 
 @dataclass(frozen=True)
 class Network:
-    """The matrices of one test as expressions of the parameters; rows of states, orifices or the output."""
+    """The matrices of one test as expressions of the parameters; rows of states, orifices or the output.
+
+    Of the nz signals the last nf are the `formulas`.
+    """
 
     test: str
     states: tuple[str, ...]
@@ -40,6 +46,9 @@ class Network:
     B: sp.Matrix  # (n, 1 + nz)
     H: sp.Matrix  # (1, n)
     E: sp.Matrix  # (1, 1 + nz)
+    J: sp.Matrix  # (nf, n n)
+    V: sp.Matrix  # (nf, n)
+    formulas: dict[sp.Symbol, sp.Expr]  # (nf,) of signals, parameters and the states at the `last` tick
 
 
 def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
@@ -49,17 +58,39 @@ def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
         InputError: an equation cannot be solved uniquely for its variable, or the test does not have the form above.
     """
     place = f"{model.name}: {test.name}"
-    values = _substituted(model, test, place)
-    derivatives = {d.state: d.derivative for d in model.differentials}
-    states = [sp.Symbol(name) for name in test.states]
     signals = [sp.Symbol(name) for name in inputs]
-    rates = [sp.expand(values[sp.Symbol(derivatives[name])]) for name in test.states]
-    output = _solved(model.expression(test.residual, with_fault=True).subs(values), sp.Symbol(test.predicts), place)
+    rates, output = _rates(model, test, place, sp.expand)
+    try:
+        return _network(test, signals, Linear(rates, [sp.Integer(0)] * len(rates), output, {}), place)
+    except InputError:
+        rates, output = _rates(model, test, place, lambda grouped: grouped)
+        middle = {sp.Symbol(name): sp.Float((model.known[name].min + model.known[name].max) / 2) for name in inputs}
+        numbers = {sp.Symbol(name): sp.Float(p.value) for name, p in model.parameters.items()}
+        numbers |= {sp.Symbol(name): sp.Integer(0) for name in model.faults}
+        linear = linear_form(test.name, test.states, middle, numbers, rates, output, place)
+        return _network(test, signals, linear, place)
 
+
+def _rates(model: Model, test: Test, place: str, form: Form) -> tuple[list[sp.Expr], sp.Expr]:
+    """The rates of the test's states and its output in terms of states and known signals, each result in a `form`."""
+    values = _substituted(model, test, place, form)
+    derivatives = {d.state: d.derivative for d in model.differentials}
+    rates = [form(values[sp.Symbol(derivatives[name])]) for name in test.states]
+    residual = model.expression(test.residual, with_fault=True).subs(values)
+    return rates, _solved(residual, sp.Symbol(test.predicts), place, form)
+
+
+def _network(test: Test, known: Sequence[sp.Symbol], linear: Linear, place: str) -> Network:
+    """The network of rates and output that are affine in states and signals, but for roots and for formulas."""
+    states = [sp.Symbol(name) for name in test.states]
+    formulas = linear.formulas
+    signals = [*known, *formulas]
+    output = linear.output
+    rates, J = _without_products(linear.rates, formulas, states)
     velocities = sorted(set().union(*(rate.atoms(sgsqrt) for rate in rates)), key=sp.default_sort_key)
     flows: list[tuple[sp.Expr, sp.Expr]] = []  # (opening, velocity): one orifice may act with several openings
     columns: list[dict[int, sp.Expr]] = []
-    linear = [rate.subs(dict.fromkeys(velocities, 0)) for rate in rates]
+    rootless = [rate.subs(dict.fromkeys(velocities, 0)) for rate in rates]
     for velocity in velocities:
         for row, rate in enumerate(rates):
             coefficient = sp.expand(rate.coeff(velocity))
@@ -83,10 +114,13 @@ def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
         beta=_matrix([_affine(a, states, signals, place)[1] for a in arguments], 1 + len(signals)),
         mu=_matrix([_affine(opening, states, signals, place)[1] for opening, _ in flows], 1 + len(signals)),
         C=sp.Matrix(len(states), len(flows), lambda i, j: columns[j].get(i, 0)),
-        A=_matrix([_affine(rate, states, signals, place)[0] for rate in linear], len(states)),
-        B=_matrix([_affine(rate, states, signals, place)[1] for rate in linear], 1 + len(signals)),
+        A=_matrix([_affine(rate, states, signals, place)[0] for rate in rootless], len(states)),
+        B=_matrix([_affine(rate, states, signals, place)[1] for rate in rootless], 1 + len(signals)),
         H=_matrix([_affine(output, states, signals, place)[0]], len(states)),
         E=_matrix([_affine(output, states, signals, place)[1]], 1 + len(signals)),
+        J=J,
+        V=sp.Matrix(len(formulas), len(states), [sp.Integer(c == f) for f in formulas for c in linear.capacities]),
+        formulas=dict(formulas),
     )
     _check_rebuilt(network, rates, flows, states, signals, place)
     return network
@@ -106,9 +140,11 @@ class Values:
     B: Array
     H: Array
     E: Array
+    J: Array
+    V: Array
 
 
-MATRICES = ("alpha", "beta", "mu", "C", "A", "B", "H", "E")
+MATRICES = ("alpha", "beta", "mu", "C", "A", "B", "H", "E", "J", "V")
 
 
 class Evaluator:
@@ -140,21 +176,34 @@ class Evaluator:
         ]
 
 
-def _substituted(model: Model, test: Test, place: str) -> dict[sp.Symbol, sp.Expr]:
+def _substituted(model: Model, test: Test, place: str, form: Form) -> dict[sp.Symbol, sp.Expr]:
     """Every algebraic variable of the test in terms of states and known signals, along its computational graph."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for equation, variable in test.sequence:
         expression = model.expression(equation, with_fault=True).subs(values)
-        values[sp.Symbol(variable)] = _solved(expression, sp.Symbol(variable), f"{place}: {equation}")
+        values[sp.Symbol(variable)] = _solved(expression, sp.Symbol(variable), f"{place}: {equation}", form)
     return values
 
 
-def _solved(expression: sp.Expr, variable: sp.Symbol, place: str) -> sp.Expr:
+def _solved(expression: sp.Expr, variable: sp.Symbol, place: str, form: Form) -> sp.Expr:
     """The one solution of expression = 0 for the variable; only a linear one is certain to be the only one."""
     slope = sp.diff(expression, variable)
     if slope == 0 or slope.has(variable):
         raise InputError(f"{place}: cannot be solved for {variable} with one solution only; choose another causality")
-    return sp.expand(-(expression.subs(variable, 0)) / slope)
+    return form(-(expression.subs(variable, 0)) / slope)
+
+
+def _without_products(
+    rates: Sequence[sp.Expr], formulas: Collection[sp.Symbol], states: Sequence[sp.Symbol]
+) -> tuple[list[sp.Expr], sp.Matrix]:
+    """The rates without their terms J f x, and J (nf, n n)."""
+    rows = [[rate.coeff(f).coeff(x) for rate in rates for x in states] for f in formulas]
+    J = sp.Matrix(len(rows), len(states) ** 2, [gain for row in rows for gain in row])
+    if not rows:
+        return list(rates), J
+    per_rate = (sp.Matrix(1, len(rows), list(formulas)) * J).reshape(len(states), len(states))
+    products = per_rate * sp.Matrix(len(states), 1, states)
+    return [sp.expand(rate - product) for rate, product in zip(rates, products, strict=True)], J
 
 
 def _openings(coefficient: sp.Expr, signals: Sequence[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr]]:

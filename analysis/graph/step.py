@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from analysis.graph.formula import Formulas
 from analysis.graph.network import Values
 from analysis.graph.writer import Writer
 
@@ -39,7 +40,8 @@ class Stacked:
 
     With L = T N padded states and u = [1; z]: `into` spreads x over L, `beta`, `mu` (1 + nz, S), `alpha` (L, S), h `C`
     (S, L), `M0` = I - h A (1, L N) and h `K` (S, L N) give M, -h `Z` (L N, S) the impedances, h `B` (1 + nz, L), `H`
-    (L, T), `E` (1 + nz, T).
+    (L, T), `E` (1 + nz, T). Behind the signals, z has the tests' formulas one after the other; h `J` (nf, L N) is what
+    they take from M, and `V` (nf, L) what they add to the states' capacities, which are 1 otherwise.
     """
 
     into: Array
@@ -53,10 +55,15 @@ class Stacked:
     B: Array
     H: Array
     E: Array
+    J: Array
+    V: Array
 
 
-STACKED = ("alpha", "beta", "mu", "C", "M0", "K", "Z", "B", "H", "E")
+STACKED = ("alpha", "beta", "mu", "C", "M0", "K", "Z", "B", "H", "E", "J", "V")
 """The fields of `Stacked` that depend on parameters."""
+
+OF_FORMULAS = ("J", "V")
+"""Those that only a bank with formulas has."""
 
 
 def stack(tests: Sequence[Values], period: float) -> Stacked:
@@ -68,31 +75,37 @@ def stack(tests: Sequence[Values], period: float) -> Stacked:
     batch = len(tests[0].A)
     N = max(len(test.states) for test in tests)
     S = sum(test.alpha.shape[1] for test in tests)
-    T, L, U = len(tests), len(tests) * N, tests[0].beta.shape[2]
+    F = sum(test.J.shape[1] for test in tests)
+    T, L, nz = len(tests), len(tests) * N, tests[0].beta.shape[2] - tests[0].J.shape[1]  # nz with the 1
+    U = nz + F
     shapes = {"alpha": (L, S), "beta": (U, S), "mu": (U, S), "C": (S, L), "M0": (1, L * N), "K": (S, L * N)}
-    shapes |= {"Z": (L * N, S), "B": (U, L), "H": (L, T), "E": (U, T)}
+    shapes |= {"Z": (L * N, S), "B": (U, L), "H": (L, T), "E": (U, T), "J": (F, L * N), "V": (F, L)}
     out = {name: np.zeros((batch, *shape)) for name, shape in shapes.items()}
     out["M0"][:, 0] = np.tile(np.eye(N), (T, 1)).ravel()
     into = np.zeros((sum(len(test.states) for test in tests), L))
-    first = column = 0
+    first = column = formula = 0
     for t, test in enumerate(tests):
-        n, s = len(test.states), test.alpha.shape[1]
+        n, s, f = len(test.states), test.alpha.shape[1], test.J.shape[1]
         rows, flows = slice(t * N, t * N + n), slice(first, first + s)
+        given = [*range(nz), *range(nz + formula, nz + formula + f)]
         into[np.arange(column, column + n), np.arange(t * N, t * N + n)] = 1.0
         out["alpha"][:, rows, flows] = np.swapaxes(test.alpha, 1, 2)
-        out["beta"][:, :, flows] = np.swapaxes(test.beta, 1, 2)
-        out["mu"][:, :, flows] = np.swapaxes(test.mu, 1, 2)
+        out["beta"][:, given, flows] = np.swapaxes(test.beta, 1, 2)
+        out["mu"][:, given, flows] = np.swapaxes(test.mu, 1, 2)
         out["C"][:, flows, rows] = period * np.swapaxes(test.C, 1, 2)
-        out["B"][:, :, rows] = period * np.swapaxes(test.B, 1, 2)
+        out["B"][:, given, rows] = period * np.swapaxes(test.B, 1, 2)
         out["H"][:, rows, t] = test.H[:, 0]
-        out["E"][:, :, t] = test.E[:, 0]
+        out["E"][:, given, t] = test.E[:, 0]
+        own = slice(formula, formula + f)
+        out["V"][:, own, rows] = test.V
         for i in range(n):
             for k in range(n):
                 entry = (t * N + i) * N + k
+                out["J"][:, own, entry] = period * test.J[:, :, i * n + k] - (i == k) * test.V[:, :, i]
                 out["M0"][:, 0, entry] -= period * test.A[:, i, k]
                 out["K"][:, flows, entry] = period * test.C[:, i, :] * test.alpha[:, :, k]
                 out["Z"][:, entry, flows] = -period * test.alpha[:, :, i] * test.C[:, k, :]
-        first, column = first + s, column + n
+        first, column, formula = first + s, column + n, formula + f
     return Stacked(into=into, **out)
 
 
@@ -101,6 +114,7 @@ def step_graph(
     measured: Array,
     sigma: Array,
     region: "Region",
+    formulas: Formulas,
     *,
     sweeps: int = SWEEPS,
     parametric: bool = False,
@@ -108,27 +122,36 @@ def step_graph(
     """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx).
 
     `measured` (nz, T) picks the signal that each test predicts. With `parametric` the matrices are inputs named as in
-    `STACKED`, one set per row of the batch; without it the first set is built in.
+    `STACKED`, one set per row of the batch, and the formulas' parameters `theta`; without it the first set is built in.
     """
     w = Writer()
     z, x = w.input("z", ["B", measured.shape[0]]), w.input("x", ["B", stacked.into.shape[0]])
     nz, nx = measured.shape[0], stacked.into.shape[0]
-    matrix = {name: _matrix(w, name, getattr(stacked, name), parametric) for name in STACKED}
+    present = [name for name in STACKED if name not in OF_FORMULAS or formulas.expressions]
+    matrix = {name: _matrix(w, name, getattr(stacked, name), parametric) for name in present}
     L, T = stacked.alpha.shape[1], measured.shape[1]
     N = L // T
     z3 = w.reshape(z, [-1, 1, nz])
     u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
-    old = w("MatMul", w.reshape(x, [-1, 1, nx]), w.constant(stacked.into))
+    x3 = w.reshape(x, [-1, 1, nx])
+    if formulas.expressions:
+        u = w.concat([u, formulas.write(w, z3, x3, parametric=parametric)], axis=2)
+    old = w("MatMul", x3, w.constant(stacked.into))
     beta = w("MatMul", u, matrix["beta"])
     opening = w("MatMul", u, matrix["mu"])
-    driven = w("Add", old, w("MatMul", u, matrix["B"]))
+    held, M0 = old, matrix["M0"]
+    if formulas.expressions:
+        f = w.slice(u, 2, 1 + nz, 1 + nz + len(formulas.expressions))
+        held = w("Add", old, w("Mul", old, w("MatMul", f, matrix["V"])))
+        M0 = w("Sub", M0, w("MatMul", f, matrix["J"]))
+    driven = w("Add", held, w("MatMul", u, matrix["B"]))
     new, inverse, g = old, "", ""
     for _ in range(sweeps + 1):
         d = w("Add", w("MatMul", new, matrix["alpha"]), beta)
         velocity = _thevenin(w, inverse, d, g, opening, matrix["Z"], L * N) if inverse else w("Sqrt", w("Abs", d))
         g = w("Reciprocal", w("Max", velocity, w.constant(S_MIN)))
         q = w("Mul", opening, g)
-        M = w("Sub", matrix["M0"], w("MatMul", q, matrix["K"]))
+        M = w("Sub", M0, w("MatMul", q, matrix["K"]))
         inverse = _inverse(w, w.reshape(M, [-1, T, N, N]), N)
         rhs = w("Add", driven, w("MatMul", w("Mul", q, beta), matrix["C"]))
         new = w.reshape(w("MatMul", inverse, w.reshape(rhs, [-1, T, N, 1])), [-1, 1, L])

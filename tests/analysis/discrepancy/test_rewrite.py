@@ -19,7 +19,6 @@ from analysis.model import Model, ModelError, dump_model, load_model, parse_mode
 from analysis.simulation import Drive, System, run, system_of
 from analysis.structure.command import main as structure
 from analysis.structure.lint import lint
-from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -186,12 +185,6 @@ def test_sums_of_flows_with_new_states_become_generators(name: str) -> None:
     sizes = {p: strength.spread or 0.0 for p, strength in effect.strengths.items()}
     bank = build_bank(with_effect("uds4", name).with_parameters(sizes, {}))
     assert bank.generators
-
-
-@pytest.mark.parametrize("name", ["full_open_gain", "nozzle_deposit"])
-def test_what_the_implicit_step_cannot_solve_is_refused_with_the_reason(name: str) -> None:
-    with pytest.raises(InputError, match=r"is not affine in states and signals|multiplied by a state"):
-        build_bank(with_effect("uds4", name))
 
 
 def test_numbers_survive_exactly(tmp_path: Path) -> None:

@@ -1,0 +1,126 @@
+"""Formulas of a model as nodes of a graph: sums, products, powers of halves and quarters, sizes and roots."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+from analysis.graph.writer import Array, Writer
+from analysis.model import sgsqrt
+from service.core.errors import InputError
+
+SMALLEST = 1e-300
+"""Keeps the root of zero from being divided by."""
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """Formulas of signals, states and parameters: the names in the order of their columns, `theta` (B, 1, P)."""
+
+    expressions: tuple[sp.Expr, ...]
+    signals: tuple[str, ...]
+    states: tuple[str, ...]
+    parameters: tuple[str, ...]
+    theta: Array
+    place: str
+
+    def write(self, w: Writer, z: str, x: str, *, parametric: bool) -> str:
+        """Their values (B, 1, F) from z (B, 1, nz) and x (B, 1, nx); `parametric` ones have theta as an input.
+
+        Raises:
+            InputError: a formula divides by zero with the parameters of the first set.
+        """
+        expressions = self.expressions
+        columns = [(z, self.signals), (x, self.states)]
+        if parametric and self.parameters:
+            columns.append((w.input("theta", ["B", 1, len(self.parameters)]), self.parameters))
+        else:
+            values = zip(self.parameters, self.theta[0, 0].tolist(), strict=True)
+            numbers = {sp.Symbol(name): sp.Float(value) for name, value in values}
+            expressions = tuple(expression.xreplace(numbers) for expression in expressions)
+            if any(expression.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I) for expression in expressions):
+                raise InputError(f"{self.place}: a coefficient divides by zero with these parameters; change them")
+        used = set().union(*(expression.free_symbols for expression in expressions))
+        known = {
+            name: w.slice(tensor, 2, column, column + 1)
+            for tensor, names in columns
+            for column, name in enumerate(names)
+            if sp.Symbol(name) in used
+        }
+        nothing = w("Mul", w.slice(z, 2, 0, 1), w.constant(0.0))  # gives a number its batch
+        found = write_formulas(w, expressions, known)
+        return w.concat([w("Add", nothing, value) for value in found], axis=2)
+
+
+def obstacle(expression: sp.Expr) -> str | None:
+    """Why a graph cannot have the expression; None if it can."""
+    for power in expression.atoms(sp.Pow):
+        if not power.exp.is_Rational or power.exp.q & (power.exp.q - 1):
+            return "a graph has roots of second, fourth, eighth order only"
+    return None
+
+
+def write_formulas(w: Writer, expressions: Sequence[sp.Expr], values: Mapping[str, str]) -> list[str]:
+    """The values of expressions, of which the symbols' are given by name; what they share is computed once."""
+    shared, left = sp.cse(list(expressions), symbols=sp.numbered_symbols("shared "))
+    known = dict(values)
+    for symbol, expression in shared:
+        known[symbol.name] = _written(w, expression, known)
+    return [_written(w, expression, known) for expression in left]
+
+
+def _written(w: Writer, e: sp.Expr, values: Mapping[str, str]) -> str:
+    if e.is_number:
+        return w.constant(float(e))
+    if e.is_Symbol:
+        return values[e.name]
+    if e.is_Add:
+        return _sum(w, e, values)
+    if e.is_Mul or e.is_Pow:
+        return _product(w, e, values)
+    [argument] = (_written(w, argument, values) for argument in e.args)
+    size = w("Abs", argument)
+    if isinstance(e, sgsqrt):
+        return w("Div", argument, w("Sqrt", w("Max", size, w.constant(SMALLEST))))
+    assert isinstance(e, sp.Abs), e
+    return size
+
+
+def _sum(w: Writer, e: sp.Expr, values: Mapping[str, str]) -> str:
+    """Added terms first, then those that are taken away."""
+    terms = sorted(sp.Add.make_args(e), key=lambda term: bool(term.as_coeff_Mul()[0].is_negative))
+    total = _written(w, terms[0], values)
+    for term in terms[1:]:
+        if term.as_coeff_Mul()[0].is_negative:
+            total = w("Sub", total, _written(w, -term, values))
+        else:
+            total = w("Add", total, _written(w, term, values))
+    return total
+
+
+def _product(w: Writer, e: sp.Expr, values: Mapping[str, str]) -> str:
+    above, below = "", ""
+    for factor in sp.Mul.make_args(e):
+        base, exponent = factor.as_base_exp() if not factor.is_number else (factor, sp.Integer(1))
+        power = _power(w, _written(w, base, values), abs(exponent))
+        if exponent.is_negative:
+            below = w("Mul", below, power) if below else power
+        else:
+            above = w("Mul", above, power) if above else power
+    if not below:
+        return above
+    return w("Div", above, below) if above else w("Reciprocal", below)
+
+
+def _power(w: Writer, base: str, exponent: sp.Rational) -> str:
+    """base^exponent by squares and square roots."""
+    for _ in range(int(exponent.q).bit_length() - 1):
+        base = w("Sqrt", base)
+    result, left = "", int(exponent.p)
+    while True:
+        if left % 2:
+            result = w("Mul", result, base) if result else base
+        left //= 2
+        if not left:
+            return result
+        base = w("Mul", base, base)
