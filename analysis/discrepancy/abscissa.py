@@ -30,24 +30,37 @@ def abscissa_of(found: Discovery) -> Abscissa | None:
     """
     if not found.before.findings:
         return None
-    model, sections, t = found.study.model, found.study.training, found.before.suspects[0].t
-    feature, place = found.before.findings[0].parts[0].feature, _place(sections, t)
-    signal = model.modes.signal if model.modes else ""
+    model, sections = found.study.model, found.study.training
+    feature = found.before.findings[0].parts[0].feature
+    course, term = feature.course, feature.term
+    place = _place(sections, found.before.suspects[0].t)
     if place is None:
         return None
-    if set(np.unique(feature.course.value)) <= {0.0, 1.0} and signal in system_of(model, []).inputs:
-        column = system_of(model, []).inputs.index(signal)
-        value = [_at(sections[k], s.drive.inputs[:, column], 1, time) for k, time in place for s in [sections[k]]]
-        return Abscissa(_titled(model, signal), np.array(value))
+    inputs, signal = system_of(model, []).inputs, model.modes.signal if model.modes else ""
+    if signal in inputs and set(np.unique(course.value)) <= {0.0, 1.0}:
+        column = inputs.index(signal)
+        held = [section.drive.inputs[:, column] for section in sections]
+        at = [(k, round(time / sections[k].drive.step_s)) for k, time in place]
+        return Abscissa(_titled(model, signal), np.array([held[k][min(n, len(held[k]) - 1)] for k, n in at]))
     every = [max(1, round(STEP_S / section.drive.step_s)) for section in sections]
     lengths = [len(section.t[::n]) for section, n in zip(sections, every, strict=True)]
-    if sum(lengths) != len(feature.course.value):
+    if sum(lengths) != len(course.value):
         return None
-    parts = np.split(feature.course.value, np.cumsum(lengths)[:-1])
-    return Abscissa(
-        f"{feature.course.words} (1: all of it)",
-        np.array([_at(sections[k], parts[k], every[k], time) for k, time in place]),
-    )
+    parts = np.split(feature.direction / term.size, np.cumsum(lengths)[:-1])
+    times = [section.t[::n] for section, n in zip(sections, every, strict=True)]
+    words = f"{term.variable}, {course.words}" if feature.relative else course.words
+    return Abscissa(words, _means(place, times, parts))
+
+
+def _means(place: Sequence[tuple[int, float]], times: Sequence[Array], values: Sequence[Array]) -> Array:
+    """The mean in every cell: it goes half of the way to its neighbours."""
+    found: list[float] = []
+    for k in range(len(times)):
+        middle = np.array([time for section, time in place if section == k])
+        number = np.searchsorted(0.5 * (middle[1:] + middle[:-1]), times[k])
+        count = np.bincount(number, minlength=len(middle))
+        found += (np.bincount(number, values[k], len(middle)) / np.maximum(count, 1)).tolist() if len(middle) else []
+    return np.array(found)
 
 
 def _place(sections: Sequence[Section], t: Array) -> list[tuple[int, float]] | None:
@@ -64,10 +77,6 @@ def _place(sections: Sequence[Section], t: Array) -> list[tuple[int, float]] | N
         found.append((k, float(time - sections[k].start_s)))
         last = time
     return found
-
-
-def _at(section: Section, value: Array, every: int, time: float) -> float:
-    return float(value[min(round(time / (every * section.drive.step_s)), len(value) - 1)])
 
 
 def _titled(model: Model, signal: str) -> str:

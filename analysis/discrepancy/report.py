@@ -5,10 +5,11 @@ from pathlib import Path
 from analysis.discrepancy.abscissa import abscissa_of
 from analysis.discrepancy.discover import Discovery
 from analysis.discrepancy.document import Document, Origin, encoded
+from analysis.discrepancy.extras import Extras
 from analysis.discrepancy.page import page
 from analysis.discrepancy.show import Shown, shown
 from analysis.discrepancy.summary import summary
-from analysis.discrepancy.told import Extras, document_of
+from analysis.discrepancy.told import document_of
 from service.core.errors import InputError
 
 

@@ -1,42 +1,19 @@
 """A discovery told: the document made of what a search came to, with what else was found out."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from math import isfinite
 
-import msgspec
-
 from analysis.discrepancy import document as told
-from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
 from analysis.discrepancy.data import Data
 from analysis.discrepancy.discover import Discovery
-from analysis.discrepancy.drift import Drifts
 from analysis.discrepancy.effect import Effect
-from analysis.discrepancy.experiment import RESOLVES, Plan
+from analysis.discrepancy.extras import Extras, bundle_told, drifts_told, experiment_told, section
 from analysis.discrepancy.locate import Location, Suspect
-from analysis.discrepancy.onset import Onset
 from analysis.discrepancy.sensitivity import alike, smallest_sizes
 from analysis.discrepancy.show import Gap, Shown
 from analysis.discrepancy.sizes import sizes
-from analysis.discrepancy.structure_change import StructureChange
 from analysis.discrepancy.verdicts import sentence_of
 from analysis.discrepancy.whiteness import Whiteness
 from analysis.model import Model
-
-
-@dataclass(frozen=True, kw_only=True)
-class Extras:
-    """What else may have been found out; of the `plans` the first is the experiment that is proposed.
-
-    `refused` are reasons why the effects should not be added to the model.
-    """
-
-    drifts: Drifts | None = None
-    structure: StructureChange | None = None
-    bundle: BundleEffect | None = None
-    plans: Sequence[Plan] = ()
-    onset: Onset | None = None
-    refused: Sequence[str] = ()
 
 
 def origin_of(data: Data) -> told.Origin:
@@ -86,12 +63,12 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         regimes=tuple(_regime(gap, found.study.model.known[gap.output].unit) for gap in shown.gaps),
         zeros=_zeros(found, shown, origin),
         entries=_entries(found),
-        drifts=_drifts(extras.drifts),
-        drift=_section(extras.drifts.sentences()) if extras.drifts else None,
-        structure=_section(extras.structure.sentences(), extras.structure) if extras.structure else None,
-        bundle=_bundle(extras.bundle) if extras.bundle else None,
-        experiment=_experiment(extras.plans[0]) if extras.plans else None,
-        onset=_section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
+        drifts=drifts_told(extras.drifts),
+        drift=section(extras.drifts.sentences()) if extras.drifts else None,
+        structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
+        bundle=bundle_told(extras.bundle) if extras.bundle else None,
+        experiment=experiment_told(extras.plans[0]) if extras.plans else None,
+        onset=section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
     )
 
@@ -227,58 +204,3 @@ def _without_place(name: str, reason: str) -> told.Entry:
         alike=(),
         no_place=reason,
     )
-
-
-def _drifts(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
-    if drifts is None:
-        return None
-    return tuple(
-        told.Drift(
-            name=d.name,
-            unit=d.unit,
-            datasheet=d.datasheet,
-            before=d.without,
-            after=d.with_it,
-            distance_before=d.before,
-            distance_after=d.after,
-        )
-        for d in drifts.parameters
-    )
-
-
-def _section(sentences: Sequence[str], data: StructureChange | Onset | None = None) -> told.Section:
-    return told.Section(sentences=tuple(sentences), data=msgspec.to_builtins(asdict(data)) if data else {})
-
-
-def _experiment(plan: Plan) -> told.Section:
-    """What the experiment is, and what is to be expected of it."""
-    experiment, weakest = plan.experiment, plan.weakest
-    sentence = (
-        f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s): at least {weakest:.0f} nats of "
-        "evidence are expected for the right candidate"
-    )
-    if weakest < RESOLVES:
-        sentence = f"no shipped experiment is expected to tell all candidates apart; the best is to {sentence}"
-    data = {
-        "name": experiment.name,
-        "duration_s": experiment.duration_s,
-        "weakest": weakest,
-        "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
-    }
-    return told.Section(sentences=(sentence,), data=data)
-
-
-def _bundle(effect: BundleEffect) -> told.Section:
-    data = {"tolerances": effect.tolerances, "before": _bundled(effect.before), "after": _bundled(effect.after)}
-    return told.Section(sentences=tuple(effect.sentences()), data=data)
-
-
-def _bundled(bundled: Bundled) -> dict[str, object]:
-    return {
-        "generators": [generator.test for generator in bundled.generators],
-        "tolerated": [*bundled.tolerated],
-        "false_alarms": bundled.false_alarms,
-        "fault_free_s": round(3600.0 * bundled.hours, 3),
-        "verdicts": {name: msgspec.to_builtins(judged.verdict) for name, judged in bundled.judged.items()},
-        "reason": bundled.reason,
-    }

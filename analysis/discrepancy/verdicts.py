@@ -9,6 +9,9 @@ from analysis.discrepancy.drift import MOVED
 MANY = 6
 """Names that a sentence lists."""
 
+HARDLY = 0.1
+"""Of the evidence: less from the held-out recordings, and they were of another operation."""
+
 FAR = 3.0
 """Standard deviations from which a zero error is not what the datasheet says."""
 
@@ -122,6 +125,12 @@ def experiments(d: Document) -> tuple[str, ...]:
 def limits(d: Document) -> list[str]:
     """What these recordings could not show, and what was taken for granted."""
     found = [*d.origin.missing]
+    held = d.evidence.held_out_after - d.evidence.held_out_before
+    if d.verdict.places and held < HARDLY * d.verdict.gain:
+        found.append(
+            f"the held-out recordings hardly show it ({held:.0f} of {d.verdict.gain:.0f} nats): hold out one that has "
+            "the operation in which it acts"
+        )
     unseen = [entry.name for entry in d.entries if entry.no_place is None and entry.smallest is None]
     if unseen:
         found.append(f"these recordings cannot show, at any possible size: {_listed(unseen)}")

@@ -12,10 +12,12 @@ import pytest
 from made_discovery import ENTRIES, GAIN, discovery
 
 from analysis.discrepancy.abscissa import abscissa_of
+from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
 from analysis.discrepancy.discover import Kind
 from analysis.discrepancy.document import Document, Origin, Section, Zero, encoded
 from analysis.discrepancy.drift import drifts
 from analysis.discrepancy.experiment import Experiment, Plan
+from analysis.discrepancy.extras import Extras
 from analysis.discrepancy.onset import Onset
 from analysis.discrepancy.page import page
 from analysis.discrepancy.report import described, write
@@ -24,7 +26,6 @@ from analysis.discrepancy.show import Shown, model_with
 from analysis.discrepancy.sizes import readable, sizes
 from analysis.discrepancy.structure_change import structure_change
 from analysis.discrepancy.summary import summary
-from analysis.discrepancy.told import Extras
 from analysis.discrepancy.verdicts import limits, next_steps, sentence_of
 from service.core.errors import InputError
 
@@ -159,6 +160,16 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     assert "no shipped experiment" in weak.experiment.sentences[0]
 
 
+def test_what_it_does_to_the_bundle_is_told() -> None:
+    effect = BundleEffect(Bundled(tolerated=(), judged={}), Bundled(reason="it cannot be computed"))
+    d, _ = described(discovery(), ORIGIN, Extras(bundle=effect))
+    assert d.bundle is not None
+    assert d.bundle.data["after"]["reason"] == "it cannot be computed"
+    assert msgspec.json.decode(encoded(d), type=Document).bundle == d.bundle
+    assert any(line.startswith("bundle: with it: there is no bundle") for line in sentences(d))
+    assert "there is no bundle" in summary(d)
+
+
 def test_the_page_needs_nothing_else_and_escapes_what_it_is_told(
     written: Mapping[str, bytes], document: Document
 ) -> None:
@@ -199,6 +210,12 @@ def test_a_zero_error_that_is_too_large_is_said(document: Document) -> None:
     zero = Zero(recording="v-1", output="y_p_tp", before=0.0, after=-4.2)
     said = limits(msgspec.structs.replace(document, zeros=(zero,)))
     assert any("4.2 times what its datasheet says" in line for line in said)
+
+
+def test_held_out_recordings_that_hardly_show_it_are_said(document: Document) -> None:
+    assert not any("hardly" in line for line in limits(document))
+    evidence = msgspec.structs.replace(document.evidence, held_out_after=document.evidence.held_out_before + 20.0)
+    assert any("hardly show it (20 of" in line for line in limits(msgspec.structs.replace(document, evidence=evidence)))
 
 
 def test_long_reports_are_cut_for_the_terminal(document: Document) -> None:
