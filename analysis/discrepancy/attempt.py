@@ -127,12 +127,12 @@ class Judge:
         numbers = [blocks(bins, BLOCK_S) for bins in self._bins]
         self._blocks = np.concatenate([numbers[0], numbers[1] + numbers[0].max() + 1])
         problems = self._with(())
-        self._likelihoods = [
-            Likelihood(problem, baseline.x, baseline.levels, bins)
-            for problem, bins in zip(problems, self._bins, strict=True)
-        ]
         self._baseline = baseline
         self._nominal = problems[0].unknowns
+        self._likelihoods = [
+            Likelihood(problem, carried(baseline.x, self._nominal, problem.unknowns), baseline.levels, bins)
+            for problem, bins in zip(problems, self._bins, strict=True)
+        ]
 
     def glance(self, effects: Sequence[str], begin: Begin, steps: int) -> Glance:
         """How far a few steps come.
@@ -225,7 +225,10 @@ def baseline_of(study: Study) -> Baseline:
     x, outputs = np.zeros(problems[0].unknowns.size), [*problems[0].system.outputs]
     for _ in range(ROUNDS):
         left = [
-            [part.mean(e) for part, e in zip(parts, problem.left(x), strict=True)]
+            [
+                part.mean(e)
+                for part, e in zip(parts, problem.left(carried(x, problems[0].unknowns, problem.unknowns)), strict=True)
+            ]
             for parts, problem in zip(bins, problems, strict=True)
         ]
         levels = levels_of(study.model, outputs, [*bins[0], *bins[1]], [*left[0], *left[1]])
@@ -250,7 +253,7 @@ def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
         if name in place:
             found[k] = x[place[name]]
     found[new.of_zeros.stop :] = x[old.of_zeros.stop :]
-    if old.logs == new.logs:
+    if old.logs == new.logs:  # other logs have zero errors of their own
         found[new.of_zeros] = x[old.of_zeros]
     return found
 

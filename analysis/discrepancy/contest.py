@@ -24,8 +24,8 @@ QUANTILE = 2.33
 SHARE = 0.1
 """Of the first effect's evidence: less is what its form leaves, not another effect."""
 
-STEPS, FURTHER = 2, 1
-"""Of a glance, and of one for a further effect: most have shown by then that they are not what is missing."""
+STEPS, FURTHER, FAR = 2, 1, 4
+"""Of a glance, of one for a further effect, and of one from the prior: by then most show that it is not they."""
 
 WORTH = 3.0
 """Gain [nats] in a glance from which anything is looked at again."""
@@ -127,20 +127,35 @@ def _round(
     found = crew.glances(orders, lambda n, of: say(title, n, of))
     if all(base.cost - glance.cost + glance.promised < worth for glance in found):
         return []
-    other = unbent() if unbent is not None else None
-    if other is not None:
-        orders = [Order((*base.effects, name), other, STEPS) for name in names]
+    if unbent is not None:
+        elsewhere = [(Begin(base.unknowns, np.zeros_like(base.x), typical=True), FAR)]
+        other = unbent()
+        if other is not None:
+            elsewhere.append((other, STEPS))
+        orders = [Order((*base.effects, name), start, steps) for start, steps in elsewhere for name in names]
         found += crew.glances(orders, lambda n, of: say(f"{title}, from elsewhere", n, of))
+    attempts: dict[str, Attempt] = {}
+    orders = [Order(glance.effects, Begin(glance.unknowns, glance.x)) for glance in _field(found, base)]
+    for attempt in crew.attempts(orders, lambda n, of: say(f"{title}, to the end", n, of)):
+        known = attempts.get(attempt.effects[-1])
+        if known is None or attempt.cost < known.cost:
+            attempts[attempt.effects[-1]] = attempt
+    return sorted(attempts.values(), key=lambda attempt: -attempt.evidence)
+
+
+def _field(found: Sequence[Glance], base: Attempt) -> list[Glance]:
+    """The glances to follow to the end: of each effect that may be the best all that may be its best."""
     best = min(glance.cost for glance in found)
-    best_of: dict[str, Glance] = {}
-    for glance in sorted(found, key=lambda glance: glance.cost):
-        best_of.setdefault(glance.effects[-1], glance)
     near = best + (1.0 - NEAR) * (base.cost - best)
-    field = [glance for k, glance in enumerate(best_of.values()) if k < FIELD or glance.cost - glance.promised < near]
-    field = [glance for glance in field if base.cost - glance.cost + glance.promised > 0.0]
-    orders = [Order(glance.effects, Begin(glance.unknowns, glance.x)) for glance in field]
-    attempts = crew.attempts(orders, lambda n, of: say(f"{title}, to the end", n, of))
-    return sorted(attempts, key=lambda attempt: -attempt.evidence)
+    by_effect: dict[str, list[Glance]] = {}
+    for glance in sorted(found, key=lambda glance: glance.cost - glance.promised):
+        by_effect.setdefault(glance.effects[-1], []).append(glance)
+    field = []
+    for k, glances in enumerate(by_effect.values()):
+        first = glances[0]
+        if (k < FIELD or first.cost - first.promised < near) and first.cost - first.promised < base.cost:
+            field += glances
+    return field
 
 
 def _reconsidered(

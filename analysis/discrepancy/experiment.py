@@ -73,7 +73,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Control:
-    """A plan holds a pressure by `actuator` = offset + gain*(set point - `follows`), not below zero; `command` doses."""
+    """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and doses with `command`."""
 
     actuator: str
     follows: str

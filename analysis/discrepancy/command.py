@@ -1,0 +1,165 @@
+"""Find where a model and recordings disagree, name the missing effect and add it to the model."""
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from analysis.discrepancy.adopt import undone
+from analysis.discrepancy.bundle_effect import BundleEffect, bundle_effect
+from analysis.discrepancy.data import load
+from analysis.discrepancy.discover import Discovery, discover
+from analysis.discrepancy.document import encoded
+from analysis.discrepancy.drift import drifts
+from analysis.discrepancy.experiment import RESOLVES, Plan, propose
+from analysis.discrepancy.extras import Extras
+from analysis.discrepancy.gate import Adoption, adoption
+from analysis.discrepancy.library import load_library
+from analysis.discrepancy.onset import onset
+from analysis.discrepancy.report import write
+from analysis.discrepancy.sentences import sentences
+from analysis.discrepancy.show import shown
+from analysis.discrepancy.structure_change import structure_change
+from analysis.discrepancy.told import document_of, origin_of
+from analysis.discrepancy.work import workers
+from analysis.model import dump_model
+from analysis.progress import Progress
+from analysis.structure.lint import sound_model
+from service.core.errors import InputError
+
+EXAMPLE = """examples:
+  faultline discover uds4 logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
+  faultline discover found/model.toml --undo
+
+DIR gets report.html, discovery.json and summary.md; with --apply model.toml, which every other command takes; and
+experiment.toml where an experiment would tell which effect it is: `faultline rig record --cycle DIR/experiment.toml`,
+then call this again with that recording besides. What is done is kept in DIR/work: an interrupted call goes on there.
+
+It exits with 0 where nothing is missing or what is missing has one name, with 1 where it has several names or none,
+where it looks like a fault, and where --apply is refused.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline discover", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("model", help="a model file, or the name of a shipped model")
+    add("recording", type=Path, nargs="*", help="an instrumented, fault-free recording to fit")
+    add("--held-out", type=Path, nargs="+", default=[], help="others, on which the evidence is checked")
+    add("--out", type=Path, default=Path("discovery"), metavar="DIR", help="folder to write (default: discovery)")
+    add("--library", type=Path, metavar="FILE", help="effects of your own, besides the shipped ones")
+    add("--apply", action="store_true", help="write the model with what was found, unless there is a reason against")
+    add("--undo", action="store_true", help="take the last discovery out of MODEL again; writes DIR/model.toml")
+    add("--tune", type=Path, nargs="+", default=[], help="fault-free recordings to tune both models' bundles on")
+    add("--evaluate", type=Path, nargs="+", default=[], help="recordings to judge both bundles by")
+    add("--truth", type=Path, nargs="+", default=[], help="their truth files, in the same order")
+    add("--scheduler", metavar="ADDRESS", help="work on a Dask scheduler, such as tcp://127.0.0.1:8786")
+    add("--processes", type=int, help="how many at once (default: one a core)")
+    add("--json", action="store_true", help="print the result as JSON")
+    options = parser.parse_args(argv)
+    if options.undo:
+        return _undo(options.model, options.recording, options.out)
+    if not options.recording or not options.held_out:
+        parser.error("give recordings to fit, and others with --held-out")
+    if options.truth and len(options.truth) != len(options.evaluate):
+        parser.error("give as many --truth as --evaluate, in the same order")
+    return _discover(options)
+
+
+def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
+    if recordings:
+        raise InputError("--undo takes a model only; leave the recordings away")
+    before = undone(sound_model(model))
+    _room(out)
+    (out / "model.toml").write_text(dump_model(before))
+    print(f"wrote {out / 'model.toml'}: {before.name} as it was before its last discovery")
+    return 0
+
+
+def _discover(options: argparse.Namespace) -> int:
+    model, library = sound_model(options.model), load_library(options.library)
+    _room(options.out)
+    with Progress(f"discovering what {model.name} misses") as progress:
+        data = load(model, options.recording, options.held_out, progress.note)
+        for gap in data.gaps():
+            progress.note(gap)
+        with workers(options.scheduler, options.processes) as executor:
+            found = discover(data, library, executor, options.out / "work", _Clock(progress))
+        progress.say("free runs, structure, experiments")
+        runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
+        new = adoption(data, found, runs)
+        extras = Extras(
+            drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
+            structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
+            bundle=_bundles(options, found, new, progress),
+            plans=_plans(found),
+            onset=onset(model, found.before),
+            refused=new.reasons,
+        )
+        document = document_of(found, runs, origin_of(data), extras)
+        progress.say("report")
+        written = write(options.out, found, document, runs)
+        written += _results(options, new, extras)
+    if options.json:
+        print(encoded(document).decode())
+    else:
+        print("\n".join([*sentences(document), f"wrote {', '.join(str(path) for path in written)}"]))
+    good = found.verdict.kind in ("nothing missing", "named") and extras.onset is None
+    return 0 if good and not (options.apply and new.reasons) else 1
+
+
+def _plans(found: Discovery) -> list[Plan]:
+    """Experiments that would tell the first effect with rivals from them."""
+    place = next((place for place in found.outcome.places if len(place.attempts) > 1), None)
+    return propose(found.study, found.baseline, place.attempts) if place is not None else []
+
+
+def _bundles(options: argparse.Namespace, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:
+    if not options.tune or new.model is None:
+        return None
+    progress.say("bundles before and after")
+    before = found.study.model.with_parameters(found.outcome.nominal.values, new.model.provenance[-1])
+    truths = options.truth or [None] * len(options.evaluate)
+    return bundle_effect(before, new.model, options.tune, list(zip(options.evaluate, truths, strict=True)), progress)
+
+
+def _results(options: argparse.Namespace, new: Adoption, extras: Extras) -> list[Path]:
+    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help."""
+    files = {}
+    if options.apply and new.model is not None and not new.reasons and extras.onset is None:
+        files["model.toml"] = dump_model(new.model)
+    if extras.plans and extras.plans[0].weakest > RESOLVES:
+        files["experiment.toml"] = extras.plans[0].experiment.cycle()
+    for name, text in files.items():
+        (options.out / name).write_text(text)
+    return [options.out / name for name in files]
+
+
+def _room(folder: Path) -> None:
+    """Makes the folder, before a minute is spent on what goes into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; give --out another place") from error
+
+
+@dataclass
+class _Clock:
+    """What is going on, how far it is and how long it will take."""
+
+    progress: Progress
+    title: str = ""
+    since: float = field(default_factory=time.monotonic)
+
+    def __call__(self, title: str, done: int, of: int) -> None:
+        """`done` of `of` steps of what `title` says."""
+        now = time.monotonic()
+        if title != self.title:
+            self.title, self.since = title, now
+        left = (now - self.since) / done * (of - done) if done else None
+        told = f", {left:.0f} s left" if left is not None and done < of else ""
+        self.progress.say(f"{title}: {done} of {of}{told}" if of > 1 else title)

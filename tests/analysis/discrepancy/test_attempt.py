@@ -1,0 +1,65 @@
+"""Attempts: exact nesting, sizes that are recovered, evidence that speaks for what is there."""
+
+import numpy as np
+import pytest
+from made_study import study
+
+from analysis.discrepancy.attempt import Attempt, Begin, Judge, baseline_of
+
+SIZE = 0.15
+ENTRIES = ("full_open_gain", "valve_opens_late", "stiff_hose")
+
+
+@pytest.fixture(scope="module")
+def judge() -> Judge:
+    found = study(ENTRIES, {"full_open_gain": SIZE})
+    return Judge(found, baseline_of(found))
+
+
+@pytest.fixture(scope="module")
+def nominal(judge: Judge) -> Attempt:
+    return judge.attempt(())
+
+
+@pytest.fixture(scope="module")
+def right(judge: Judge) -> Attempt:
+    return judge.attempt(("full_open_gain",))
+
+
+def test_the_effect_is_found_at_its_size(right: Attempt) -> None:
+    size, spread = right.values["full_open_gain_g"], right.spreads["full_open_gain_g"]
+    assert abs(size - SIZE) < 3.5 * spread
+    assert spread < 0.1 * SIZE
+    assert right.dispersion == pytest.approx(1.0, abs=0.2)
+
+
+def test_both_recordings_speak_for_it(nominal: Attempt, right: Attempt) -> None:
+    assert right.training - nominal.training > 30.0
+    assert right.predicted - nominal.predicted > 30.0
+    assert right.evidence == right.training + right.predicted
+
+
+def test_an_effect_that_is_not_there_stays_at_nothing_and_gains_nothing(judge: Judge, right: Attempt) -> None:
+    both = judge.attempt(("full_open_gain", "stiff_hose"), Begin(right.unknowns, right.x))
+    assert both.evidence < right.evidence + 3.0
+    assert abs(both.values["stiff_hose_k"]) < 4.0 * max(both.spreads["stiff_hose_k"], 1e-3)
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_no_entry_is_worse_than_the_model_without_it(judge: Judge, nominal: Attempt, entry: str) -> None:
+    """Nested models: at the null value an effect leaves the model as it was."""
+    found = judge.attempt((entry,))
+    assert found.cost <= nominal.cost + 1e-6
+    glance = judge.glance((entry,), Begin(nominal.unknowns, nominal.x), 0)
+    assert glance.cost == pytest.approx(nominal.cost, rel=1e-9)
+
+
+def test_a_typical_beginning_comes_to_the_same_place(judge: Judge, nominal: Attempt, right: Attempt) -> None:
+    other = judge.attempt(("full_open_gain",), Begin(nominal.unknowns, np.zeros(nominal.unknowns.size), typical=True))
+    assert other.cost == pytest.approx(right.cost, abs=0.1)
+
+
+def test_blocks_add_up_to_what_is_left(nominal: Attempt, judge: Judge) -> None:
+    e, number = judge.left(nominal)
+    assert nominal.blocks.sum() == pytest.approx(-0.5 * float(e @ e))
+    assert len(nominal.blocks) == number.max() + 1

@@ -1,0 +1,75 @@
+"""The search over a small library: nothing, one, two, what looks alike, what is in no entry."""
+
+from collections.abc import Mapping
+
+import pytest
+from made_study import LIBRARY, Inline, study
+
+from analysis.discrepancy.attempt import Begin, Judge, Study, baseline_of
+from analysis.discrepancy.contest import Outcome, contest
+from analysis.discrepancy.sensitivity import LEAST, alike, chance, smallest_sizes
+from analysis.discrepancy.work import Crew
+
+ENTRIES = ("full_open_gain", "valve_opens_late", "stiff_hose", "offset_p_du", "offset_p_ap", "lag_p_du", "pump_slip")
+
+
+def searched(sizes: Mapping[str, float], entries: tuple[str, ...] = ENTRIES, seed: int = 1) -> tuple[Study, Outcome]:
+    found = study(entries, sizes, seed)
+    baseline = baseline_of(found)
+    judge = Judge(found, baseline)
+    nominal = judge.attempt(())
+    crew = Crew(Inline(), found, baseline, None)
+
+    def unbent() -> Begin | None:
+        location = judge.locate(nominal)
+        return Begin(nominal.unknowns, location.x) if location.members else None
+
+    return found, contest(crew, [*found.library], nominal, LEAST, unbent, lambda *_: None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_nothing_is_missing_nothing_is_named(seed: int) -> None:
+    _, outcome = searched({}, seed=10 * seed)
+    assert outcome.places == (), seed
+    assert outcome.chosen is outcome.nominal
+
+
+@pytest.mark.parametrize(
+    "sizes", [{"full_open_gain": 0.1}, {"lag_p_du": 0.4}, {"stiff_hose": 1.0}], ids=lambda sizes: next(iter(sizes))
+)
+def test_one_effect_is_named(sizes: dict[str, float]) -> None:
+    _, outcome = searched(sizes)
+    assert [place.rivals for place in outcome.places] == [tuple(sizes)]
+    [(name, size)] = sizes.items()
+    parameter = next(iter(LIBRARY[name].strengths))
+    chosen = outcome.chosen
+    assert abs(chosen.values[parameter] - size) < 4.0 * chosen.spreads[parameter]
+
+
+def test_two_effects_are_both_found() -> None:
+    _, outcome = searched({"full_open_gain": 0.15, "lag_p_du": 0.4})
+    assert {place.rivals[0] for place in outcome.places} == {"full_open_gain", "lag_p_du"}
+
+
+def test_what_looks_alike_is_said_to_be_one_of_several() -> None:
+    """Two sensors of one pressure: which of them shows too much, their difference does not tell."""
+    found, outcome = searched({"offset_p_du": 4000.0})
+    [place] = outcome.places
+    assert {*place.rivals} == {"offset_p_du", "offset_p_ap"}
+    judge = Judge(found, baseline_of(found))
+    directions = [judge.direction(name) for name in found.library]
+    assert alike(directions)["offset_p_du"] == ("offset_p_ap",)
+
+
+def test_what_can_be_seen_is_known_beforehand() -> None:
+    found = study(ENTRIES, {})
+    judge = Judge(found, baseline_of(found))
+    directions = [judge.direction(name) for name in found.library]
+    assert LEAST <= chance(directions, *judge.left(judge.attempt(()))) < 3 * LEAST
+    sizes = smallest_sizes(directions, LEAST)
+    _, below = searched({"full_open_gain": 0.3 * sizes["full_open_gain"]})
+    assert below.places == ()
+    _, above = searched({"full_open_gain": 3.0 * sizes["full_open_gain"]})
+    assert [place.rivals[0] for place in above.places] == ["full_open_gain"]
+
+

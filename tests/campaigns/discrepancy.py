@@ -1,0 +1,233 @@
+"""The discrepancy workflow against effects that the rig hides: are they found, named, added, and is the gap gone?
+
+    SHARD=1/4 .venv/bin/python tests/campaigns/discrepancy.py --set A --out docs/results/discrepancy-a.md
+
+Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the hidden
+effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library. Results are
+appended as they come, one line a record; the page is made of all that are there. Set A is what the workflow was
+developed on, set B is run once after a commit that says so.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from discrepancy_cases import OUTSIDE, STRONG, TRUTHS, Case, cases
+from discrepancy_page import page
+from results_page import head_commit
+
+from analysis.calibration.validate import STEADY, validate
+from analysis.discrepancy.attempt import Attempt
+from analysis.discrepancy.data import load
+from analysis.discrepancy.discover import Discovery, discover
+from analysis.discrepancy.experiment import propose
+from analysis.discrepancy.library import load_library
+from analysis.discrepancy.rewrite import rewritten
+from analysis.discrepancy.sensitivity import alike, smallest_sizes
+from analysis.model import load_model
+from analysis.simulation import system_of
+from testbench.bus import load_dbc
+from testbench.cycles import CYCLES, Cycle, read_cycle
+from testbench.recording import record
+from testbench.request import Request
+from testbench.vehicles import vehicle
+
+DURATION_S, EXPERIMENT_S = 480.0, 120.0
+RESULTS = Path("out/campaign-discrepancy")
+
+
+class Inline(Executor):
+    """Here and now: the campaign's records, not their attempts, are what runs side by side."""
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:  # type: ignore[override]
+        """What `fn` returns, as a future that is done."""
+        future: Future[Any] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+def run(case: Case) -> dict[str, Any]:
+    """Records, searches and judges one case."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        training = _record(case, CYCLES["training"], "training", case.seed, case.effects, root)
+        held = _record(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root)
+        start, busy = time.monotonic(), time.process_time()
+        model, library = load_model("uds4"), load_library()
+        found = discover(load(model, [training], [held], _nothing), library, Inline(), None, _quiet)
+        result = {
+            "case": case.name,
+            "kind": case.kind,
+            "effects": dict(case.effects),
+            "seconds": time.monotonic() - start,
+            "cpu_s": time.process_time() - busy,
+            **_judged(case, found),
+        }
+        if found.verdict.kind == "one of" and case.kind == "hidden":
+            result["experiment"] = _resolved(case, found, training, held, root)
+        if case.kind == "hidden" and _share(case) >= STRONG and found.verdict.sets:
+            result["closure"] = _closure(case, found, root)
+    return result
+
+
+def _record(case: Case, cycle: Cycle, name: str, seed: int, effects: Any, root: Path, s: float = DURATION_S) -> Path:
+    request = Request(name, vehicle(case.vehicle), cycle, (), seed, s, effects, kind="instrumented")
+    folder, _ = record(request, load_dbc(), root / "logs", root / "truth", force=True, progress=lambda _: None)
+    return folder
+
+
+def _judged(case: Case, found: Discovery) -> dict[str, Any]:
+    sets = [list(names) for names in found.verdict.sets]
+    same, smallest = alike(found.directions), smallest_sizes(found.directions, found.outcome.threshold)
+    right = [TRUTHS[name].entry for name in case.effects if name in TRUTHS]
+    shown = {
+        name: bool(abs(TRUTHS[name].scale * size) >= smallest.get(TRUTHS[name].entry, np.inf))
+        for name, size in case.effects.items()
+        if name in TRUTHS
+    }
+    where = [e for name in case.effects for e in (TRUTHS[name].equations if name in TRUTHS else OUTSIDE[name])]
+    return {
+        "verdict": found.verdict.kind,
+        "sets": sets,
+        "gain": found.verdict.gain,
+        "remainder": found.verdict.remainder,
+        "threshold": found.outcome.threshold,
+        "dispersion": [found.outcome.nominal.dispersion, found.outcome.chosen.dispersion],
+        "right": right,
+        "alike": {entry: list(same.get(entry, ())) for entry in right},
+        "visible": shown,
+        "members": list(found.before.members),
+        "where": where,
+        "singles": [[a.effects[0], a.evidence - found.outcome.nominal.evidence] for a in found.outcome.singles[:5]],
+    }
+
+
+def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:
+    """Whether the proposed experiment tells which it is."""
+    place = next(place for place in found.outcome.places if len(place.attempts) > 1)
+    plans = propose(found.study, found.baseline, place.attempts)
+    if not plans:
+        return {"proposed": None}
+    best = plans[0]
+    written = root / "experiment.toml"
+    written.write_text(best.experiment.cycle())
+    extra = _record(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
+    data = load(load_model("uds4"), [training, extra], [held], _nothing)
+    again = discover(data, load_library(), Inline(), None, _quiet)
+    return {
+        "proposed": best.experiment.name,
+        "expected": best.weakest,
+        "verdict": again.verdict.kind,
+        "sets": [list(names) for names in again.verdict.sets],
+    }
+
+
+def _closure(case: Case, found: Discovery, root: Path) -> dict[str, Any]:
+    """Held-out RMS of every output and mode [Pa]: as it was, with what was found, and without the effect (the floor)."""
+    off = root / "off"
+    training = _record(case, CYCLES["training"], "training", case.seed, {}, off)
+    held = _record(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
+    twin = discover(load(load_model("uds4"), [training], [held], _nothing), {}, Inline(), None, _quiet)
+    errors = {
+        "before": _errors(found, found.outcome.nominal),
+        "after": _errors(found, found.outcome.chosen),
+        "floor": _errors(twin, twin.outcome.nominal),
+    }
+    return {
+        f"{name} {mode}": {k: e[name][mode] for k, e in errors.items()}
+        for name in errors["floor"]
+        for mode in errors["floor"][name]
+    }
+
+
+def _errors(found: Discovery, attempt: Attempt) -> dict[str, dict[str, float]]:
+    model = found.study.model
+    for name in attempt.effects:
+        model = rewritten(model, found.study.library[name])
+    system = system_of(model, model.calibrated)
+    nuisance = attempt.unknowns.nuisance(attempt.x)
+    from analysis.calibration.sections import fitting
+
+    held = [fitting(section, system) for section in found.study.held]
+    checked = validate(system, held, attempt.values, replace_zero(nuisance))
+    return {
+        name: {
+            mode: float(np.hypot(a.rms, 0.0))
+            for mode, a in by_mode.items()
+            if mode == STEADY or mode in ("idle", "partial", "maximum")
+        }
+        for name, by_mode in checked.agreement.items()
+    }
+
+
+def replace_zero(nuisance: Any) -> Any:
+    """Without the training's zero errors: every recording has its own."""
+    return nuisance._replace(zero={})
+
+
+def _share(case: Case) -> float:
+    from testbench.effects import EFFECTS
+
+    [(name, size)] = case.effects.items()
+    return size / EFFECTS[name].typical
+
+
+def _nothing(_: str) -> None: ...
+
+
+def _quiet(*_: object) -> None: ...
+
+
+def done(path: Path) -> list[dict[str, Any]]:
+    """The results so far."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def shard(all_of_them: Sequence[Case], text: str) -> list[Case]:
+    """The i-th of n parts, for text i/n."""
+    i, n = (int(part) for part in text.split("/"))
+    return list(all_of_them)[i - 1 :: n]
+
+
+def results(wanted: Sequence[Case], processes: int) -> Iterator[dict[str, Any]]:
+    """Those of the cases as they come."""
+    with multiprocessing.Pool(processes, maxtasksperchild=4) as pool:
+        yield from pool.imap_unordered(run, wanted, chunksize=1)
+
+
+def main() -> None:
+    """Runs what is missing and writes the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--set", choices=("A", "B"), default="B")
+    parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the cases")
+    parser.add_argument("--every", type=int, default=1, help="only every so many cases")
+    parser.add_argument("--kinds", nargs="+", default=["hidden", "nothing", "outside", "two"])
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    start, commit = time.monotonic(), head_commit()
+    kept = RESULTS / f"{options.set}.jsonl"
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    there = {line["case"] for line in done(kept)}
+    wanted = [c for c in list(cases(options.set))[:: options.every] if c.kind in options.kinds]
+    wanted = [c for c in shard(wanted, options.shard) if c.name not in there]
+    for number, result in enumerate(results(wanted, options.processes), 1):
+        with kept.open("a") as file:
+            file.write(json.dumps({**result, "commit": commit}) + "\n")
+        print(f"{number} of {len(wanted)}: {result['case']}: {result['verdict']} {result['sets']}", flush=True)
+    text = page(done(kept), options.set, time.monotonic() - start)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""The discrepancy campaign's results as a page."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from results_page import provenance, share
+
+Result = Mapping[str, Any]
+
+
+def named_right(r: Result) -> bool:
+    """Whether every effect's entry is in some set that was named."""
+    return r["verdict"] in ("named", "one of") and all(any(e in names for names in r["sets"]) for e in r["right"])
+
+
+def unique(r: Result) -> bool:
+    """Whether the truth stands alone, or with declared equivalents of it only."""
+    if not named_right(r):
+        return False
+    [entry] = r["right"]
+    return all(name == entry or name in r["alike"][entry] for names in r["sets"] if entry in names for name in names)
+
+
+def wrong(r: Result) -> bool:
+    """Whether a set was named without the truth in it."""
+    return r["verdict"] in ("named", "one of") and not named_right(r)
+
+
+def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
+    """The page; `seconds` is what this run of the campaign took."""
+    of = {kind: [r for r in results if r["kind"] == kind] for kind in ("hidden", "nothing", "outside", "two")}
+    seen = [r for r in of["hidden"] if all(r["visible"].values())]
+    spoke = [r for r in seen if r["sets"]]
+    speaking = [r for r in [*of["hidden"], *of["outside"]] if r["members"]]
+    lines = [
+        f"# Discrepancy workflow, the rig's effect set {set_name}",
+        "",
+        f"{len(results)} records (`tests/campaigns/discrepancy.py`): each a truck of its own of profile `ideal`, 480 s of "
+        "the training cycle to fit and 480 s of the validation cycle held out, searched with the four-state model's "
+        "datasheet values and the shipped library. All data are simulated. *Visible* are effects above the smallest "
+        "size that the recordings could show, as the sensitivities declare it before anything is searched.",
+        "",
+        "| | share | mark |",
+        "|---|---|---|",
+        _row("hidden and visible: truth inside the named set", sum(map(named_right, seen)), len(seen), "at least 95 %"),
+        _row("... and it alone, or with declared equivalents", sum(map(unique, seen)), len(seen), "at least 85 %"),
+        _row("hidden: a wrong set named", sum(map(wrong, of["hidden"])), len(of["hidden"]), "at most 2 %"),
+        _row(
+            "nothing hidden: something named",
+            sum(r["verdict"] in ("named", "one of") for r in of["nothing"]),
+            len(of["nothing"]),
+            "at most 1 %",
+        ),
+        _row(
+            "nothing hidden: something unnamed missing",
+            sum(r["verdict"] == "unnamed" for r in of["nothing"]),
+            len(of["nothing"]),
+            "",
+        ),
+        _row(
+            "in no library: left unnamed",
+            sum(r["verdict"] in ("unnamed", "nothing missing") for r in of["outside"]),
+            len(of["outside"]),
+            "at least 90 %",
+        ),
+        _row(
+            "the right equation in the class, when it speaks",
+            sum(bool(set(r["members"]) & set(r["where"])) for r in speaking),
+            len(speaking),
+            "at least 90 %",
+        ),
+        _row("two hidden: both found", sum(map(named_right, of["two"])), len(of["two"]), "at least 60 %"),
+        _row("two hidden: at least one found", sum(_one(r) for r in of["two"]), len(of["two"]), "at least 90 %"),
+        _row("experiment resolves `one of`", *_experiments(of["hidden"]), "at least 80 %"),
+        "",
+        f"Mean size of the named sets: {_mean([len(names) for r in spoke for names in r['sets']]):.2f} (at most 1.8). "
+        f"CPU time a record: median {np.median([r['cpu_s'] for r in results]):.0f} s, longest "
+        f"{max(r['cpu_s'] for r in results):.0f} s.",
+        "",
+        *_by_effect(of["hidden"]),
+        "",
+        *_closures(of["hidden"]),
+        "",
+        *_failures([*seen, *of["outside"], *of["two"], *of["nothing"]]),
+        provenance(", ".join(dict.fromkeys(r.get("commit", "?") for r in results)), seconds),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _row(title: str, found: int, of: int, mark: str) -> str:
+    return f"| {title} | {share(found, of) if of else '-'} | {mark} |"
+
+
+def _one(r: Result) -> bool:
+    return any(entry in names for entry in r["right"] for names in r["sets"])
+
+
+def _experiments(hidden: Iterable[Result]) -> tuple[int, int]:
+    asked = [r for r in hidden if r.get("experiment") and named_right(r)]
+    good = [
+        r for r in asked if r["experiment"].get("verdict") == "named" and [r["right"][0]] in r["experiment"]["sets"]
+    ]
+    return len(good), len(asked)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _by_effect(hidden: Sequence[Result]) -> list[str]:
+    lines = [
+        "| effect | records | visible | truth in set | alone | wrong set | named sets, mean size |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(effect for r in hidden for effect in r["effects"]):
+        those = [r for r in hidden if name in r["effects"]]
+        seen = [r for r in those if all(r["visible"].values())]
+        size = _mean([len(names) for r in seen for names in r["sets"]])
+        lines.append(
+            f"| {name} | {len(those)} | {len(seen)} | {sum(map(named_right, seen))} | {sum(map(unique, seen))} | "
+            f"{sum(map(wrong, those))} | {size:.1f} |"
+        )
+    return lines
+
+
+def _closures(hidden: Sequence[Result]) -> list[str]:
+    """Of the closable gap, per output and mode, at strong size: RMS errors are squared to take the floor out."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for r in hidden:
+        for where, e in r.get("closure", {}).items():
+            if e["before"] > 1.5 * e["floor"]:
+                closed = (e["before"] - e["after"]) / (e["before"] - e["floor"])
+                found.setdefault(where, []).append((closed, e["after"] / e["floor"]))
+    lines = [
+        "Closure of the closable gap on the held-out recording (where the error was above 1.5 times the floor, the same "
+        "truck recorded without the effect):",
+        "",
+        "| output, mode | records | closed, median | at least 90 % closed | final error over the floor, median | at most 1.1 |",
+        "|---|---|---|---|---|---|",
+    ]
+    for where, pairs in found.items():
+        closed, final = np.array(pairs).T
+        lines.append(
+            f"| {where} | {len(pairs)} | {100 * np.median(closed):.0f} % | {int(np.sum(closed >= 0.9))} | "
+            f"{np.median(final):.2f} | {int(np.sum(final <= 1.1))} |"
+        )
+    return lines if found else []
+
+
+def _failures(results: Sequence[Result]) -> list[str]:
+    bad = [
+        r
+        for r in results
+        if (r["kind"] == "hidden" and not unique(r))
+        or (r["kind"] == "nothing" and r["verdict"] != "nothing missing")
+        or (r["kind"] == "outside" and r["verdict"] in ("named", "one of"))
+        or (r["kind"] == "two" and not named_right(r))
+    ]
+    lines = ["Those that were not as they should be:", ""]
+    for r in bad:
+        sets = "; ".join("{" + ", ".join(names) + "}" for names in r["sets"])
+        lines.append(f"- {r['case']}: {r['verdict']} {sets} (gain {r['gain']:.0f}, left {r['remainder']:.0f} nats)")
+    return [*lines, ""] if bad else []
