@@ -21,6 +21,9 @@ TELLS = 1.0
 INVOLVED = 0.1
 """A share of the largest change from which a parameter belongs to a direction."""
 
+VAGUE = 1.0
+"""The prior, as of a logarithm, of a parameter that may be zero: others are rather taken as anchors."""
+
 QUANTILE = 2.09
 """Of Student's distribution, for 95 %: the standard errors rest on some twenty blocks."""
 
@@ -29,16 +32,20 @@ QUANTILE = 2.09
 class Estimate:
     """A parameter: value; standard deviation of its logarithm by itself, and with the anchors as they are.
 
-    `told` says whether the data, not the prior, give it (with the anchors as they are).
+    `told` says whether the data, not the prior, give it (with the anchors as they are). One that may be zero or
+    negative is `absolute`: its standard deviations are its own, in its unit.
     """
 
     value: float
     spread: float
     relative_spread: float
     told: bool
+    absolute: bool = False
 
     def interval(self, spread: float) -> tuple[float, float]:
         """The 95 % interval for one of the spreads."""
+        if self.absolute:
+            return self.value - QUANTILE * spread, self.value + QUANTILE * spread
         return self.value * float(np.exp(-QUANTILE * spread)), self.value * float(np.exp(QUANTILE * spread))
 
 
@@ -53,7 +60,7 @@ class Identified:
 
 def identify(fit: Fit) -> Identified:
     """What a fit tells of every parameter."""
-    names, priors = fit.unknowns.parameters, fit.unknowns.priors
+    names, scales = fit.unknowns.parameters, fit.unknowns.priors + fit.unknowns.spreads  # one of the two is zero
     anchors = _anchors(fit)
     n = len(names)
     whole = np.sqrt(np.diag(fit.covariance))[:n]
@@ -66,9 +73,10 @@ def identify(fit: Fit) -> Identified:
     estimates = {
         name: Estimate(
             value=fit.values[name],
-            spread=float(whole[k] * priors[k]),
-            relative_spread=float(relative[k] * priors[k]),
+            spread=float(whole[k] * scales[k]),
+            relative_spread=float(relative[k] * scales[k]),
             told=bool(relative[k] ** 2 < 1.0 / (1.0 + TELLS)) and name not in anchors,
+            absolute=bool(fit.unknowns.spreads[k] > 0.0),
         )
         for k, name in enumerate(names)
     }
@@ -81,7 +89,8 @@ def identify(fit: Fit) -> Identified:
 
 
 def _anchors(fit: Fit) -> dict[str, tuple[str, ...]]:
-    names, priors = fit.unknowns.parameters, fit.unknowns.priors
+    names = fit.unknowns.parameters
+    priors = np.where(fit.unknowns.spreads > 0.0, VAGUE, fit.unknowns.priors)
     n = len(names)
     own, other = slice(0, n), slice(n, None)
     nuisance = fit.information[other, other] + np.eye(len(fit.x) - n)

@@ -32,7 +32,8 @@ STYLES: tuple[dict[str, Any], ...] = (
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     """One parameter, in `unit`: in the model file and fitted, standard errors of its logarithm, and 95 % intervals.
 
-    Those called relative are with the anchors as they are. `told` is whether the data tell it, not the prior alone.
+    Those called relative are with the anchors as they are. `told` is whether the data tell it, not the prior alone. The
+    standard errors of an `absolute` one, which may be zero or negative, are its own.
     """
 
     unit: str
@@ -43,6 +44,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     interval: tuple[float, float]
     relative_interval: tuple[float, float]
     told: bool
+    absolute: bool
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,6 +93,7 @@ def report(
                 interval=e.interval(e.spread),
                 relative_interval=e.interval(e.relative_spread),
                 told=e.told,
+                absolute=e.absolute,
             )
             for name, e in found.estimates.items()
         },
@@ -112,7 +115,7 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     for anchor, others in r.anchors.items():
         lines.append(
             f"{anchor} is the anchor: the data cannot tell it apart from {', '.join(others)}, whose 95 % take it as "
-            f"it is; by its prior it is known to {_percent(r.parameters[anchor].interval):.0f} %"
+            f"it is; by its prior it is known to {_width(r.parameters[anchor], r.parameters[anchor].interval)}"
         )
     for first, second, correlation in r.correlated:
         if abs(correlation) > CORRELATED:
@@ -138,14 +141,17 @@ def _row(name: str, p: Parameter, r: Report) -> str:
     elif not p.told:
         tells = "not told"
     else:
-        tells = f"{_percent(p.relative_interval):.2g} %"
+        tells = _width(p, p.relative_interval)
     return f"{name:<10}{p.prior_value:>12.4g}{p.value:>12.4g}{tells:>9}  {p.unit}"
 
 
-def _percent(interval: tuple[float, float]) -> float:
-    """Half the width of an interval, of its middle."""
+def _width(p: Parameter, interval: tuple[float, float]) -> str:
+    """Half the width of an interval: in per cent of its middle, or of an absolute parameter in its unit."""
     low, high = interval
-    return 50.0 * float(np.log(high / low))
+    if p.absolute:
+        return f"+-{(high - low) / 2:.2g}"
+    percent = 50.0 * float(np.log(high / low))
+    return f"{percent:.0f} %" if percent >= 10 else f"{percent:.2g} %"
 
 
 def page(r: Report, known: Mapping[str, Known], picture: str) -> str:

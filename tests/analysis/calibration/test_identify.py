@@ -80,6 +80,22 @@ def test_an_interval_is_of_the_logarithm() -> None:
     assert estimate.interval(0.0) == (estimate.value, estimate.value)
 
 
+def test_a_parameter_that_may_be_zero_has_an_interval_in_its_unit() -> None:
+    """The wound: 0 % was printed of a parameter that is zero in the file."""
+    fit = calibrated("uds1", 0).fit
+    k = fit.unknowns.parameters.index("B_du")
+    priors, spreads, values = fit.unknowns.priors.copy(), fit.unknowns.spreads.copy(), fit.unknowns.values.copy()
+    priors[k], spreads[k], values[k] = 0.0, 3.0, 0.0
+    moved = dataclasses.replace(fit, unknowns=fit.unknowns._replace(priors=priors, spreads=spreads, values=values))
+    estimate, before = identify(moved).estimates["B_du"], identify(fit).estimates["B_du"]
+    assert estimate.absolute
+    assert not before.absolute
+    assert estimate.spread == pytest.approx(3.0 * before.spread / fit.unknowns.priors[k])
+    low, high = estimate.interval(estimate.spread)
+    assert (high + low) / 2 == pytest.approx(estimate.value)
+    assert (high - low) / 2 == pytest.approx(QUANTILE * estimate.spread)
+
+
 def test_without_data_the_priors_are_all_there_is() -> None:
     given = calibrated("uds1", 0).fit
     n = len(given.x)
