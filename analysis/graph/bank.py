@@ -68,7 +68,19 @@ class Bank:
         return Formulas(expressions, signals, states, parameters, theta, self.model.name)
 
     def graph(self) -> bytes:
-        """The ONNX graph of the model's own parameters, faults at zero."""
+        """The ONNX graph of the model's own parameters, faults at zero.
+
+        Raises:
+            InputError: the model divides by parameters that are zero.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stacked = self.stacked([{}])
+        if not all(np.isfinite(getattr(stacked, name)).all() for name in STACKED):
+            zero = ", ".join(name for name, p in self.model.parameters.items() if p.value == 0.0)
+            raise InputError(
+                f"{self.model.name}: divides by zero with these parameters ({zero} = 0); "
+                "give them other values, or leave out the effect that they are of"
+            )
         return self._graph(parametric=False)
 
     def _graph(self, parametric: bool) -> bytes:

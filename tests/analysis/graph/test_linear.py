@@ -23,6 +23,7 @@ from analysis.graph.writer import Writer
 from analysis.model import Model, load_model, sgsqrt
 from analysis.simulation import Drive, run, system_of
 from analysis.structure import integral_tests
+from service.core.errors import InputError
 from service.core.generators import Graph
 
 Array = npt.NDArray[np.float64]
@@ -152,6 +153,14 @@ def test_trials_and_code_do_what_the_graph_does(name: str, driven: Array) -> Non
         columns = [names.index(signal) for signal in generator.INPUTS]
         code = [generator.step(sample) for sample in z[:, columns].tolist()]
         np.testing.assert_allclose(code, r[:, 0, row], rtol=0, atol=1e-2)
+
+
+def test_a_lag_of_no_time_is_refused_by_its_parameter() -> None:
+    """The wound: the graph was written, and all that it gave was NaN."""
+    with pytest.raises(
+        InputError, match=r"uds4: divides by zero with these parameters \(lag_p_du_tau = 0\); give them"
+    ):
+        _bank(changed("lag_p_du", 0.0)).graph()
 
 
 def test_formulas_in_a_graph_are_the_formulas() -> None:
