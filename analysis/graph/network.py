@@ -226,7 +226,8 @@ def _affine(
     rest = sp.simplify(expanded - constant - sum(g * v for g, v in zip(gains, variables, strict=True)))
     if rest != 0 or any(gain.free_symbols & set(variables) for gain in gains) or constant.has(sp.zoo, sp.nan):
         raise InputError(
-            f"{place}: {expression} is not affine in states and signals; the implicit step cannot solve it"
+            f"{place}: {str(rest)[:60]} is not affine in states and signals; the implicit step cannot solve it: give it a "
+            "volume, or write it as a flow"
         )
     return gains[: len(states)], [constant, *gains[len(states) :]]
 
@@ -249,4 +250,5 @@ def _check_rebuilt(
     rebuilt = network.C * products + network.A * sp.Matrix(len(states), 1, states) + network.B * u
     for state, rate, again in zip(network.states, rates, rebuilt, strict=True):
         if sp.expand(rate - again) != 0:
-            raise InputError(f"{place}: the rate of {state} is not a sum of flows and affine terms: {rate}")
+            left = str(sp.expand(rate - again))[:60]
+            raise InputError(f"{place}: the rate of {state} has more than flows and affine terms, {left}; split it")
