@@ -226,8 +226,8 @@ def _affine(
     rest = sp.simplify(expanded - constant - sum(g * v for g, v in zip(gains, variables, strict=True)))
     if rest != 0 or any(gain.free_symbols & set(variables) for gain in gains) or constant.has(sp.zoo, sp.nan):
         raise InputError(
-            f"{place}: {str(rest)[:60]} is not affine in states and signals; the implicit step cannot solve it: give it a "
-            "volume, or write it as a flow"
+            f"{place}: {str(rest)[:60]} is not affine in states and signals; the implicit step cannot solve it: "
+            "give it a volume, or write it as a flow"
         )
     return gains[: len(states)], [constant, *gains[len(states) :]]
 
