@@ -2,10 +2,10 @@
 
     SHARD=1/4 .venv/bin/python tests/campaigns/discrepancy.py --set A --out docs/results/discrepancy-a.md
 
-Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the hidden
-effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library. Results are
-appended as they come, one line a record; the page is made of all that are there. Set A is what the workflow was
-developed on, set B is run once after a commit that says so.
+Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the
+hidden effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library.
+Results are appended as they come, one line a record; the page is made of all that are there. Set A is what the workflow
+was developed on, set B is run once after a commit that says so.
 """
 
 import argparse
@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +24,18 @@ from discrepancy_cases import OUTSIDE, STRONG, TRUTHS, Case, cases
 from discrepancy_page import page
 from results_page import head_commit
 
-from analysis.calibration.validate import STEADY, validate
-from analysis.discrepancy.attempt import Attempt
 from analysis.discrepancy.data import load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.experiment import propose
 from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.sensitivity import alike, smallest_sizes
+from analysis.discrepancy.show import shown
 from analysis.model import load_model
-from analysis.simulation import system_of
+from service.core.manifest import MODES
+from service.core.modes import EDGE
 from testbench.bus import load_dbc
 from testbench.cycles import CYCLES, Cycle, read_cycle
+from testbench.effects import EFFECTS
 from testbench.recording import record
 from testbench.request import Request
 from testbench.vehicles import vehicle
@@ -48,7 +47,7 @@ RESULTS = Path("out/campaign-discrepancy")
 class Inline(Executor):
     """Here and now: the campaign's records, not their attempts, are what runs side by side."""
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:  # type: ignore[override]
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         """What `fn` returns, as a future that is done."""
         future: Future[Any] = Future()
         future.set_result(fn(*args, **kwargs))
@@ -132,51 +131,22 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
 
 
 def _closure(case: Case, found: Discovery, root: Path) -> dict[str, Any]:
-    """Held-out RMS of every output and mode [Pa]: as it was, with what was found, and without the effect (the floor)."""
+    """Held-out RMS by output and mode [Pa]: as it was, with what was found, and without the effect (the floor)."""
     off = root / "off"
     training = _record(case, CYCLES["training"], "training", case.seed, {}, off)
     held = _record(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
     twin = discover(load(load_model("uds4"), [training], [held], _nothing), {}, Inline(), None, _quiet)
-    errors = {
-        "before": _errors(found, found.outcome.nominal),
-        "after": _errors(found, found.outcome.chosen),
-        "floor": _errors(twin, twin.outcome.nominal),
-    }
+    runs, floor = (shown(d.study, d.baseline, d.outcome.nominal, d.outcome.chosen) for d in (found, twin))
+    errors = {"before": runs.before.agreement, "after": runs.after.agreement, "floor": floor.before.agreement}
     return {
-        f"{name} {mode}": {k: e[name][mode] for k, e in errors.items()}
-        for name in errors["floor"]
-        for mode in errors["floor"][name]
+        f"{name} {mode}": {title: float(by_output[name][mode].rms) for title, by_output in errors.items()}
+        for name, by_mode in floor.before.agreement.items()
+        for mode in by_mode
+        if mode != MODES[EDGE]
     }
-
-
-def _errors(found: Discovery, attempt: Attempt) -> dict[str, dict[str, float]]:
-    model = found.study.model
-    for name in attempt.effects:
-        model = rewritten(model, found.study.library[name])
-    system = system_of(model, model.calibrated)
-    nuisance = attempt.unknowns.nuisance(attempt.x)
-    from analysis.calibration.sections import fitting
-
-    held = [fitting(section, system) for section in found.study.held]
-    checked = validate(system, held, attempt.values, replace_zero(nuisance))
-    return {
-        name: {
-            mode: float(np.hypot(a.rms, 0.0))
-            for mode, a in by_mode.items()
-            if mode == STEADY or mode in ("idle", "partial", "maximum")
-        }
-        for name, by_mode in checked.agreement.items()
-    }
-
-
-def replace_zero(nuisance: Any) -> Any:
-    """Without the training's zero errors: every recording has its own."""
-    return nuisance._replace(zero={})
 
 
 def _share(case: Case) -> float:
-    from testbench.effects import EFFECTS
-
     [(name, size)] = case.effects.items()
     return size / EFFECTS[name].typical
 

@@ -36,8 +36,8 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
     lines = [
         f"# Discrepancy workflow, the rig's effect set {set_name}",
         "",
-        f"{len(results)} records (`tests/campaigns/discrepancy.py`): each a truck of its own of profile `ideal`, 480 s of "
-        "the training cycle to fit and 480 s of the validation cycle held out, searched with the four-state model's "
+        f"{len(results)} records (`tests/campaigns/discrepancy.py`): each a truck of its own of profile `ideal`, 480 s "
+        "of the training cycle to fit and 480 s of the validation cycle held out, searched with the four-state model's "
         "datasheet values and the shipped library. All data are simulated. *Visible* are effects above the smallest "
         "size that the recordings could show, as the sensitivities declare it before anything is searched.",
         "",
@@ -134,10 +134,10 @@ def _closures(hidden: Sequence[Result]) -> list[str]:
                 closed = (e["before"] - e["after"]) / (e["before"] - e["floor"])
                 found.setdefault(where, []).append((closed, e["after"] / e["floor"]))
     lines = [
-        "Closure of the closable gap on the held-out recording (where the error was above 1.5 times the floor, the same "
-        "truck recorded without the effect):",
+        "Closure of the closable gap on the held-out recording (where the error was above 1.5 times the floor, the "
+        "same truck recorded without the effect):",
         "",
-        "| output, mode | records | closed, median | at least 90 % closed | final error over the floor, median | at most 1.1 |",
+        "| output, mode | records | closed, median | at least 90 % | final error over the floor, median | at most 1.1 |",
         "|---|---|---|---|---|---|",
     ]
     for where, pairs in found.items():
