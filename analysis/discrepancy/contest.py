@@ -21,7 +21,7 @@ UNLIKELY = 5.0
 QUANTILE = 2.33
 """And so many standard deviations of the difference, from block to block: 99 % (Vuong 1989)."""
 
-SHARE = 0.1
+SHARE = 0.02
 """Of the first effect's evidence: less is what its form leaves, not another effect."""
 
 STEPS, FURTHER, FAR = 2, 1, 4
@@ -86,9 +86,8 @@ def contest(
         chosen = singles[0]
         places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
         while len(chosen.effects) < AT_MOST:
-            taken = {name for place in places for name in place.rivals}
             needed = max(threshold * scale(chosen), SHARE * places[0].gain)
-            field = _round(crew, chosen, [name for name in effects if name not in taken], needed, None, say)
+            field = _round(crew, chosen, [name for name in effects if name not in chosen.effects], needed, None, say)
             if not field or field[0].evidence - chosen.evidence < needed:
                 break
             places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
@@ -164,14 +163,14 @@ def _reconsidered(
     """With the newest effect in, the rivals of the others again, and whether each is still needed."""
     found: list[Place] = []
     for k, place in enumerate(places[:-1]):
-        rest = [name for name in chosen.effects if name not in place.rivals]
+        rest = [name for name in chosen.effects if name != place.rivals[0]]
         begin = Begin(chosen.unknowns, chosen.x)
-        orders = [Order((*rest, name), begin) for name in place.rivals] + [Order(tuple(rest), begin)]
-        *tried, without = crew.attempts(orders, lambda n, of: say("backward", n, of))
+        orders = [Order((*rest, name), begin) for name in place.rivals if name not in rest]
+        *tried, without = crew.attempts([*orders, Order(tuple(rest), begin)], lambda n, of: say("backward", n, of))
         tried.sort(key=lambda attempt: -attempt.evidence)
-        if tried[0].evidence - without.evidence < needed:
-            return without, [*places[:k], *places[k + 1 :]]
-        best = tried[0]
-        chosen = max((chosen, best), key=lambda attempt: attempt.evidence)
-        found.append(Place(rivals(tried, without), best.evidence - without.evidence))
+        gain = tried[0].evidence - without.evidence
+        if gain < needed:
+            return without, [*found, *places[k + 1 :]]
+        chosen = tried[0]
+        found.append(Place(rivals(tried, without), gain))
     return chosen, [*found, places[-1]]

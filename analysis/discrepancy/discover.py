@@ -20,7 +20,7 @@ Kind = Literal["nothing missing", "named", "one of", "unnamed"]
 REMAINDER = 30.0
 """Evidence [nats] of an unknown input that is left in the model with the best effects in it, ..."""
 
-REMAINDER_SHARE = 0.3
+REMAINDER_SHARE = 0.1
 """... and as a part of what they brought: more, and their names would be wrong."""
 
 
