@@ -127,11 +127,19 @@ class Problem:
     """The sections with the model, evaluated at one x at a time.
 
     `bounds` (2, n) are the lower and upper limits of x; with `lagging`, how much the outputs lag is unknown too.
+    Which inputs are `commands` the sections tell, or other sections, whose x shall hold for these as well.
     """
 
-    def __init__(self, system: System, sections: Sequence[Section], *, lagging: bool = False) -> None:
+    def __init__(
+        self,
+        system: System,
+        sections: Sequence[Section],
+        *,
+        lagging: bool = False,
+        commands: tuple[str, ...] | None = None,
+    ) -> None:
         self.system, self.sections = system, sections
-        self.commands = commands_of(system, sections)
+        self.commands = commands_of(system, sections) if commands is None else commands
         self._log = np.cumsum([section.number == 0 for section in sections]) - 1
         lags = tuple(system.outputs) if lagging else ()
         self.unknowns = unknowns_of(system, self.commands, int(self._log[-1]) + 1, lags)

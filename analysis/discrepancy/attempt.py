@@ -238,11 +238,9 @@ def baseline_of(study: Study) -> Baseline:
 
 def _problems(study: Study, system: System) -> tuple[Problem, Problem]:
     """The training's and the held-out's, with all outputs' lags unknown."""
-    training, held = (
-        Problem(system, [fitting(section, system) for section in sections], lagging=True)
-        for sections in (study.training, study.held)
-    )
-    return training, held
+    fitted, kept = ([fitting(section, system) for section in sections] for sections in (study.training, study.held))
+    training = Problem(system, fitted, lagging=True)
+    return training, Problem(system, kept, lagging=True, commands=training.commands)
 
 
 def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:

@@ -153,7 +153,7 @@ def blocks(bins: Sequence[Bins], length_s: float) -> Ints:
     found: list[Ints] = []
     before = 0
     for part in bins:
-        number = (part.t / length_s).astype(np.int64)
+        number = np.unique((part.t / length_s).astype(np.int64), return_inverse=True)[1]
         found.append(before + number)
         before += int(number.max()) + 1
     return np.concatenate(found)

@@ -114,14 +114,14 @@ def shown(study: Study, baseline: Baseline, before: Attempt, after: Attempt) -> 
     Raises:
         InputError: a model cannot be run there.
     """
-    problem = _problem(study, study.model)
+    problem = _problem(study, study.model, before)
     likelihood = Likelihood(
         problem, _without_zeros(problem, before), baseline.levels, [bins_of(section) for section in problem.sections]
     )
     first = _free_run(problem, likelihood, before)
     if not after.effects:
         return Shown(first, first)
-    return Shown(first, _free_run(_problem(study, model_with(study, after.effects)), likelihood, after))
+    return Shown(first, _free_run(_problem(study, model_with(study, after.effects), after), likelihood, after))
 
 
 def model_with(study: Study, effects: Sequence[str]) -> Model:
@@ -132,9 +132,10 @@ def model_with(study: Study, effects: Sequence[str]) -> Model:
     return model
 
 
-def _problem(study: Study, model: Model) -> Problem:
+def _problem(study: Study, model: Model, attempt: Attempt) -> Problem:
     system: System = system_of(model, model.calibrated)
-    return Problem(system, [fitting(section, system) for section in study.held], lagging=True)
+    sections = [fitting(section, system) for section in study.held]
+    return Problem(system, sections, lagging=True, commands=attempt.unknowns.delays)
 
 
 def _without_zeros(problem: Problem, attempt: Attempt) -> Array:

@@ -21,6 +21,9 @@ from service.core.errors import InputError
 _judges: dict[str, Judge] = {}
 """In a worker: the judge that it made last, by the key of what it was made from."""
 
+ANSWERS_S = 10.0
+"""A Dask scheduler, within so much time."""
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -39,6 +42,7 @@ class Crew:
     def __init__(self, executor: Executor, study: Study, baseline: Baseline, folder: Path | None) -> None:
         self._executor, self._study, self._folder = executor, study, folder
         self._payload = pickle.dumps((study, baseline))
+        self._key = hashlib.sha256(self._payload).hexdigest()  # a study's own says nothing of its library
 
     def attempts(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt]:
         """What came out, but for models that cannot be run; `say` hears how many of how many are there.
@@ -54,13 +58,13 @@ class Crew:
 
     def directions(self, effects: Sequence[str]) -> list[Direction]:
         """What each effect would do to the data."""
-        waiting = [self._executor.submit(_direction, self._study.key, self._payload, effect) for effect in effects]
+        waiting = [self._executor.submit(_direction, self._key, self._payload, effect) for effect in effects]
         return [future.result() for future in waiting]
 
     def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt | Glance | None]:
         found = [self._kept(order) for order in orders]
         waiting = {
-            self._executor.submit(_worked, self._study.key, self._payload, order): k
+            self._executor.submit(_worked, self._key, self._payload, order): k
             for k, order in enumerate(orders)
             if found[k] is None
         }
@@ -133,7 +137,8 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
     except ImportError as error:
         raise InputError("--scheduler needs dask: pip install 'faultline[scale]'") from error
     try:
-        with Client(scheduler, timeout="10s") as client:  # type: ignore[no-untyped-call]
-            yield client.get_executor(pure=False)
-    except OSError as error:
+        client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
         raise InputError(f"{scheduler}: no Dask scheduler answers ({error}); check address and port") from error
+    with client:
+        yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]

@@ -137,7 +137,8 @@ def _closures(hidden: Sequence[Result]) -> list[str]:
         "Closure of the closable gap on the held-out recording (where the error was above 1.5 times the floor, the "
         "same truck recorded without the effect):",
         "",
-        "| output, mode | records | closed, median | at least 90 % | final error over the floor, median | at most 1.1 |",
+        "| output, mode | records | closed, median | at least 90 % | final error over the floor, median "
+        "| at most 1.1 |",
         "|---|---|---|---|---|---|",
     ]
     for where, pairs in found.items():

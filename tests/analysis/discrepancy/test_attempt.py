@@ -1,5 +1,7 @@
 """Attempts: exact nesting, sizes that are recovered, evidence that speaks for what is there."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from made_study import study
@@ -30,7 +32,7 @@ def test_the_effect_is_found_at_its_size(right: Attempt) -> None:
     size, spread = right.values["full_open_gain_g"], right.spreads["full_open_gain_g"]
     assert abs(size - SIZE) < 3.5 * spread
     assert spread < 0.1 * SIZE
-    assert right.dispersion == pytest.approx(1.0, abs=0.2)
+    assert 0.2 < right.dispersion < 1.2  # levels are those of the model without it, which the steps make larger
 
 
 def test_both_recordings_speak_for_it(nominal: Attempt, right: Attempt) -> None:
@@ -43,6 +45,24 @@ def test_an_effect_that_is_not_there_stays_at_nothing_and_gains_nothing(judge: J
     both = judge.attempt(("full_open_gain", "stiff_hose"), Begin(right.unknowns, right.x))
     assert both.evidence < right.evidence + 3.0
     assert abs(both.values["stiff_hose_k"]) < 4.0 * max(both.spreads["stiff_hose_k"], 1e-3)
+
+
+def test_a_right_model_leaves_unit_noise() -> None:
+    found = study((), {})
+    assert Judge(found, baseline_of(found)).attempt(()).dispersion == pytest.approx(1.0, abs=0.3)
+
+
+def test_held_out_recordings_may_hold_an_input_still_that_wandered_in_training() -> None:
+    """Without a step and a measurement's noise it looks like a command; it has no delay for all that."""
+    found = study((), {})
+    [section] = found.held
+    still = section.drive.inputs.copy()
+    still[:, 0] = still[:, 0].mean()
+    held = dataclasses.replace(section, drive=dataclasses.replace(section.drive, inputs=still))
+    found = dataclasses.replace(found, held=(held,))
+    attempt = Judge(found, baseline_of(found)).attempt(())
+    assert attempt.unknowns.delays == ("dc_dose",)
+    assert attempt.predicted < attempt.training  # which is wrong, but can be said
 
 
 @pytest.mark.parametrize("entry", ENTRIES)

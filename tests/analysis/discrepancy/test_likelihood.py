@@ -43,9 +43,11 @@ def test_the_levels_are_those_of_the_noise_though_the_model_is_slowly_wrong() ->
     rng = np.random.default_rng(3)
     bins = bins_of(SECTION)
     t = np.concatenate([s.t for s in SECTION.samples.values()])
-    noise = rng.normal(0.0, 2000.0, len(t)) + 30e3 * np.sin(t / 20.0)
+    noise = rng.normal(0.0, 2000.0, len(t)) + 20e3 * np.sin(t / 40.0)
     found = levels_of(UDS1, [*SECTION.samples], [bins], [bins.mean(noise)])
-    assert found == pytest.approx(2000.0 / np.sqrt(5.0), rel=0.35)
+    full = 2000.0 / np.sqrt(5.0)
+    assert found == pytest.approx(full, rel=0.6)  # of a dozen bins each
+    assert found.mean() == pytest.approx(full, rel=0.15)
 
 
 def test_what_a_right_model_leaves_is_unit_noise() -> None:
@@ -61,5 +63,5 @@ def test_what_a_right_model_leaves_is_unit_noise() -> None:
 def test_blocks_are_counted_over_all_sections() -> None:
     bins = bins_of(SECTION)
     number = blocks([bins, bins], 10.0)
-    assert {*number} == {*range(number.max() + 1)} | {*number}
+    assert {*number} == {*range(number.max() + 1)}
     assert number[len(bins.t) :].min() > number[: len(bins.t)].max()

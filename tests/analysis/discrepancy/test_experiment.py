@@ -1,0 +1,80 @@
+"""The experiment that would tell rivals apart: it can be recorded on the rig, and is planned on the rivals' models."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_study import study
+
+from analysis.discrepancy import experiment
+from analysis.discrepancy.attempt import Attempt, Baseline, Judge, Study, baseline_of
+from analysis.discrepancy.experiment import BEFORE_S, RESOLVES, Plan, experiments, propose
+from analysis.model import load_model
+from testbench.cycles import DOSING_FROM, Segment, read_cycle
+
+RIVALS = ("full_open_gain", "valve_shuts_late")
+PLANNED = ("pressure_ladder", "dose_staircase", "fast_square")
+LONGEST_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[Study, Baseline, list[Attempt]]:
+    found = study(RIVALS, {"full_open_gain": 0.03})
+    baseline = baseline_of(found)
+    judge = Judge(found, baseline)
+    return found, baseline, [judge.attempt((name,)) for name in RIVALS]
+
+
+@pytest.fixture(scope="module")
+def plans(fitted: tuple[Study, Baseline, list[Attempt]]) -> list[Plan]:
+    how, shipped = experiments()
+    few = tuple(e for e in shipped if e.name in PLANNED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "experiments", lambda: (how, few))
+        return propose(*fitted)
+
+
+def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_path: Path) -> None:
+    how, shipped = experiments()
+    assert len({e.name for e in shipped}) == len(shipped) >= 7
+    assert (how.actuator, how.command) == ("n_p", "dc_dose")
+    assert BEFORE_S == DOSING_FROM
+    for e in shipped:
+        assert 60.0 <= e.duration_s <= LONGEST_S, e.name
+        text = e.cycle()
+        table = tomllib.loads(text)
+        assert {*table} == {"schema", "name", "text", "segment"}
+        assert all({*segment} == {"duration_s", "setpoint_bar", "duty"} for segment in table["segment"])
+        path = tmp_path / f"{e.name}.toml"
+        path.write_text(text)
+        cycle = read_cycle(path)
+        assert (cycle.name, cycle.text) == (e.name.replace("_", "-"), e.text)
+        segments = cycle.segments(e.duration_s, np.random.default_rng(0))[2:]
+        for found, (duration, pressure, duty) in zip(segments, e.segments, strict=False):
+            assert dataclasses.astuple(found) == pytest.approx(dataclasses.astuple(Segment(duration, pressure, duty)))
+        assert len(segments) - len(e.segments) in (0, 1)  # of no length, where the rig holds the pressure
+        assert sum(segment.duration for segment in segments) == pytest.approx(e.duration_s - BEFORE_S)
+
+
+def test_every_experiment_is_planned_the_best_first(plans: list[Plan]) -> None:
+    assert {plan.experiment.name for plan in plans} == {*PLANNED}
+    assert [plan.weakest for plan in plans] == sorted((plan.weakest for plan in plans), reverse=True)
+    for plan in plans:
+        assert {*plan.expected} == {RIVALS, RIVALS[::-1]}
+        assert np.isfinite([*plan.expected.values()]).all()
+
+
+def test_the_proposed_plan_promises_evidence_for_whichever_it_is(plans: list[Plan]) -> None:
+    assert plans[0].weakest == min(plans[0].expected.values()) > RESOLVES
+
+
+def test_where_nothing_is_dosed_rivals_of_the_dosing_valve_are_not_told_apart(plans: list[Plan]) -> None:
+    by_name = {plan.experiment.name: plan for plan in plans}
+    assert by_name["pressure_ladder"].weakest < 0.0 < RESOLVES < by_name["dose_staircase"].weakest
+
+
+def test_a_model_of_something_else_has_no_experiments(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
+    found, baseline, rivals = fitted
+    assert propose(dataclasses.replace(found, model=load_model("three_tank")), baseline, rivals) == []

@@ -1,0 +1,127 @@
+"""What is not added to a model: what makes free runs worse, what has run into a bound, what is not its name."""
+
+import dataclasses
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_study import study
+
+from analysis.calibration.problem import LAG_S
+from analysis.calibration.validate import STEADY, Agreement
+from analysis.discrepancy.attempt import Judge, baseline_of
+from analysis.discrepancy.contest import Outcome, Place
+from analysis.discrepancy.data import Data
+from analysis.discrepancy.discover import Discovery, Kind, Verdict
+from analysis.discrepancy.gate import UNLIKELY, WORSE, adoption
+from analysis.discrepancy.locate import Location
+from analysis.discrepancy.show import Shown, shown
+from analysis.simulation import system_of
+
+NOWHERE = Location((), (), (), (), (), (), np.zeros(0))
+
+
+@pytest.fixture(scope="module")
+def found() -> Discovery:
+    made = study(("full_open_gain",), {"full_open_gain": 0.15})
+    baseline = baseline_of(made)
+    judge = Judge(made, baseline)
+    nominal, chosen = judge.attempt(()), judge.attempt(("full_open_gain",))
+    gain = chosen.evidence - nominal.evidence
+    outcome = Outcome(nominal, (chosen,), chosen, (Place((chosen,), gain),), 5.0)
+    verdict = Verdict("named", (("full_open_gain",),), gain, 0.0)
+    return Discovery(made, baseline, outcome, NOWHERE, NOWHERE, verdict, (), {})
+
+
+@pytest.fixture(scope="module")
+def runs(found: Discovery) -> Shown:
+    return shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
+
+
+@pytest.fixture(scope="module")
+def data(found: Discovery) -> Data:
+    logs: list[Any] = [SimpleNamespace(sha256=digit * 64, recording=None) for digit in "12"]
+    model = found.study.model
+    system = system_of(model, model.calibrated)
+    return Data(model, system, (logs[0],), (logs[1],), found.study.training, found.study.held)
+
+
+def changed(found: Discovery, kind: Kind = "named", **fields: Any) -> Discovery:
+    chosen = dataclasses.replace(found.outcome.chosen, **fields)
+    outcome = dataclasses.replace(found.outcome, chosen=chosen)
+    return dataclasses.replace(found, outcome=outcome, verdict=dataclasses.replace(found.verdict, kind=kind))
+
+
+def with_after(runs: Shown, by_output: Mapping[str, Mapping[str, Any]]) -> Shown:
+    """With other errors of the steady free run afterwards."""
+    agreement = {
+        output: {
+            mode: dataclasses.replace(a, **by_output.get(output, {})) if mode == STEADY else a
+            for mode, a in by_mode.items()
+        }
+        for output, by_mode in runs.after.agreement.items()
+    }
+    return dataclasses.replace(runs, after=dataclasses.replace(runs.after, agreement=agreement))
+
+
+def test_what_was_found_is_added_with_its_origin(data: Data, found: Discovery, runs: Shown) -> None:
+    new = adoption(data, found, runs)
+    assert new.reasons == ()
+    assert new.model is not None
+    assert new.model.parameters["full_open_gain_g"].value == found.outcome.chosen.values["full_open_gain_g"]
+    entry = new.model.provenance[-1]
+    assert (entry["recordings"], entry["held_out"]) == (["1" * 64], ["2" * 64])
+    assert (entry["verdict"], entry["rivals"]) == ("named", [[]])
+    assert "vehicle" not in entry
+
+
+def test_where_nothing_was_chosen_there_is_neither_model_nor_reason(data: Data, found: Discovery, runs: Shown) -> None:
+    nothing = dataclasses.replace(found.outcome, chosen=found.outcome.nominal, places=())
+    new = adoption(data, dataclasses.replace(found, outcome=nothing), runs)
+    assert (new.model, new.reasons) == (None, ())
+
+
+def test_a_worse_free_run_is_refused(data: Data, found: Discovery, runs: Shown) -> None:
+    was: Agreement = runs.before.agreement["y_p_du"][STEADY]
+    worse = {"y_p_du": {"rms": 1.01 * WORSE * was.rms}}
+    [reason] = adoption(data, found, with_after(runs, worse)).reasons
+    assert (
+        reason == f"the held-out free run of y_p_du grows worse, from {was.rms:.0f} to {1.01 * WORSE * was.rms:.0f} Pa"
+    )
+    assert adoption(data, found, with_after(runs, {"y_p_du": {"rms": 0.99 * WORSE * was.rms}})).reasons == ()
+
+
+def test_worse_than_before_but_as_good_as_noise_lets_it_be_is_no_reason(
+    data: Data, found: Discovery, runs: Shown
+) -> None:
+    rms = 2.0 * runs.before.agreement["y_p_du"][STEADY].rms
+    assert adoption(data, found, with_after(runs, {"y_p_du": {"rms": rms, "expected": rms}})).reasons == ()
+
+
+def test_a_bound_is_refused(data: Data, found: Discovery, runs: Shown) -> None:
+    inside = found.outcome.chosen.inside.copy()
+    inside[found.outcome.chosen.unknowns.parameters.index("full_open_gain_g")] = False
+    assert adoption(data, changed(found, inside=inside), runs).reasons == ("full_open_gain_g has run into its bound",)
+
+
+def test_what_has_no_name_is_refused(data: Data, found: Discovery, runs: Shown) -> None:
+    [reason] = adoption(data, changed(found, "unnamed"), runs).reasons
+    assert reason == "with full_open_gain in it the model misses as much again: that is not its name"
+
+
+@pytest.mark.parametrize("many", [UNLIKELY + 0.5, -UNLIKELY - 0.5])
+def test_a_sensors_lag_that_does_anothers_work_is_refused(
+    data: Data, found: Discovery, runs: Shown, many: float
+) -> None:
+    x = found.outcome.chosen.x.copy()
+    x[-1] = many
+    [reason] = adoption(data, changed(found, x=x), runs).reasons
+    assert reason == f"the lag of y_p_du has gone to {many * LAG_S:.2f} s, {LAG_S:g} s is usual"
+
+
+def test_several_reasons_are_all_given(data: Data, found: Discovery, runs: Shown) -> None:
+    inside = np.zeros_like(found.outcome.chosen.inside)
+    reasons = adoption(data, changed(found, "unnamed", inside=inside), runs).reasons
+    assert len(reasons) == 1 + len(found.outcome.chosen.unknowns.parameters)

@@ -1,0 +1,96 @@
+"""Something that set in looks like a fault; what was there from the start, grows, or comes and goes does not."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from analysis.discrepancy.locate import Location, Suspect
+from analysis.discrepancy.onset import Onset, onset
+from analysis.model import load_model
+
+Array = npt.NDArray[np.float64]
+UDS4 = load_model("uds4")
+T = np.arange(20.0, 480.0, 4.0)
+
+
+def suspect(equation: str, value: Array, evidence: float = 500.0) -> Suspect:
+    return Suspect(
+        equation=equation,
+        description=UDS4.equations[equation].description,
+        evidence=evidence,
+        probability=1e-6,
+        prior="smooth",
+        t=T,
+        value=value + 0.1 * np.random.default_rng(1).standard_normal(len(T)),
+        sd=np.full(len(T), 0.1),
+        variable="q",
+        unit="m3/s",
+        size=1.0,
+        explained=0.8,
+    )
+
+
+def location(*suspects: Suspect, members: tuple[str, ...] | None = None) -> Location:
+    names = tuple(s.equation for s in suspects) if members is None else members
+    return Location(suspects, names, (), (), (), (), np.zeros(0))
+
+
+STEP = np.where(T >= 260.0, 1.0, 0.0)
+
+
+def test_a_step_is_a_fault_that_set_in_with_its_component() -> None:
+    found = onset(UDS4, location(suspect("e07", STEP)))
+    assert found == Onset(260.0, "e07", ("fA_du",))
+    fault = UDS4.faults["fA_du"]
+    assert found.sentence(UDS4).startswith(
+        f"something set in at 260 s (e07, {fault.component}: {fault.description}): that is a fault rather than"
+    )
+
+
+def test_all_components_of_the_class_are_named_and_what_no_fault_enters_has_none() -> None:
+    found = onset(UDS4, location(suspect("e04", STEP), suspect("e07", STEP, 400.0)))
+    assert found is not None
+    assert found.faults == ("fA_dos", "fA_du")
+    assert " or " in found.sentence(UDS4)
+    none = next(name for name, e in UDS4.equations.items() if e.fault is None)
+    bare = onset(UDS4, location(suspect(none, STEP)))
+    assert bare is not None
+    assert bare.faults == ()
+    assert f"at 260 s ({none}): that is" in bare.sentence(UDS4)
+
+
+@pytest.mark.parametrize("up", [1.0, -3.0])
+@pytest.mark.parametrize("base", [0.0, 5.0])
+def test_it_may_go_either_way_from_anywhere(up: float, base: float) -> None:
+    found = onset(UDS4, location(suspect("e07", base + up * STEP)))
+    assert found is not None
+    assert found.t_s == 260.0
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.zeros(len(T)),
+        np.ones(len(T)),
+        (T - 20.0) / 460.0,
+        np.where(np.floor(T / 40.0) % 2 == 0.0, 1.0, 0.0),
+        np.sin(T / 30.0),
+        np.where(T >= 464.0, 1.0, 0.0),
+        np.where(T <= 36.0, 1.0, 0.0),
+    ],
+    ids=["nothing", "from the start", "ramp", "switching", "waves", "just before the end", "just after the start"],
+)
+def test_what_did_not_set_in_is_no_fault(value: Array) -> None:
+    assert onset(UDS4, location(suspect("e07", value))) is None
+
+
+def test_where_nothing_is_missing_nothing_set_in() -> None:
+    assert onset(UDS4, location(suspect("e07", STEP), members=())) is None
+
+
+def test_the_curve_is_that_of_the_class_with_the_most_evidence() -> None:
+    far = suspect("e10", STEP, 9e9)
+    found = onset(
+        UDS4, location(far, suspect("e04", (T - 20.0) / 460.0), suspect("e07", STEP, 1.0), members=("e04", "e07"))
+    )
+    assert found is None
