@@ -54,14 +54,15 @@ class Inline(Executor):
         return future
 
 
-def run(case: Case) -> dict[str, Any]:
-    """Records, searches and judges one case."""
+def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> dict[str, Any]:
+    """Records, searches and judges one case; `further`: with what experiments and closure tell."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        training = _record(case, CYCLES["training"], "training", case.seed, case.effects, root)
-        held = _record(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root)
+        training = _record(case, CYCLES["training"], "training", case.seed, case.effects, root, duration_s)
+        held = _record(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root, duration_s)
         start, busy = time.monotonic(), time.process_time()
-        model, library = load_model("uds4"), load_library()
+        model = load_model("uds4")
+        library = {name: effect for name, effect in load_library().items() if name not in case.without}
         found = discover(load(model, [training], [held], _nothing), library, Inline(), None, _quiet)
         result = {
             "case": case.name,
@@ -71,9 +72,9 @@ def run(case: Case) -> dict[str, Any]:
             "cpu_s": time.process_time() - busy,
             **_judged(case, found),
         }
-        if found.verdict.kind == "one of" and case.kind == "hidden":
+        if further and found.verdict.kind == "one of" and case.kind == "hidden":
             result["experiment"] = _resolved(case, found, training, held, root)
-        if case.kind == "hidden" and _share(case) >= STRONG and found.verdict.sets:
+        if further and case.kind == "hidden" and _share(case) >= STRONG and found.verdict.sets:
             result["closure"] = _closure(case, found, root)
     return result
 
