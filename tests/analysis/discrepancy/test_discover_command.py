@@ -1,0 +1,238 @@
+"""`faultline discover` from recordings to a model that every other command takes, and back."""
+
+import contextlib
+import io
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from made_study import LIBRARY, UDS1, with_effects
+
+sys.path.append(str(Path(__file__).parents[1] / "calibration"))
+from made_drive import frames, freed, write_recording
+
+from analysis.discrepancy import command, experiment
+from analysis.discrepancy.command import main
+from analysis.discrepancy.effect import Effect
+from analysis.discrepancy.experiment import experiments
+from analysis.discrepancy.library import load_library
+from analysis.model import dump_model, load_model
+from analysis.structure.command import main as structure
+from service.core.errors import InputError
+from service.logs import open_log
+
+GAIN = 0.2
+ENTRIES = ("full_open_gain", "offset_p_du", "offset_p_ap")
+SPEED = (20.0, 20.0, 24.0, 28.0, 30.0, 22.0, 26.0)
+DOSE = (0.0, 0.0, 0.4, 1.0, 0.7, 0.0, 1.0)
+OTHER = (0.0, 0.5, 0.0, 1.0, 0.2, 0.9, 0.6)
+
+
+def recording(folder: Path, effects: Mapping[str, float], seed: int, *, zero: float = 0.0, held: bool = False) -> Path:
+    """Seven holds of half a minute."""
+    true = with_effects(UDS1, effects)
+    values = {name: p.value for name, p in true.parameters.items()}
+    log = frames(true, values, seed, speed=SPEED, dose=OTHER if held else DOSE, zero={"y_p_du": zero})
+    return write_recording(folder, log)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_entries() -> Iterator[None]:
+    """The shipped library takes minutes; one of one's own is read as ever."""
+
+    def some(path: Path | None = None) -> dict[str, Effect]:
+        return load_library(path) if path else {name: LIBRARY[name] for name in ENTRIES}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "load_library", some)
+        yield
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    """The exit code and what it printed."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        code = main([*map(str, arguments), "--processes", "1"])
+    return code, printed.getvalue()
+
+
+@dataclass(frozen=True)
+class Found:
+    """A search for a valve that passes more when held open, with its files and what it printed."""
+
+    model: Path
+    training: Path
+    held: Path
+    out: Path
+    code: int
+    printed: str
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
+    folder = tmp_path_factory.mktemp("discover")
+    model, out = folder / "datasheet.toml", folder / "new" / "found"
+    model.write_text(dump_model(UDS1))
+    training, held = (
+        recording(folder / name, {"full_open_gain": GAIN}, seed, held=seed == 4)
+        for seed, name in ((3, "training"), (4, "held"))
+    )
+    code, printed = run(model, training, "--held-out", held, "--out", out, "--apply")
+    return Found(model, training, held, out, code, printed)
+
+
+def test_what_was_found_is_said_and_written(found: Found) -> None:
+    assert found.code == 0
+    assert found.printed.splitlines()[0].startswith(
+        "missing in the model: the dosing valve passes more when it is held open than its pulses say (full_open_gain)"
+    )
+    names = {path.name for path in found.out.iterdir()}
+    assert names >= {"discovery.json", "report.html", "summary.md", "model.toml", "work"}
+    assert "experiment.toml" not in names
+    last = found.printed.splitlines()[-1]
+    assert last.startswith("wrote ")
+    for name in ("discovery.json", "report.html", "summary.md", "model.toml"):
+        assert str(found.out / name) in last
+        assert (found.out / name).stat().st_size > 500
+    told = json.loads((found.out / "discovery.json").read_bytes())
+    assert told["verdict"]["kind"] == "named"
+    assert told["origin"]["sources"] == ["made"]
+    [strength] = told["strengths"]
+    assert strength["interval"][0] < GAIN < strength["interval"][1]
+    assert told["refused"] == []
+    assert {entry["name"] for entry in told["entries"]} == {*ENTRIES}
+
+
+def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: pytest.CaptureFixture[str]) -> None:
+    model = load_model(found.out / "model.toml")
+    assert model.parameters["full_open_gain_g"].value == pytest.approx(GAIN, abs=0.03)
+    entry = model.provenance[-1]
+    assert entry["command"] == "discover"
+    assert entry["vehicle"] == "made"
+    assert entry["recordings"] == [open_log(found.training).sha256]
+    assert entry["held_out"] == [open_log(found.held).sha256]
+    assert structure([str(found.out / "model.toml")]) == 0
+    assert "uds1" in capsys.readouterr().out
+
+
+def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(found.out / "model.toml"), "--undo", "--out", str(tmp_path / "back")]) == 0
+    back = tmp_path / "back" / "model.toml"
+    assert back.read_bytes() == found.model.read_bytes()
+    assert capsys.readouterr().out == f"wrote {back}: uds1 as it was before its last discovery\n"
+    with pytest.raises(InputError, match="provenance: is empty, there is nothing to undo"):
+        main([str(back), "--undo", "--out", str(tmp_path / "back")])
+    with pytest.raises(InputError, match="--undo takes a model only"):
+        main([str(found.out / "model.toml"), str(found.training), "--undo"])
+
+
+def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -> None:
+    """Its own recordings again, which it was fitted to; without --apply no model is written."""
+    true = tmp_path / "true.toml"
+    model = load_model(found.out / "model.toml")
+    true.write_text(dump_model(model))
+    code, told = run(true, found.training, "--held-out", found.held, "--out", tmp_path / "again", "--json")
+    assert code == 0
+    document = json.loads(told)
+    assert document == json.loads((tmp_path / "again" / "discovery.json").read_bytes())
+    assert document["verdict"]["kind"] == "nothing missing"
+    entries = {entry["name"]: entry["no_place"] for entry in document["entries"]}
+    assert entries["full_open_gain"] == "uds1 has full_open_gain in it already"
+    assert not (tmp_path / "again" / "model.toml").exists()
+
+
+def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two sensors of one pressure."""
+    how, shipped = experiments()
+    monkeypatch.setattr(experiment, "experiments", lambda: (how, [e for e in shipped if e.name == "pressure_ladder"]))
+    training, held = (
+        recording(tmp_path / name, {}, seed, zero=5000.0, held=seed == 6) for seed, name in ((5, "t"), (6, "h"))
+    )
+    code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out")
+    assert code == 1
+    told = json.loads((tmp_path / "out" / "discovery.json").read_bytes())
+    assert told["verdict"]["kind"] == "one of"
+    [place] = told["verdict"]["places"]
+    assert {c["name"] for c in place["candidates"]} == {"offset_p_du", "offset_p_ap"}
+    assert "offset_p_ap" in printed
+    assert "pressure_ladder" in told["experiment"]["sentences"][0]
+    assert not (tmp_path / "out" / "model.toml").exists()
+
+
+def refused(*arguments: object) -> str:
+    with pytest.raises(InputError) as error:
+        main([*map(str, arguments)])
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_evidence_needs_another_recording(found: Found, tmp_path: Path) -> None:
+    said = refused("uds1", found.training, "--held-out", found.training, "--out", tmp_path / "o")
+    assert said.startswith(f"{found.training}: the same recording as {found.training}; evidence needs recordings")
+
+
+def test_a_bare_log_is_refused(found: Found, tmp_path: Path) -> None:
+    log = found.training / "can.log"
+    assert refused("uds1", log, "--held-out", found.held, "--out", tmp_path / "o") == (
+        f"{log}: a bare log names no DBC; give its recording's folder"
+    )
+
+
+def test_a_recording_that_is_not_there_is_named(found: Found, tmp_path: Path) -> None:
+    said = refused("uds1", found.training, "--held-out", tmp_path / "none", "--out", tmp_path / "o")
+    assert said.startswith(str(tmp_path / "none"))
+
+
+def test_recordings_of_two_vehicles_are_refused(found: Found, tmp_path: Path) -> None:
+    true = {name: p.value for name, p in UDS1.parameters.items()}
+    other = write_recording(tmp_path / "other", frames(UDS1, true, 7, speed=SPEED[:3], dose=DOSE[:3]), "another")
+    said = refused("uds1", found.training, "--held-out", other, "--out", tmp_path / "o")
+    assert said.startswith(f"{other}: recorded on vehicle 'another'")
+
+
+def test_a_recording_that_is_too_short_is_named(found: Found, tmp_path: Path) -> None:
+    true = {name: p.value for name, p in UDS1.parameters.items()}
+    log = frames(UDS1, true, 8, speed=SPEED[:2], dose=DOSE[:2])
+    short = write_recording(tmp_path / "short", [frame for frame in log if frame.t < 45.0])
+    said = refused("uds1", found.training, "--held-out", short, "--out", tmp_path / "o")
+    assert said.startswith(f"{short}: in no ")
+
+
+def test_a_model_without_priors_is_refused(found: Found, tmp_path: Path) -> None:
+    model = tmp_path / "fixed.toml"
+    model.write_text(dump_model(freed(UDS1, ())))
+    said = refused(model, found.training, "--held-out", found.held, "--out", tmp_path / "o")
+    assert said.startswith("uds1: no parameter has a prior; give `prior` to those that")
+
+
+@pytest.mark.parametrize("text", [None, "schema = 1\n[[effect]]\n", "schema = \n", "schema = 9\n"])
+def test_a_library_that_is_wrong_is_named(found: Found, tmp_path: Path, text: str | None) -> None:
+    library = tmp_path / "mine.toml"
+    if text is not None:
+        library.write_text(text)
+    arguments = ("uds1", found.training, "--held-out", found.held, "--library", library, "--out", tmp_path / "o")
+    assert refused(*arguments).startswith(str(library))
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_anything_else(found: Found) -> None:
+    out = found.model / "out"
+    said = refused("uds1", found.training, "--held-out", found.held, "--out", out)
+    assert said.startswith(f"{out}: ")
+    assert said.endswith("; give --out another place")
+    assert refused(found.out / "model.toml", "--undo", "--out", out) == said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "give recordings to fit, and others with --held-out"),
+        (("--held-out", "b", "--evaluate", "c", "--truth", "d", "e"), "give as many --truth as --evaluate"),
+    ],
+)
+def test_what_is_left_out_is_said(options: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as error:
+        main(["uds1", "a", *options])
+    assert error.value.code == 2
+    assert said in capsys.readouterr().err
