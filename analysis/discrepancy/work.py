@@ -123,10 +123,12 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
     """An executor on this machine's cores (or so many processes), or on the Dask scheduler at an address.
 
     Raises:
-        InputError: dask is not installed, or nobody answers there.
+        InputError: there are no processes; dask is not installed, or nobody answers there.
     """
     if scheduler is None:
         cores = len(os.sched_getaffinity(0)) if processes is None else processes
+        if cores < 1:
+            raise InputError(f"--processes {cores}: nobody would work; give at least 1")
         for name in THREADS:  # matrices are small: two processes are faster than two threads
             os.environ.setdefault(name, "1")
         with ProcessPoolExecutor(cores) as executor:

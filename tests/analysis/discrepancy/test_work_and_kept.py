@@ -181,6 +181,13 @@ def test_a_dask_cluster_comes_to_the_same() -> None:
         assert not same([found], inline()[1:])
 
 
+@pytest.mark.parametrize("processes", [0, -1])
+def test_no_processes_are_refused(processes: int) -> None:
+    said = f"^--processes {processes}: nobody would work; give at least 1$"
+    with pytest.raises(InputError, match=said), workers(None, processes):
+        raise AssertionError
+
+
 def test_an_address_where_nobody_answers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
