@@ -138,6 +138,8 @@ def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, caps
         main([str(back), "--undo", "--out", str(tmp_path / "back")])
     with pytest.raises(InputError, match="--undo takes a model only"):
         main([str(found.out / "model.toml"), str(found.training), "--undo"])
+    said = refused(found.out / "model.toml", "--undo", "--out", found.model / "o")
+    assert said.endswith("; give --out another place")
 
 
 def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -> None:
