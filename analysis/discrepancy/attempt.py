@@ -261,23 +261,37 @@ def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum, known
 
     `known` are the optimum's unknowns; zero errors are each recording's own.
     """
-    own, other = problem.unknowns.of_zeros, known.of_zeros
-    x = carried(optimum.x, known, problem.unknowns)
-    x[own] = 0.0
-    inside = np.delete(optimum.inside, other)
-    covariance = np.zeros((len(x), len(x)))
-    place = np.flatnonzero(optimum.inside)
-    between = np.linalg.inv(optimum.curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
-    kept = np.delete(np.arange(len(x)), own)[inside]
-    covariance[np.ix_(kept, kept)] = between
-    covariance[own, own] = np.eye(own.stop - own.start)
-    free = np.sort(np.concatenate([kept, np.arange(own.start, own.stop)]))
-    e, J = likelihood.left(problem, x), likelihood.slopes(problem, x)[:, free]
-    H = np.linalg.inv(covariance[np.ix_(free, free)])
+    e, J, H = foretold(likelihood, problem, optimum.x, optimum.curvature, optimum.inside, known)
     M, b = J.T @ J + H, J.T @ e
     step = np.linalg.solve(M, b)
     log_probability = -0.5 * float(e @ e - b @ step) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(H)[1])
     return log_probability, e - J @ step
+
+
+def foretold(
+    likelihood: Likelihood,
+    problem: Problem,
+    x: Array,
+    curvature: Array,
+    inside: npt.NDArray[np.bool_],
+    known: Unknowns,
+) -> tuple[Array, Array, Array]:
+    """What data differ from their prediction by (M,), what is unknown does to it (M, f), and its precision (f, f).
+
+    All whitened: the prediction's covariance is 1 + J H^-1 J'.
+    """
+    own, other = problem.unknowns.of_zeros, known.of_zeros
+    begin = carried(x, known, problem.unknowns)
+    begin[own] = 0.0
+    place = np.flatnonzero(inside)
+    between = np.linalg.inv(curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
+    kept = np.delete(np.arange(len(begin)), own)[np.delete(inside, other)]
+    covariance = np.zeros((len(begin), len(begin)))
+    covariance[np.ix_(kept, kept)] = between
+    covariance[own, own] = np.eye(own.stop - own.start)
+    free = np.sort(np.concatenate([kept, np.arange(own.start, own.stop)]))
+    e, J = likelihood.left(problem, begin), likelihood.slopes(problem, begin)[:, free]
+    return e, J, np.linalg.inv(covariance[np.ix_(free, free)])
 
 
 def _within(place: npt.NDArray[np.int64], part: slice) -> npt.NDArray[np.bool_]:

@@ -96,7 +96,7 @@ def _discover(options: argparse.Namespace) -> int:
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
             bundle=_bundles(options, found, new, progress),
-            plans=_plans(found),
+            plans=_plans(found, progress),
             onset=onset(model, found.before),
             refused=new.reasons,
         )
@@ -112,10 +112,10 @@ def _discover(options: argparse.Namespace) -> int:
     return 0 if good and not (options.apply and new.reasons) else 1
 
 
-def _plans(found: Discovery) -> list[Plan]:
+def _plans(found: Discovery, progress: Progress) -> list[Plan]:
     """Experiments that would tell the first effect with rivals from them."""
     place = next((place for place in found.outcome.places if len(place.attempts) > 1), None)
-    return propose(found.study, found.baseline, place.attempts) if place is not None else []
+    return propose(found.study, found.baseline, place.attempts, progress.note) if place is not None else []
 
 
 def _bundles(options: argparse.Namespace, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.calibration.provenance import check_vehicle, vehicle_of
+from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
 from analysis.calibration.sections import Section, sections
 from analysis.model import Model, dump_model
 from analysis.recordings.observe import open_known
@@ -93,6 +93,10 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
             raise InputError(
                 f"{path}: the same recording as {logs[log.sha256]}; evidence needs recordings that the fit has not "
                 "seen, record another drive"
+            )
+        if path in held and log.sha256 in recordings_of(model):
+            raise InputError(
+                f"{path}: {model.name} was made from this recording, so it is no evidence; hold another one out"
             )
         logs[log.sha256] = path
         first = found[0][0] if found else log

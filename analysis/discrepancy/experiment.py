@@ -1,14 +1,14 @@
 """The experiment that tells rivals apart: planned on their fitted models, written as a cycle for the rig.
 
 For every experiment of `experiments.toml` and every rival in turn, the rival's model is run in a closed loop: that is
-what would be measured if it were the one. How much less likely the other rivals make that, after moving their own
-unknowns as far as what was recorded so far allows, is the evidence to expect (after Chen and Asprey 2003). The best
-experiment is the one whose weakest pair is told apart best.
+what would be measured if it were the one. Every rival predicts it with what the recordings so far have left uncertain;
+the evidence to expect is the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey
+2003). The best experiment is the one whose weakest pair is told apart best.
 """
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,11 +18,10 @@ import numpy.typing as npt
 
 from analysis.calibration.problem import Problem
 from analysis.calibration.sections import Section, cut, fitting
-from analysis.discrepancy.attempt import Attempt, Baseline, Study, carried, predictive
+from analysis.discrepancy.attempt import Attempt, Baseline, Study, carried, foretold
 from analysis.discrepancy.data import STEP_S
 from analysis.discrepancy.likelihood import Likelihood, bins_of
 from analysis.discrepancy.rewrite import rewritten
-from analysis.discrepancy.search import Optimum
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Equation, Known, Model, Unknown
 from analysis.model.expression import parse_expression
@@ -116,8 +115,13 @@ def experiments() -> tuple[Control, tuple[Experiment, ...]]:
     return how, tuple(found)
 
 
-def propose(study: Study, baseline: Baseline, rivals: Sequence[Attempt]) -> list[Plan]:
-    """The experiments by how well they tell the rivals apart, the best first; none where the model is not for them."""
+def propose(
+    study: Study, baseline: Baseline, rivals: Sequence[Attempt], note: Callable[[str], None] = lambda _: None
+) -> list[Plan]:
+    """The experiments by how well they tell the rivals apart, the best first; none where the model is not for them.
+
+    `note` hears which could not be planned: a rival's model does not run there, or leaves the range in which it holds.
+    """
     how, all_of_them = experiments()
     if not {how.actuator, how.command} <= study.model.known.keys() or how.follows not in study.model.unknown:
         return []
@@ -126,8 +130,8 @@ def propose(study: Study, baseline: Baseline, rivals: Sequence[Attempt]) -> list
     for experiment in all_of_them:
         try:
             plans.append(_plan(study, baseline, experiment, fitted))
-        except InputError:  # a rival's model does not run there, or leaves the range in which models hold
-            continue
+        except InputError as error:
+            note(f"no plan for {experiment.name}: {error}")
     return sorted(plans, key=lambda plan: -plan.weakest)
 
 
@@ -150,7 +154,8 @@ class _Rival:
         names = self._loop.inputs
         inputs = np.column_stack([asked[0] if name == SET_POINT else asked[1] for name in names])
         start = _start(self._loop, values)
-        drive = Drive(STEP_S, inputs, start, np.tile(start, (len(t), 1)))
+        guess = np.where(start > 0.5 * START_BAR * BAR, asked[0][:, None], start)  # after the pump, or before it
+        drive = Drive(STEP_S, inputs, start, guess)
         trajectory = run(self._loop, drive, values)
         pressure = trajectory.w[:, self._loop.states.index(how.follows)]
         speed = _speed(how, asked[0], pressure)
@@ -218,21 +223,42 @@ def _plan(study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequ
         tracks = true.measured(experiment, study.training[0])
         sections = cut(study.model, true.system, tracks, experiment.name, STEP_S)
         sections = [dataclasses.replace(section, noise=_noise(section, study.training)) for section in sections]
-        problem = Problem(true.system, sections, lagging=True)
-        x = carried(true.attempt.x, true.attempt.unknowns, problem.unknowns)
+        problem = _problem(true, sections)
+        x = carried(_punctual(true.attempt), true.attempt.unknowns, problem.unknowns)
         likelihood = Likelihood(problem, x, baseline.levels, [bins_of(section) for section in sections])
-        told = {rival.name: _told(likelihood, rival, sections) for rival in rivals}
-        for name, value in told.items():
-            if name != true.name:
-                expected[true.name, name] = told[true.name] - value
+        mean, covariance = _prediction(likelihood, true, sections)
+        for other in rivals:
+            if other is not true:
+                e, wider = _prediction(likelihood, other, sections)
+                expected[true.name, other.name] = divergence(e - mean, covariance, wider)
     return Plan(experiment, expected)
 
 
-def _told(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> float:
-    problem = Problem(rival.system, [fitting(section, rival.system) for section in sections], lagging=True)
+def _problem(rival: _Rival, sections: Sequence[Section]) -> Problem:
+    fitted = [fitting(section, rival.system) for section in sections]
+    return Problem(rival.system, fitted, lagging=True, commands=rival.attempt.unknowns.delays)
+
+
+def _prediction(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> tuple[Array, Array]:
+    """How far (M,) a rival's prediction is off, and its covariance (M, M), whitened."""
     a = rival.attempt
-    optimum = Optimum(a.x, a.cost, a.curvature, a.inside, 0.0)
-    return predictive(likelihood, problem, optimum, a.unknowns)[0]
+    e, J, H = foretold(likelihood, _problem(rival, sections), _punctual(a), a.curvature, a.inside, a.unknowns)
+    return e, np.eye(len(e)) + J @ np.linalg.solve(H, J.T)
+
+
+def divergence(difference: Array, true: Array, other: Array) -> float:
+    """Of normal distributions with means `difference` (M,) apart and covariances (M, M): evidence [nats]."""
+    ratio = np.linalg.solve(other, true)
+    logs = np.linalg.slogdet(other)[1] - np.linalg.slogdet(true)[1]
+    square = float(difference @ np.linalg.solve(other, difference))
+    return 0.5 * float(np.trace(ratio) - len(difference) + square + logs)
+
+
+def _punctual(attempt: Attempt) -> Array:
+    """The attempt's x without delays and lags, which the plan has none of."""
+    x = attempt.x.copy()
+    x[attempt.unknowns.of_zeros.stop :] = 0.0
+    return x
 
 
 def _noise(planned: Section, recorded: Sequence[Section]) -> Array:

@@ -38,6 +38,7 @@ EXPERIMENTS = (
     "pump_off_decay",
     "speed_ramp",
     "dosing_at_pressures",
+    "full_dose_at_pressures",
     "dose_staircase",
     "fast_square",
     "steady_hold",

@@ -8,7 +8,7 @@ import hashlib
 import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +71,12 @@ class Crew:
         say(len(orders) - len(waiting), len(orders))
         for number, future in enumerate(as_completed(waiting), len(orders) - len(waiting) + 1):
             k = waiting[future]
-            result = future.result()
+            try:
+                result = future.result()
+            except BrokenExecutor as error:
+                raise InputError(
+                    "a worker died, of too little memory perhaps; call again, what is done is kept"
+                ) from error
             if result is not None:
                 found[k] = result
                 place = self._place(orders[k])
