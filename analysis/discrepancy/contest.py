@@ -18,8 +18,8 @@ AT_MOST = 3
 UNLIKELY = 5.0
 """Evidence [nats] by which a rival must be worse to be out: odds of 150 to 1."""
 
-QUANTILE = 2.33
-"""And so many standard deviations of the difference, from block to block: 99 % (Vuong 1989)."""
+QUANTILE = 2.0
+"""And so many standard deviations of the difference, from block to block: 98 % (Vuong 1989)."""
 
 SHARE = 0.02
 """Of the first effect's evidence: less is what its form leaves, not another effect."""

@@ -1,6 +1,7 @@
 """`faultline discover` from recordings to a model that every other command takes, and back."""
 
 import contextlib
+import dataclasses
 import io
 import json
 import sys
@@ -143,10 +144,12 @@ def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, caps
 
 
 def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -> None:
-    """Its own recordings again, which it was fitted to; without --apply no model is written."""
+    """Without --apply no model is written. A model that was made from the held-out recording would be refused."""
     true = tmp_path / "true.toml"
     model = load_model(found.out / "model.toml")
-    true.write_text(dump_model(model))
+    with pytest.raises(InputError, match="uds1 was made from this recording, so it is no evidence"):
+        run(found.out / "model.toml", found.training, "--held-out", found.held, "--out", tmp_path / "again")
+    true.write_text(dump_model(dataclasses.replace(model, provenance=())))
     code, told = run(true, found.training, "--held-out", found.held, "--out", tmp_path / "again", "--json")
     assert code == 0
     document = json.loads(told)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_study import study
+from scipy.stats import multivariate_normal
 
 from analysis.discrepancy.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from analysis.discrepancy.experiment import BEFORE_S, RESOLVES, Plan, experiments, propose
+from analysis.discrepancy.experiment import BEFORE_S, RESOLVES, Plan, divergence, experiments, propose
 from analysis.model import load_model
 from testbench.cycles import DOSING_FROM, Segment, read_cycle
 
@@ -66,7 +67,19 @@ def test_the_proposed_plan_promises_evidence_for_whichever_it_is(plans: list[Pla
 
 def test_where_nothing_is_dosed_rivals_of_the_dosing_valve_are_not_told_apart(plans: list[Plan]) -> None:
     by_name = {plan.experiment.name: plan for plan in plans}
-    assert by_name["pressure_ladder"].weakest < 0.0 < RESOLVES < by_name["dose_staircase"].weakest
+    assert 0.0 <= by_name["pressure_ladder"].weakest < RESOLVES < by_name["dose_staircase"].weakest
+
+
+def test_evidence_to_expect_is_the_divergence_of_predictions() -> None:
+    """Against the mean of log ratios over draws."""
+    rng = np.random.default_rng(5)
+    A, B = rng.normal(size=(2, 3, 6))
+    true, other, d = np.eye(3) + A @ A.T, np.eye(3) + B @ B.T, np.array([0.5, -1.0, 2.0])
+    assert divergence(np.zeros(3), true, true) == pytest.approx(0.0, abs=1e-9)
+    drawn = multivariate_normal(np.zeros(3), true)
+    y = drawn.rvs(100_000, random_state=5)
+    ratio = drawn.logpdf(y) - multivariate_normal(d, other).logpdf(y)
+    assert divergence(d, true, other) == pytest.approx(np.mean(ratio), abs=5 * np.std(ratio) / np.sqrt(len(y)))
 
 
 def test_a_model_of_something_else_has_no_experiments(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
