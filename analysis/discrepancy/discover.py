@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,8 +10,9 @@ from analysis.discrepancy.attempt import Baseline, Begin, Judge, Study, baseline
 from analysis.discrepancy.contest import Outcome, Say, contest, scale
 from analysis.discrepancy.data import Data
 from analysis.discrepancy.effect import Effect
+from analysis.discrepancy.library import SHIPPED
 from analysis.discrepancy.locate import Location
-from analysis.discrepancy.rewrite import applicable
+from analysis.discrepancy.rewrite import applicable, rewritten
 from analysis.discrepancy.sensitivity import LEAST, Direction, chance
 from analysis.discrepancy.work import Crew
 
@@ -59,11 +60,14 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     """The search in the recordings of `data` for effects of the library; `folder` keeps what is done.
 
     Raises:
-        InputError: the model cannot be run, or a result cannot be kept.
+        InputError: the model cannot be run, an entry makes no sound model of it, or a result cannot be kept.
     """
     reasons = {name: applicable(data.model, effect) for name, effect in library.items()}
     unfit = {name: reason for name, reason in reasons.items() if reason is not None}
     fit = {name: effect for name, effect in library.items() if name not in unfit}
+    for effect in fit.values():
+        if not effect.place.startswith(str(SHIPPED)):
+            rewritten(data.model, effect)  # what is wrong in a user's entry is said before a minute is spent
     study = Study(data.key, data.model, fit, data.training_sections, data.held_sections)
     say("the model as it is", 0, 1)
     baseline = baseline_of(study)
@@ -79,8 +83,9 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     outcome = contest(crew, [*fit], nominal, LEAST, unbent, say)
     directions = tuple(crew.directions([*fit]))
     threshold = chance(directions, *judge.left(outcome.chosen))
-    if outcome.chosen.effects and outcome.places[0].gain <= threshold * scale(outcome.chosen):
-        outcome = Outcome(nominal, outcome.singles, nominal, (), threshold)
+    outcome = replace(outcome, threshold=threshold)
+    if outcome.places and outcome.places[0].gain <= threshold * scale(outcome.chosen):
+        outcome = replace(outcome, chosen=nominal, places=())
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
     return Discovery(study, baseline, outcome, before, after, verdict_of(outcome, after), directions, unfit)
 
