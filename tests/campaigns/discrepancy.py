@@ -28,6 +28,7 @@ from analysis.discrepancy.data import load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.experiment import propose
 from analysis.discrepancy.library import load_library
+from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.sensitivity import alike, smallest_sizes
 from analysis.discrepancy.show import shown
 from analysis.model import load_model
@@ -106,9 +107,17 @@ def _judged(case: Case, found: Discovery) -> dict[str, Any]:
         "alike": {entry: list(same.get(entry, ())) for entry in right},
         "visible": shown,
         "members": list(found.before.members),
+        "changed": _changed(found),
         "where": where,
         "singles": [[a.effects[0], a.evidence - found.outcome.nominal.evidence] for a in found.outcome.singles[:5]],
     }
+
+
+def _changed(found: Discovery) -> list[str]:
+    """The equations that the candidates of the sets change."""
+    model, candidates = found.study.model, {name for names in found.verdict.sets for name in names}
+    texts = [rewritten(model, found.study.library[name]).equations for name in candidates]
+    return sorted({name for new in texts for name, e in model.equations.items() if new[name].text != e.text})
 
 
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:

@@ -27,12 +27,17 @@ def wrong(r: Result) -> bool:
     return r["verdict"] in ("named", "one of") and not named_right(r)
 
 
+def said(r: Result) -> set[str]:
+    """The equations in which something is missing: those that what was named changes, or the class that was located."""
+    return set(r["changed"] if r["verdict"] in ("named", "one of") else r["members"])
+
+
 def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
     """The page; `seconds` is what this run of the campaign took."""
     of = {kind: [r for r in results if r["kind"] == kind] for kind in ("hidden", "nothing", "outside", "two")}
     seen = [r for r in of["hidden"] if all(r["visible"].values())]
     spoke = [r for r in seen if r["sets"]]
-    speaking = [r for r in [*of["hidden"], *of["outside"]] if r["members"]]
+    speaking = [r for r in [*of["hidden"], *of["outside"]] if said(r)]
     lines = [
         f"# Discrepancy workflow, the rig's effect set {set_name}",
         "",
@@ -66,7 +71,7 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
         ),
         _row(
             "the right equation in the class, when it speaks",
-            sum(bool(set(r["members"]) & set(r["where"])) for r in speaking),
+            sum(bool(said(r) & set(r["where"])) for r in speaking),
             len(speaking),
             "at least 90 %",
         ),

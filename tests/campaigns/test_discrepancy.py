@@ -3,7 +3,7 @@
 import pytest
 from discrepancy import run
 from discrepancy_cases import Case, sample
-from discrepancy_page import named_right
+from discrepancy_page import named_right, said
 
 DURATION_S = 300.0
 
@@ -19,4 +19,4 @@ def test_a_case_of_the_campaign(case: Case) -> None:
     else:
         assert named_right(result), told
     if case.kind != "nothing":
-        assert set(result["members"]) & set(result["where"]), told
+        assert said(result) & set(result["where"]), told
