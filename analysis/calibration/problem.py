@@ -24,7 +24,6 @@ Array = npt.NDArray[np.float64]
 DELAY_S = 0.3
 """Prior standard deviation of a command's delay: a period of the valve."""
 
-
 LAG_S = 0.02
 """Prior standard deviation of an output's lag: a sensor's filter, a controller's cycle, the bus."""
 

@@ -85,7 +85,9 @@ def contest(
     if singles and singles[0].evidence - nominal.evidence > threshold * scale(singles[0]):
         chosen = singles[0]
         places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
-        while len(chosen.effects) < AT_MOST:
+        for _ in range(2 * AT_MOST):  # each round adds one and may drop another: it must end
+            if len(chosen.effects) >= AT_MOST:
+                break
             needed = max(threshold * scale(chosen), SHARE * places[0].gain)
             field = _round(crew, chosen, [name for name in effects if name not in chosen.effects], needed, None, say)
             if not field or field[0].evidence - chosen.evidence < needed:
@@ -166,8 +168,12 @@ def _reconsidered(
         rest = [name for name in chosen.effects if name != place.rivals[0]]
         begin = Begin(chosen.unknowns, chosen.x)
         orders = [Order((*rest, name), begin) for name in place.rivals if name not in rest]
-        *tried, without = crew.attempts([*orders, Order(tuple(rest), begin)], lambda n, of: say("backward", n, of))
-        tried.sort(key=lambda attempt: -attempt.evidence)
+        attempts = crew.attempts([*orders, Order(tuple(rest), begin)], lambda n, of: say("backward", n, of))
+        without = next((attempt for attempt in attempts if len(attempt.effects) == len(rest)), None)
+        tried = sorted((a for a in attempts if a is not without), key=lambda attempt: -attempt.evidence)
+        if without is None or not tried:  # one of the two cannot be run from here: the place stays as it was
+            found.append(place)
+            continue
         gain = tried[0].evidence - without.evidence
         if gain < needed:
             return without, [*found, *places[k + 1 :]]

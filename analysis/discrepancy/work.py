@@ -41,6 +41,7 @@ class Crew:
 
     def __init__(self, executor: Executor, study: Study, baseline: Baseline, folder: Path | None) -> None:
         self._executor, self._study, self._folder = executor, study, folder
+        self._weights = repr((baseline.x.tolist(), baseline.levels.tolist()))  # evidences hold for one baseline only
         self._payload = pickle.dumps((study, baseline))
         self._key = hashlib.sha256(self._payload).hexdigest()  # a study's own says nothing of its library
 
@@ -96,7 +97,8 @@ class Crew:
             return None
         entries = [repr(self._study.library[name]) for name in order.effects]
         begin = order.begin
-        text = "\n".join([self._study.key, *entries, repr(begin.unknowns.parameters), repr(begin.x.tolist())])
+        given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(begin.x.tolist())]
+        text = "\n".join([*given, *entries])
         digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}".encode()).hexdigest()[:16]
         return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
 

@@ -22,17 +22,16 @@ STRONG = 1.0
 class Truth:
     """The library's `entry` for an effect of the rig, `scale` times the rig's size in its unit; where it acts.
 
-    `also` are entries that describe a part of the same effect; `equations` those of uds4 that it changes.
+    `equations` are those of uds4 that it changes.
     """
 
     entry: str
     scale: float
     equations: tuple[str, ...]
-    also: tuple[str, ...] = ()
 
 
 TRUTHS: dict[str, Truth] = {
-    "laminar_filters": Truth("laminar_filters", 1.0, ("e05", "e06", "e07"), ("laminar_bores",)),
+    "laminar_filters": Truth("laminar_filters", 1.0, ("e05", "e06", "e07")),
     "full_lift": Truth("full_open_gain", 1.0, ("e04",)),
     "opening_delay": Truth("valve_opens_late", 1.0 / VALVE_PERIOD_S, ("e04",)),
     "closing_delay": Truth("valve_shuts_late", 1.0 / VALVE_PERIOD_S, ("e04",)),
@@ -44,7 +43,7 @@ TRUTHS: dict[str, Truth] = {
     "viscosity_drift": Truth("viscosity_drift", 1.0, ("e02",)),
     "cake_growth": Truth("du_filter_cake", 1.0, ("e07",)),
     "sensor_lag": Truth("lag_p_du", 1.0, ("e16",)),
-    "leak": Truth("leak_orifice", 1e-6 / 42.0 / 0.7, ("e10",), ()),
+    "leak": Truth("leak_orifice", 1e-6 / 42.0 / 0.7, ("e10",)),
     "back_pressure": Truth("nozzle_back_pressure", 1e5, ("e04",)),
     "falling_level": Truth("tank_level_falls", 200.0, ("e05",)),
     "blocked_vent": Truth("tank_vent_blocked", 1000.0, ("e05",)),

@@ -189,12 +189,12 @@ def test_no_processes_are_refused(processes: int) -> None:
 
 
 def test_an_address_where_nobody_answers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     monkeypatch.setattr(work, "ANSWERS_S", 0.5)
-    for address in (f"tcp://127.0.0.1:{port}", "nowhere", f"http://127.0.0.1:{port}"):
-        said = f"^{address}: no Dask scheduler answers .*; check address and port$"
-        with pytest.raises(InputError, match=said) as error, workers(address):
-            raise AssertionError
-        assert "\n" not in str(error.value)
+    with socket.socket() as silent:  # bound, so that no other test's scheduler gets the port, and not listening
+        silent.bind(("127.0.0.1", 0))
+        port = silent.getsockname()[1]
+        for address in (f"tcp://127.0.0.1:{port}", "nowhere", f"http://127.0.0.1:{port}"):
+            said = f"^{address}: no Dask scheduler answers .*; check address and port$"
+            with pytest.raises(InputError, match=said) as error, workers(address):
+                raise AssertionError
+            assert "\n" not in str(error.value)
