@@ -29,7 +29,7 @@ campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameter
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/calibration.py --out docs/results/calibration.md
 
-# In parts if wanted: SHARD=1/4 ...; set A is for development. Results so far are in out/campaign-discrepancy.
+# In parts if wanted: SHARD=1/4 ...; set A is for development. Results so far are in docs/results/*.jsonl.
 SET ?= B
 campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added? writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy.py --set $(SET) \

@@ -15,14 +15,14 @@ from scipy.linalg import block_diag
 
 from analysis.calibration.problem import Problem, Unknowns
 from analysis.calibration.sections import Section, fitting
+from analysis.discrepancy.compiled import system_with
 from analysis.discrepancy.effect import Effect
 from analysis.discrepancy.likelihood import Likelihood, bins_of, blocks, levels_of
 from analysis.discrepancy.locate import Location, locate
-from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.search import Optimum, descend
 from analysis.discrepancy.sensitivity import Direction, remaining
 from analysis.model import Model
-from analysis.simulation import System, system_of
+from analysis.simulation import System
 
 Array = npt.NDArray[np.float64]
 
@@ -123,7 +123,6 @@ class Judge:
     def __init__(self, study: Study, baseline: Baseline) -> None:
         self._study = study
         self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
-        self._systems: dict[tuple[str, ...], System] = {}  # compiled once; a problem with its runs takes 100 MB
         numbers = [blocks(bins, BLOCK_S) for bins in self._bins]
         self._blocks = np.concatenate([numbers[0], numbers[1] + numbers[0].max() + 1])
         problems = self._with(())
@@ -190,7 +189,10 @@ class Judge:
         shared = np.concatenate([np.delete(J, np.r_[part], axis=1) for J, part in parts])
         apart = block_diag(*zeros)
         others = np.hstack([np.delete(shared, what, axis=1), apart])
-        return Direction(effect, remaining(shared[:, what], others), lower, upper, unknowns.spreads[what])
+        does = shared[:, what]
+        visible = remaining(does, others)
+        power = np.sum(does * visible, axis=0)
+        return Direction(effect, visible, power, lower, upper, unknowns.spreads[what])
 
     def locate(self, attempt: Attempt) -> Location:
         """Where the model of an attempt misses something still."""
@@ -199,12 +201,8 @@ class Judge:
 
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
         """The problems of the model with effects: the training's and the held-out's."""
-        if tuple(effects) not in self._systems:
-            model = self._study.model
-            for name in effects:
-                model = rewritten(model, self._study.library[name])
-            self._systems[tuple(effects)] = system_of(model, model.calibrated)
-        return _problems(self._study, self._systems[tuple(effects)])
+        entries = [self._study.library[name] for name in effects]
+        return _problems(self._study, system_with(self._study.model, entries))
 
     def _start(self, effects: Sequence[str], begin: Begin, unknowns: Unknowns) -> Array:
         x = carried(begin.x, begin.unknowns, unknowns)
@@ -220,7 +218,7 @@ def baseline_of(study: Study) -> Baseline:
     Raises:
         InputError: it cannot be run.
     """
-    problems = _problems(study, system_of(study.model, study.model.calibrated))
+    problems = _problems(study, system_with(study.model, ()))
     bins = [[bins_of(section) for section in sections] for sections in (study.training, study.held)]
     x, outputs = np.zeros(problems[0].unknowns.size), [*problems[0].system.outputs]
     for _ in range(ROUNDS):

@@ -12,7 +12,7 @@ from analysis.discrepancy.data import load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.document import encoded
 from analysis.discrepancy.drift import drifts
-from analysis.discrepancy.experiment import RESOLVES, Plan, propose
+from analysis.discrepancy.experiment import Plan, propose
 from analysis.discrepancy.extras import Extras
 from analysis.discrepancy.gate import Adoption, adoption
 from analysis.discrepancy.library import load_library
@@ -75,7 +75,7 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
         raise InputError("--undo takes a model only; leave the recordings away")
     before = undone(sound_model(model))
     _room(out)
-    (out / "model.toml").write_text(dump_model(before))
+    _write(out / "model.toml", dump_model(before))
     print(f"wrote {out / 'model.toml'}: {before.name} as it was before its last discovery")
     return 0
 
@@ -92,13 +92,15 @@ def _discover(options: argparse.Namespace) -> int:
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
+        set_in = onset(model, found.before)
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
             bundle=_bundles(options, found, new, progress),
             plans=_plans(found, progress),
-            onset=onset(model, found.before),
+            onset=set_in,
             refused=new.reasons,
+            applied=options.apply and new.model is not None and not new.reasons and set_in is None,
         )
         document = document_of(found, runs, origin_of(data), extras)
         progress.say("report")
@@ -130,13 +132,20 @@ def _bundles(options: argparse.Namespace, found: Discovery, new: Adoption, progr
 def _results(options: argparse.Namespace, new: Adoption, extras: Extras) -> list[Path]:
     """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help."""
     files = {}
-    if options.apply and new.model is not None and not new.reasons and extras.onset is None:
+    if extras.applied and new.model is not None:
         files["model.toml"] = dump_model(new.model)
-    if extras.plans and extras.plans[0].weakest > RESOLVES:
+    if extras.plans and extras.plans[0].told:
         files["experiment.toml"] = extras.plans[0].experiment.cycle()
     for name, text in files.items():
-        (options.out / name).write_text(text)
+        _write(options.out / name, text)
     return [options.out / name for name in files]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; give --out another place") from error
 
 
 def _room(folder: Path) -> None:

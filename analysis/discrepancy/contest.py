@@ -34,6 +34,11 @@ FIELD = 8
 """So many are fitted to the end, and besides all that come near the best: those in `NEAR` of its gain."""
 
 NEAR = 0.4
+HOPE = 2.0
+"""Times what the next step of a glance promises may be won on the rest of its way."""
+
+CLOSE = 10.0
+"""Or within so much [nats] of it: a small gain is no order, as entries pay for their freedom yet."""
 
 Say = Callable[[str, int, int], None]
 
@@ -136,26 +141,38 @@ def _round(
         orders = [Order((*base.effects, name), start, steps) for start, steps in elsewhere for name in names]
         found += crew.glances(orders, lambda n, of: say(f"{title}, from elsewhere", n, of))
     attempts: dict[str, Attempt] = {}
-    orders = [Order(glance.effects, Begin(glance.unknowns, glance.x)) for glance in _field(found, base)]
-    for attempt in crew.attempts(orders, lambda n, of: say(f"{title}, to the end", n, of)):
-        known = attempts.get(attempt.effects[-1])
-        if known is None or attempt.cost < known.cost:
-            attempts[attempt.effects[-1]] = attempt
+    field = _field(found, base)
+    for rest, wave in (("to the end", [glances[:1] for glances in field]), ("again", [g[1:] for g in field])):
+        orders = [
+            Order(glance.effects, Begin(glance.unknowns, glance.x))
+            for glances in wave
+            for glance in glances
+            if not _beaten(glance, attempts.get(glance.effects[-1]))
+        ]
+        for attempt in crew.attempts(orders, lambda n, of, rest=rest: say(f"{title}, {rest}", n, of)):
+            known = attempts.get(attempt.effects[-1])
+            if known is None or attempt.cost < known.cost:
+                attempts[attempt.effects[-1]] = attempt
     return sorted(attempts.values(), key=lambda attempt: -attempt.evidence)
 
 
-def _field(found: Sequence[Glance], base: Attempt) -> list[Glance]:
-    """The glances to follow to the end: of each effect that may be the best all that may be its best."""
+def _beaten(glance: Glance, by: Attempt | None) -> bool:
+    """Whether what a glance promises is not near what was found already: the rest of the way is not worth it."""
+    return by is not None and glance.cost - HOPE * glance.promised > by.cost
+
+
+def _field(found: Sequence[Glance], base: Attempt) -> list[list[Glance]]:
+    """The glances to follow to the end: of each effect that may be the best all, the most promising first."""
     best = min(glance.cost for glance in found)
-    near = best + (1.0 - NEAR) * (base.cost - best)
+    near = best + max((1.0 - NEAR) * (base.cost - best), CLOSE)
     by_effect: dict[str, list[Glance]] = {}
     for glance in sorted(found, key=lambda glance: glance.cost - glance.promised):
         by_effect.setdefault(glance.effects[-1], []).append(glance)
-    field = []
+    field = list[list[Glance]]()
     for k, glances in enumerate(by_effect.values()):
         first = glances[0]
         if (k < FIELD or first.cost - first.promised < near) and first.cost - first.promised < base.cost:
-            field += glances
+            field.append(glances)
     return field
 
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
 from analysis.calibration.sections import Section, sections
+from analysis.discrepancy.compiled import system_with
 from analysis.model import Model, dump_model
 from analysis.recordings.observe import open_known
-from analysis.simulation import System, system_of
+from analysis.simulation import System
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import MODES
@@ -84,7 +85,7 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
     """
     if not model.calibrated:
         raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
-    system = system_of(model, model.calibrated)
+    system = system_with(model, ())
     logs: dict[str, Path] = {}
     found: list[tuple[Log, list[Section]]] = []
     for path in (*training, *held):

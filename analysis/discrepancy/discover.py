@@ -43,7 +43,8 @@ class Discovery:
     """All that a search came to.
 
     `before` is where the model as it was misses something, `after` where that with the chosen effects does.
-    `unfit` are entries that have no place in this model, with the reason.
+    `unfit` are entries that have no place in this model, with the reason; `halted` those whose model could not be run
+    from some beginning, and that came to nothing from the others.
     """
 
     study: Study
@@ -54,6 +55,7 @@ class Discovery:
     verdict: Verdict
     directions: tuple[Direction, ...]
     unfit: Mapping[str, str]
+    halted: Mapping[str, str]
 
 
 def discover(data: Data, library: Mapping[str, Effect], executor: Executor, folder: Path | None, say: Say) -> Discovery:
@@ -87,7 +89,9 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     if outcome.places and outcome.places[0].gain <= threshold * scale(outcome.chosen):
         outcome = replace(outcome, chosen=nominal, places=())
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
-    return Discovery(study, baseline, outcome, before, after, verdict_of(outcome, after), directions, unfit)
+    judged = {attempt.effects for attempt in outcome.singles}
+    halted = {effects[0]: why for effects, why in crew.failures.items() if len(effects) == 1 and effects not in judged}
+    return Discovery(study, baseline, outcome, before, after, verdict_of(outcome, after), directions, unfit, halted)
 
 
 def verdict_of(outcome: Outcome, after: Location) -> Verdict:

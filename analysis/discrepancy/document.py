@@ -116,7 +116,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     The gains are null where a few steps of the fit showed that others do more, or where the entry has `no_place` in
     this model. `smallest` is the size from which these recordings would show it, null if no possible one is; `alike`
-    are entries that do the same in these recordings.
+    are entries that do the same in these recordings; `halted` says why its model could not be run from everywhere.
     """
 
     name: str
@@ -128,6 +128,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     unit: str
     alike: tuple[str, ...]
     no_place: str | None
+    halted: str | None = None
 
 
 class White(msgspec.Struct, frozen=True, kw_only=True):
@@ -207,7 +208,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
 
     `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
     there if something set in while it was recorded: a fault rather than a missing effect. `refused` are reasons why the
-    effects should not be added to the model.
+    effects should not be added to the model, `applied` tells that a model with them was written.
     """
 
     schema: str = SCHEMA
@@ -229,6 +230,12 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     experiment: Section | None = None
     onset: Section | None = None
     refused: tuple[str, ...] = ()
+    applied: bool = False
+
+    @property
+    def named(self) -> bool:
+        """Whether what is missing has a name, or one of several."""
+        return self.verdict.kind in {"named", "one of"} and self.onset is None
 
 
 def encoded(document: Document) -> bytes:

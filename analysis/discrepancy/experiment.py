@@ -3,7 +3,7 @@
 For every experiment of `experiments.toml` and every rival in turn, the rival's model is run in a closed loop: that is
 what would be measured if it were the one. Every rival predicts it with what the recordings so far have left uncertain;
 the evidence to expect is the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey
-2003). The best experiment is the one whose weakest pair is told apart best.
+2003). The best experiment is the one after which the fewest rivals are left to be expected.
 """
 
 import dataclasses
@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import exp
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,9 @@ import numpy.typing as npt
 from analysis.calibration.problem import Problem
 from analysis.calibration.sections import Section, cut, fitting
 from analysis.discrepancy.attempt import Attempt, Baseline, Study, carried, foretold
+from analysis.discrepancy.compiled import model_with, system_with
 from analysis.discrepancy.data import STEP_S
 from analysis.discrepancy.likelihood import Likelihood, bins_of
-from analysis.discrepancy.rewrite import rewritten
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Equation, Known, Model, Unknown
 from analysis.model.expression import parse_expression
@@ -40,11 +41,11 @@ BEFORE_S = 40.0
 START_BAR = 10.0
 BAR = 1e5
 
-MANY = 4
+MANY = 6
 """More rivals than these are not planned for: the experiment is repeated for those that are left."""
 
 RESOLVES = 5.0
-"""Evidence [nats] to expect for the weakest pair, from which an experiment is proposed."""
+"""Evidence [nats] to expect for the right one of a pair, from which they are told apart."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,20 @@ class Plan:
     expected: Mapping[tuple[str, str], float]
 
     @property
-    def weakest(self) -> float:
-        """Of the pair that it tells apart worst."""
-        return min(self.expected.values())
+    def left(self) -> float:
+        """How many rivals of what is there will not be told from it, to be expected."""
+        return sum(exp(-nats / RESOLVES) for nats in self.expected.values()) / len({true for true, _ in self.expected})
+
+    @property
+    def told(self) -> Mapping[tuple[str, str], float]:
+        """The pairs that it tells apart, whichever of the two is there, with the evidence [nats] of the harder case."""
+        worst = {(a, b): min(nats, self.expected[b, a]) for (a, b), nats in self.expected.items() if a < b}
+        return {pair: nats for pair, nats in worst.items() if nats > RESOLVES}
+
+    @property
+    def untold(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that it does not."""
+        return tuple(pair for pair in self.expected if pair[0] < pair[1] and pair not in self.told)
 
 
 @cache
@@ -132,19 +144,18 @@ def propose(
             plans.append(_plan(study, baseline, experiment, fitted))
         except InputError as error:
             note(f"no plan for {experiment.name}: {error}")
-    return sorted(plans, key=lambda plan: -plan.weakest)
+    return sorted(plans, key=lambda plan: plan.left)
 
 
 class _Rival:
     """A fitted model, open and in a closed loop."""
 
     def __init__(self, study: Study, how: Control, attempt: Attempt) -> None:
-        model = study.model
-        for name in attempt.effects:
-            model = rewritten(model, study.library[name])
+        effects = [study.library[name] for name in attempt.effects]
         self.attempt, self.name, self.how = attempt, attempt.effects[-1], how
-        self.system = system_of(model, model.calibrated)
-        self._loop = system_of(_closed(model, how), model.calibrated)
+        self.system = system_with(study.model, effects)
+        model = _closed(model_with(study.model, effects), how)
+        self._loop = system_of(model, model.calibrated)
 
     def measured(self, experiment: Experiment, like: Section) -> dict[str, Track]:
         """Every signal as this model would have it, sampled as in the section `like`."""

@@ -8,7 +8,7 @@ import msgspec
 from analysis.discrepancy import document as told
 from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
 from analysis.discrepancy.drift import Drifts
-from analysis.discrepancy.experiment import RESOLVES, Plan
+from analysis.discrepancy.experiment import Plan
 from analysis.discrepancy.onset import Onset
 from analysis.discrepancy.structure_change import StructureChange
 
@@ -17,7 +17,8 @@ from analysis.discrepancy.structure_change import StructureChange
 class Extras:
     """What else may have been found out; of the `plans` the first is the experiment that is proposed.
 
-    `refused` are reasons why the effects should not be added to the model.
+    `refused` are reasons why the effects should not be added to the model, `applied` tells that a model with them is
+    written.
     """
 
     drifts: Drifts | None = None
@@ -26,6 +27,7 @@ class Extras:
     plans: Sequence[Plan] = ()
     onset: Onset | None = None
     refused: Sequence[str] = ()
+    applied: bool = False
 
 
 def drifts_told(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
@@ -53,17 +55,20 @@ def section(sentences: Sequence[str], data: StructureChange | Onset | None = Non
 
 def experiment_told(plan: Plan) -> told.Section:
     """What the experiment is, and what is to be expected of it."""
-    experiment, weakest = plan.experiment, plan.weakest
-    sentence = (
-        f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s): at least {weakest:.0f} nats of "
-        "evidence are expected for the right candidate"
-    )
-    if weakest < RESOLVES:
-        sentence = f"no shipped experiment is expected to tell all candidates apart; the best is to {sentence}"
+    experiment = plan.experiment
+    record = f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s)"
+    untold = "; ".join(f"{a} or {b}" for a, b in plan.untold)
+    if plan.told:
+        least = min(plan.told.values())
+        sentence = f"{record}: at least {least:.0f} nats of evidence are expected for the right candidate"
+        if untold:
+            sentence += f", but it will not tell whether it is {untold}"
+    else:
+        sentence = f"no shipped experiment is expected to tell the candidates apart; the best is to {record}"
     data = {
         "name": experiment.name,
         "duration_s": experiment.duration_s,
-        "weakest": weakest,
+        "left": plan.left,
         "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
     }
     return told.Section(sentences=(sentence,), data=data)

@@ -62,7 +62,6 @@ td,th{white-space:normal}}
 def page(d: Document, pictures: Mapping[str, bytes]) -> str:
     """The file's text; `pictures` are PNGs by their name in `CAPTIONS`."""
     of = f" of vehicle {escape(d.origin.vehicle)}" if d.origin.vehicle else ""
-    adopted = d.verdict.kind in {"named", "one of"}
     body = [
         f"<h1>What model {escape(d.model)}{of} lacks</h1>",
         f'<p class="verdict">{escape(_upper(d.verdict.sentence))}.</p>',
@@ -84,8 +83,8 @@ def page(d: Document, pictures: Mapping[str, bytes]) -> str:
         *_section("The held-out free run by operating mode", _regimes(d)),
         *_section("Whether what is left is noise", _whiteness(d)),
         *_section("Evidence", _evidence(d)),
-        *_section("Parameters against the datasheet", _list(d.drift.sentences) if d.drift and adopted else ""),
-        *_section("What changes in the structure", _list(d.structure.sentences) if d.structure and adopted else ""),
+        *_section("Parameters against the datasheet", _list(d.drift.sentences) if d.drift and d.named else ""),
+        *_section("What changes in the structure", _list(d.structure.sentences) if d.structure and d.named else ""),
         *_section("What changes on the vehicle", _list(d.bundle.sentences) if d.bundle else ""),
         *_section("The library, entry by entry", _entries(d)),
         *_section("What this does not say", _list(limits(d))),
@@ -134,7 +133,7 @@ def _equations(d: Document) -> str:
 
 
 def _strengths(d: Document) -> list[str]:
-    nearest = " (the nearest, and not its name)" if d.verdict.kind == "unnamed" else ""
+    nearest = "" if d.named else " (the nearest, and not its name)"
     return [f"{strength.words}; {strength.effect}{nearest}" for strength in d.strengths]
 
 
@@ -201,7 +200,7 @@ def _white(found: White | None) -> tuple[str, str]:
 
 def _entries(d: Document) -> str:
     head = ["entry", "evidence [nats]", "training", "held out", "smallest visible", "looks the same here"]
-    chosen = {c.name for place in d.verdict.places for c in place.candidates} if d.verdict.kind != "unnamed" else set()
+    chosen = {c.name for place in d.verdict.places for c in place.candidates} if d.named else set()
     rows = [_entry(entry) for entry in d.entries]
     note = (
         "<p>Entries without evidence were left behind after a few steps of their fit, as others did more. Smallest "

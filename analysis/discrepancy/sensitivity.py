@@ -19,26 +19,33 @@ ALIKE = 0.98
 
 DRAWS = 2000
 QUANTILE = 0.99
-LEAST = 5.0
-"""Evidence [nats] below which nothing is said, whatever the law: odds of 150 to 1 for one effect."""
+LEAST = 10.0
+"""Evidence [nats] below which nothing is said, whatever the law: with less, dozens of entries can be told apart no more
+than the noise allows, and the right one may be out of the contest."""
 
 
 @dataclass(frozen=True)
 class Direction:
     """Of one effect: `visible` (M, S) is what remains of what its strengths do, at their spreads.
 
-    `lower` and `upper` (S,) are the strengths' bounds, in spreads from null; `spreads` (S,) are in their units.
+    `power` (S,) is the square of what a strength does times what remains of it: twice the evidence that one spread of
+    it is expected to bring, but for what its freedom costs. `lower` and `upper` (S,) are the strengths' bounds, in
+    spreads from null; `spreads` (S,) are in their units.
     """
 
     effect: str
     visible: Array
+    power: Array
     lower: Array
     upper: Array
     spreads: Array
 
 
 def remaining(direction: Array, others: Array) -> Array:
-    """What is left (M, S) of a direction when x, N(0, 1) beforehand, may do what it does in `others` (M, n)."""
+    """What is left (M, S) of a direction when x, N(0, 1) beforehand, may do what it does in `others` (M, n).
+
+    It is the direction divided by the covariance of the data, 1 + others others'.
+    """
     H = others.T @ others + np.eye(others.shape[1])
     return np.asarray(direction - others @ np.linalg.solve(H, others.T @ direction))
 
@@ -48,7 +55,7 @@ def smallest(direction: Direction, threshold: float) -> float:
 
     Infinite where that is beyond its bounds: these recordings cannot show the effect.
     """
-    power = float(np.sum(direction.visible[:, 0] ** 2))
+    power = float(direction.power[0])
     needed = np.sqrt(2.0 * (threshold + 0.5 * np.log1p(power)) / max(power, 1e-300))
     reach = max(direction.upper[0], -direction.lower[0])
     return float(needed * direction.spreads[0]) if needed <= reach else np.inf
@@ -84,7 +91,7 @@ def _evidence(d: Direction, g: Array) -> Array:
     """Of the effect (draws,) for gradients (draws, S): one strength at a time, within its bounds."""
     found = np.zeros(len(g))
     for s in range(d.visible.shape[1]):
-        power = float(np.sum(d.visible[:, s] ** 2)) + 1.0
+        power = float(d.power[s]) + 1.0
         size = np.clip(g[:, s] / power, d.lower[s], d.upper[s])
         gain = g[:, s] * size - 0.5 * power * size**2 - 0.5 * np.log(power)
         found = np.maximum(found, np.where(size != 0.0, gain, 0.0))

@@ -12,18 +12,17 @@ MOST = 25
 
 def sentences(d: Document) -> list[str]:
     """What a reader needs to know, the verdict first."""
-    adopted = d.verdict.kind in {"named", "one of"}
     lines = [d.verdict.sentence, *(f"  {line}" for line in confidence(d))]
-    nearest = "nearest, and not its name: " if d.verdict.kind == "unnamed" else ""
+    nearest = "" if d.named else "nearest, and not its name: "
     lines += [f"  {nearest}{strength.effect}: {strength.words}" for strength in d.strengths]
     if d.located.equations:
         lines += ["where:", *(f"  {sentence}" for sentence in d.located.sentences)]
     if d.left.equations and d.strengths:
         lines += ["still left, with the effects in:", *(f"  {sentence}" for sentence in d.left.sentences[:1])]
     lines += gap_lines(d)
-    if d.drift and adopted:
+    if d.drift and d.named:
         lines += [f"parameters: {sentence}" for sentence in d.drift.sentences[:3]]
-    if d.structure and adopted:
+    if d.structure and d.named:
         lines += [f"structure: {sentence}" for sentence in d.structure.sentences[:3]]
     if d.bundle:
         lines += [f"bundle: {sentence}" for sentence in d.bundle.sentences[:3]]

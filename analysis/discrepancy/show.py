@@ -15,11 +15,10 @@ from analysis.calibration.problem import Problem
 from analysis.calibration.sections import Section, fitting
 from analysis.calibration.validate import STEADY, Agreement, validate
 from analysis.discrepancy.attempt import Attempt, Baseline, Study, carried
+from analysis.discrepancy.compiled import system_with
 from analysis.discrepancy.likelihood import Bins, Likelihood, bins_of
-from analysis.discrepancy.rewrite import rewritten
 from analysis.discrepancy.whiteness import Whiteness, whiteness
-from analysis.model import Model
-from analysis.simulation import System, Trajectory, system_of
+from analysis.simulation import System, Trajectory
 from service.core.manifest import MODES
 from service.core.modes import EDGE
 
@@ -114,26 +113,18 @@ def shown(study: Study, baseline: Baseline, before: Attempt, after: Attempt) -> 
     Raises:
         InputError: a model cannot be run there.
     """
-    problem = _problem(study, study.model, before)
+    problem = _problem(study, before)
     likelihood = Likelihood(
         problem, _without_zeros(problem, before), baseline.levels, [bins_of(section) for section in problem.sections]
     )
     first = _free_run(problem, likelihood, before)
     if not after.effects:
         return Shown(first, first)
-    return Shown(first, _free_run(_problem(study, model_with(study, after.effects), after), likelihood, after))
+    return Shown(first, _free_run(_problem(study, after), likelihood, after))
 
 
-def model_with(study: Study, effects: Sequence[str]) -> Model:
-    """The study's model with effects of its library in it."""
-    model = study.model
-    for name in effects:
-        model = rewritten(model, study.library[name])
-    return model
-
-
-def _problem(study: Study, model: Model, attempt: Attempt) -> Problem:
-    system: System = system_of(model, model.calibrated)
+def _problem(study: Study, attempt: Attempt) -> Problem:
+    system = system_with(study.model, [study.library[name] for name in attempt.effects])
     sections = [fitting(section, system) for section in study.held]
     return Problem(system, sections, lagging=True, commands=attempt.unknowns.delays)
 

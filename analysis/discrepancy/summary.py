@@ -12,6 +12,8 @@ HEADS = {
     "unnamed": "The model lacks something that has no name yet",
 }
 
+SET_IN = "Something set in while this was recorded: a fault, it seems"
+
 NATS = "Nats measure evidence: 5 nats are odds of 150 to 1, and each further one multiplies them by 2.7."
 
 
@@ -19,7 +21,7 @@ def summary(d: Document) -> str:
     """The page, as Markdown."""
     v = d.verdict
     of = f" of vehicle {d.origin.vehicle}" if d.origin.vehicle else ""
-    parts = [f"# {HEADS[v.kind]}", f"Model {d.model}{of}. {_origin(d)}"]
+    parts = [f"# {SET_IN if d.onset else HEADS[v.kind]}", f"Model {d.model}{of}. {_origin(d)}"]
     parts += ["## What was found", *_found(d)]
     parts += ["## How sure this is", *_bullets([_upper(line) for line in confidence(d)]), NATS, *_gap(d)]
     parts += ["## What it means for diagnosis", *meaning(d)]
@@ -43,10 +45,10 @@ def _origin(d: Document) -> str:
 def _found(d: Document) -> list[str]:
     v = d.verdict
     found = [f"**{_upper(v.sentence)}.**"]
-    if v.kind == "one of":
+    if d.named and v.kind == "one of":
         for place in v.places:
             found += _bullets([f"{c.statement} (`{c.name}`, {c.component})" for c in place.candidates])
-    if v.kind != "unnamed":
+    if d.named:
         found += _bullets([_upper(strength.words) for strength in d.strengths])
     if d.located.equations:
         _, *others = d.located.equations
@@ -65,7 +67,7 @@ def _gap(d: Document) -> list[str]:
     if not steady:
         return []
     said = [f"{regime.output}: {gap_words(regime, changed=bool(d.strengths))}" for regime in steady]
-    nearest = " with the nearest effects, none of which is its name" if d.verdict.kind == "unnamed" else ""
+    nearest = "" if d.named else " with the nearest effects, none of which is its name"
     head = "The model run freely over the held-out recordings, on the inputs alone, is off in steady operation by (RMS"
     return [f"{head}{f', before -> after{nearest}' if d.strengths else ''}):", *_bullets(said)]
 

@@ -36,7 +36,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         model=found.study.model.name,
         origin=origin,
         simulated=origin.simulated,
-        verdict=_verdict(found),
+        verdict=_verdict(found, extras),
         evidence=told.Evidence(
             training_before=outcome.nominal.training,
             training_after=outcome.chosen.training,
@@ -70,10 +70,11 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
         onset=section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
+        applied=extras.applied,
     )
 
 
-def _verdict(found: Discovery) -> told.Verdict:
+def _verdict(found: Discovery, extras: Extras) -> told.Verdict:
     verdict, library = found.verdict, found.study.library
     gains = [place.gain for place in found.outcome.places]
     places = tuple(
@@ -83,7 +84,7 @@ def _verdict(found: Discovery) -> told.Verdict:
     where = found.before.sentences[0] if found.before.members else ""
     return told.Verdict(
         kind=verdict.kind,
-        sentence=sentence_of(verdict.kind, places, where),
+        sentence=sentence_of(verdict.kind, places, where, set_in=extras.onset is not None),
         places=places,
         gain=verdict.gain,
         remainder=verdict.remainder,
@@ -187,6 +188,7 @@ def _entries(found: Discovery) -> tuple[told.Entry, ...]:
                 unit=next(iter(library[name].strengths.values())).unit,
                 alike=same.get(name, ()),
                 no_place=None,
+                halted=found.halted.get(name),
             )
         )
     return (*entries, *(_without_place(name, reason) for name, reason in found.unfit.items()))

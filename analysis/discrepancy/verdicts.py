@@ -16,8 +16,13 @@ FAR = 3.0
 """Standard deviations from which a zero error is not what the datasheet says."""
 
 
-def sentence_of(kind: Kind, places: Sequence[Place], where: str) -> str:
-    """What was found, for example "missing in the model: the dosing valve passes more when ... (full_open_gain)"."""
+def sentence_of(kind: Kind, places: Sequence[Place], where: str, *, set_in: bool = False) -> str:
+    """What was found, for example "missing in the model: the dosing valve passes more when ... (full_open_gain)".
+
+    `set_in`: while it was recorded.
+    """
+    if set_in:
+        return f"something set in while this was recorded, as faults do: {where}"
     if kind == "nothing missing":
         return "nothing is missing in the model that these recordings could show"
     if kind == "unnamed":
@@ -40,19 +45,22 @@ def confidence(d: Document) -> list[str]:
     if v.kind == "nothing missing":
         tried = sum(entry.no_place is None for entry in d.entries)
         brought = "none brought any evidence" if best is None else f"the best brought {best:.1f} nats of evidence"
-        return [f"{tried} effects were looked for; {brought}, where chance brings up to {v.threshold:.1f} in 99 of 100"]
+        return [f"{tried} effects were looked for; {brought}, {_asked(v.threshold)}"]
     lines = []
     if v.places:
-        e, what = d.evidence, "the nearest effects bring" if v.kind == "unnamed" else "evidence"
+        e, what = d.evidence, "evidence" if d.named else "the nearest effects bring"
         lines.append(
             f"{what} {v.gain:.0f} nats ({e.training_after - e.training_before:.0f} of the training recordings, "
-            f"{e.held_out_after - e.held_out_before:.0f} of the held-out ones), where chance brings up to "
-            f"{v.threshold:.1f} in 99 of 100"
+            f"{e.held_out_after - e.held_out_before:.0f} of the held-out ones), {_asked(v.threshold)}"
         )
     if v.kind == "unnamed":
         nearest = f" with them in ({', '.join(_names(d))})" if v.places else ""
         lines.append(f"{v.remainder:.0f} nats of evidence for an unknown input are left{nearest}")
     return lines
+
+
+def _asked(threshold: float) -> str:
+    return f"where {threshold:.1f} are asked for, which chance brings in less than 1 of 100 cases"
 
 
 def _names(d: Document) -> list[str]:
@@ -62,6 +70,11 @@ def _names(d: Document) -> list[str]:
 def meaning(d: Document) -> list[str]:
     """What it means for a diagnosis with this model."""
     kind = d.verdict.kind
+    if d.onset:
+        return [
+            "A model fitted to these recordings would take the fault for the healthy vehicle, and its tests would not "
+            "see it."
+        ]
     if kind == "nothing missing":
         return ["Tests made from this model see nothing but noise on a healthy vehicle, as far as these recordings go."]
     found = [
@@ -96,6 +109,8 @@ def next_steps(d: Document) -> list[str]:
         return ["use the model as it is: `faultline tune`, `faultline export`"]
     if kind == "named" and d.refused:
         return [f"do not add it as it is, {d.refused[0]}: try other forms of the same effect in a file for --library"]
+    if kind == "named" and d.applied:
+        return ["tune and export the model that was written, `model.toml`, anew"]
     if kind == "named":
         return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
     if kind == "one of":
@@ -137,6 +152,11 @@ def limits(d: Document) -> list[str]:
     groups = alike_groups(d.entries)
     if groups:
         found.append(f"look the same in these recordings: {'; '.join(_listed(group) for group in groups)}")
+    found += [
+        f"{entry.name} may be it all the same: its model could not be run from everywhere ({entry.halted})"
+        for entry in d.entries
+        if entry.halted is not None
+    ]
     absent = [entry.name for entry in d.entries if entry.no_place is not None]
     if absent:
         found.append(f"have no place in this model: {_listed(absent)}")
@@ -144,7 +164,7 @@ def limits(d: Document) -> list[str]:
         f"the zero error of {zero.output} in {zero.recording} would be {abs(zero.after):.1f} times what its datasheet "
         "says; check the sensor"
         for zero in d.zeros
-        if abs(zero.after) > FAR and d.verdict.kind != "unnamed"  # there it may do what is missing
+        if abs(zero.after) > FAR and d.named  # there it may do what is missing
     ]
     found.append(
         "the library is what was looked for: an effect that looks like an entry's here may be another elsewhere"

@@ -44,6 +44,8 @@ class Crew:
         self._weights = repr((baseline.x.tolist(), baseline.levels.tolist()))  # evidences hold for one baseline only
         self._payload = pickle.dumps((study, baseline))
         self._key = hashlib.sha256(self._payload).hexdigest()  # a study's own says nothing of its library
+        self.failures: dict[tuple[str, ...], str] = {}
+        """Why models with these effects could not be run, from one beginning at least."""
 
     def attempts(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt]:
         """What came out, but for models that cannot be run; `say` hears how many of how many are there.
@@ -78,7 +80,9 @@ class Crew:
                 raise InputError(
                     "a worker died, of too little memory perhaps; call again, what is done is kept"
                 ) from error
-            if result is not None:
+            if isinstance(result, str):
+                self.failures[orders[k].effects] = result
+            else:
                 found[k] = result
                 place = self._place(orders[k])
                 if place is not None:
@@ -103,15 +107,15 @@ class Crew:
         return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
 
 
-def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | None:
-    """In a worker; None if the model cannot be run from there."""
+def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | str:
+    """In a worker; the reason if the model cannot be run from there."""
     judge = _judge(key, payload)
     try:
         if order.steps is None:
             return judge.attempt(order.effects, order.begin)
         return judge.glance(order.effects, order.begin, order.steps)
-    except InputError:
-        return None
+    except InputError as error:
+        return str(error)
 
 
 def _direction(key: str, payload: bytes, effect: str) -> Direction:

@@ -22,6 +22,7 @@ import sympy as sp
 
 from analysis.graph.formula import obstacle
 from analysis.model import sgsqrt
+from analysis.model.slope import Sign, slope
 from service.core.errors import InputError
 
 TINY = 1e-30
@@ -208,7 +209,7 @@ class _Form:
     def _formula(self, coefficient: sp.Expr, *, gain: bool = True) -> sp.Expr:
         """The coefficient as a symbol for what varies, times parameters if it may have a gain."""
         factor, varying = coefficient.as_independent(*self.varying, as_Add=False) if gain else (sp.S.One, coefficient)
-        varying = varying.replace(_Sign, lambda x: x / (sp.Abs(x) + sp.Float(TINY)))
+        varying = varying.replace(Sign, lambda x: x / (sp.Abs(x) + sp.Float(TINY)))
         reason = obstacle(varying)
         if reason is not None:
             raise self._refused(reason, varying, "write it in another form")
@@ -236,31 +237,7 @@ def expanded(expression: sp.Expr) -> sp.Expr:
     whole: dict[sp.Expr, sp.Symbol] = {}
     for e in sp.postorder_traversal(expression):
         below = e.is_Pow and not e.base.is_Symbol and not (e.exp.is_Integer and e.exp.is_positive)
-        if (below or isinstance(e, sp.Abs | _Sign | sgsqrt)) and not e.is_number:
+        if (below or isinstance(e, sp.Abs | Sign | sgsqrt)) and not e.is_number:
             whole.setdefault(e, sp.Symbol(f"whole {len(whole)}"))
     back = {symbol: e for e, symbol in whole.items()}
     return sp.expand(expression.xreplace(whole)).xreplace(back)
-
-
-def slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """The derivative, with |x| as a real function, flat at zero."""
-    if symbol not in expression.free_symbols:
-        return sp.Integer(0)
-    return sp.diff(expression.replace(sp.Abs, _Size), symbol).replace(_Size, sp.Abs)
-
-
-class _Size(sp.Function):  # type: ignore[misc]  # sympy is untyped
-    """|x| for real x: sympy's own Abs does not know that symbols are real."""
-
-    nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The sign."""
-        del argindex
-        return _Sign(self.args[0])
-
-
-class _Sign(sp.Function):  # type: ignore[misc]  # sympy is untyped
-    """The slope of |x|, opaque to sympy so that differences in x stay grouped."""
-
-    nargs = 1

@@ -21,6 +21,7 @@ import sympy as sp
 
 from analysis.model import Model
 from analysis.model.expression import sgsqrt
+from analysis.model.slope import Sign, slope
 from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -211,9 +212,9 @@ def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str
         if len(places) != 1:
             continue
         expression = equations[places[0]]
-        slope = sp.diff(expression, y)
+        gain = sp.diff(expression, y)
         alone = expression.free_symbols & known == {y} and len(expression.free_symbols & unknown) == 1
-        if alone and slope.is_number and slope != 0:
+        if alone and gain.is_number and gain != 0:
             found[signal] = (places[0], _solved(expression, y))
     return found
 
@@ -240,8 +241,8 @@ def _substituted(
 def _given(equation: sp.Expr, variable: sp.Symbol) -> bool:
     if variable not in equation.free_symbols:
         return False
-    slope = sp.expand(_derivative(equation, variable))
-    return bool(slope.is_number and slope != 0)
+    gain = sp.expand(_derivative(equation, variable))
+    return bool(gain.is_number and gain != 0)
 
 
 def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
@@ -250,22 +251,8 @@ def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
 
 
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """The derivative, with |x| as a real function: its slope is its sign."""
-    if symbol not in expression.free_symbols:
-        return sp.Integer(0)
-    found = sp.diff(expression.replace(sp.Abs, _Size), symbol)
-    return found.replace(_Size, sp.Abs)
-
-
-class _Size(sp.Function):  # type: ignore[misc]  # sympy is untyped
-    """|x| for real x: sympy's own Abs does not know that symbols are real."""
-
-    nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The sign."""
-        del argindex
-        return sp.sign(self.args[0])
+    """The derivative; |x| is flat at zero."""
+    return slope(expression, symbol).replace(Sign, sp.sign)
 
 
 def _without_roots(expressions: list[sp.Expr]) -> tuple[list[sp.Expr], dict[sp.Symbol, sp.Expr]]:

@@ -4,8 +4,8 @@
 
 Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the
 hidden effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library.
-Results are appended as they come, one line a record; the page is made of all that are there. Set A is what the workflow
-was developed on, set B is run once after a commit that says so.
+Results are appended as they come, one line a record, so that shards may be run on different days; the page is made of
+all that are there. Set A is what the workflow was developed on, set B is run once after a commit that says so.
 """
 
 import argparse
@@ -42,7 +42,7 @@ from testbench.request import Request
 from testbench.vehicles import vehicle
 
 DURATION_S, EXPERIMENT_S = 480.0, 120.0
-RESULTS = Path("out/campaign-discrepancy")
+RESULTS = Path("docs/results")
 
 
 class Inline(Executor):
@@ -89,7 +89,7 @@ def _record(case: Case, cycle: Cycle, name: str, seed: int, effects: Any, root: 
 def _judged(case: Case, found: Discovery) -> dict[str, Any]:
     sets = [list(names) for names in found.verdict.sets]
     same, smallest = alike(found.directions), smallest_sizes(found.directions, found.outcome.threshold)
-    right = [TRUTHS[name].entry for name in case.effects if name in TRUTHS]
+    right = [TRUTHS[name].entries for name in case.effects if name in TRUTHS]
     shown = {
         name: bool(abs(TRUTHS[name].scale * size) >= smallest.get(TRUTHS[name].entry, np.inf))
         for name, size in case.effects.items()
@@ -104,7 +104,7 @@ def _judged(case: Case, found: Discovery) -> dict[str, Any]:
         "threshold": found.outcome.threshold,
         "dispersion": [found.outcome.nominal.dispersion, found.outcome.chosen.dispersion],
         "right": right,
-        "alike": {entry: list(same.get(entry, ())) for entry in right},
+        "alike": [sorted({other for entry in entries for other in same.get(entry, ())}) for entries in right],
         "visible": shown,
         "members": list(found.before.members),
         "changed": _changed(found),
@@ -124,7 +124,7 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     """Whether the proposed experiment tells which it is."""
     place = next(place for place in found.outcome.places if len(place.attempts) > 1)
     plans = propose(found.study, found.baseline, place.attempts)
-    if not plans:
+    if not plans or not plans[0].told:
         return {"proposed": None}
     best = plans[0]
     written = root / "experiment.toml"
@@ -134,7 +134,8 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     again = discover(data, load_library(), Inline(), None, _quiet)
     return {
         "proposed": best.experiment.name,
-        "expected": best.weakest,
+        "expected": min(best.told.values()),
+        "untold": [list(pair) for pair in best.untold],
         "verdict": again.verdict.kind,
         "sets": [list(names) for names in again.verdict.sets],
     }
@@ -180,7 +181,7 @@ def shard(all_of_them: Sequence[Case], text: str) -> list[Case]:
 
 def results(wanted: Sequence[Case], processes: int) -> Iterator[dict[str, Any]]:
     """Those of the cases as they come."""
-    with multiprocessing.Pool(processes, maxtasksperchild=4) as pool:
+    with multiprocessing.Pool(processes, maxtasksperchild=40) as pool:
         yield from pool.imap_unordered(run, wanted, chunksize=1)
 
 
@@ -195,8 +196,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     start, commit = time.monotonic(), head_commit()
-    kept = RESULTS / f"{options.set}.jsonl"
-    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept = RESULTS / f"discrepancy-{options.set}.jsonl"
     there = {line["case"] for line in done(kept)}
     wanted = [c for c in list(cases(options.set))[:: options.every] if c.kind in options.kinds]
     wanted = [c for c in shard(wanted, options.shard) if c.name not in there]

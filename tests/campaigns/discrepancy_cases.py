@@ -22,12 +22,18 @@ STRONG = 1.0
 class Truth:
     """The library's `entry` for an effect of the rig, `scale` times the rig's size in its unit; where it acts.
 
-    `equations` are those of uds4 that it changes.
+    `equations` are those of uds4 that it changes. `forms` are other entries for the same effect.
     """
 
     entry: str
     scale: float
     equations: tuple[str, ...]
+    forms: tuple[str, ...] = ()
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Those that are right."""
+        return (self.entry, *self.forms)
 
 
 TRUTHS: dict[str, Truth] = {
@@ -37,8 +43,8 @@ TRUTHS: dict[str, Truth] = {
     "closing_delay": Truth("valve_shuts_late", 1.0 / VALVE_PERIOD_S, ("e04",)),
     "entrained_air": Truth("entrained_air", 1e-6, ("e10",)),
     "stiff_hose": Truth("stiff_hose", 1.0, ("e10",)),
-    "pump_slip": Truth("pump_slip", 1e-6, ("e01", "e02")),
-    "incomplete_filling": Truth("incomplete_filling", 30.0 / 33.0, ("e01",)),
+    "pump_slip": Truth("pump_slip", 0.375e-6, ("e01", "e02")),
+    "incomplete_filling": Truth("suction_limits_filling", (30 / 33) ** 2, ("e01",), ("incomplete_filling",)),
     "relief_valve": Truth("relief_valve", 1e-11, ("e10", "e01")),
     "viscosity_drift": Truth("viscosity_drift", 1.0, ("e02",)),
     "cake_growth": Truth("du_filter_cake", 1.0, ("e07",)),
@@ -52,7 +58,12 @@ TRUTHS: dict[str, Truth] = {
     "worn_return": Truth("return_orifice_wears", 1.0, ("e03",)),
     "nozzle_deposit": Truth("nozzle_deposit", 10.0, ("e04",)),
 }
-"""By the rig's name. A faster pump than it says cannot be told from a larger one: it has no entry, and needs none."""
+"""By the rig's name.
+
+The rig's slip has a power of 1.5, the library's is a square; what is straight in either is a pump's leakage, so that
+their curvatures at 10 bar are compared. A faster pump than it says cannot be told from a larger one: it has no entry,
+and needs none.
+"""
 
 OUTSIDE: dict[str, tuple[str, ...]] = {"creeping_hose": ("e10", "e11"), "sensor_backlash": ("e16",)}
 """Effects of set B that no entry describes, with where they act."""

@@ -13,6 +13,7 @@ from made_discovery import ENTRIES, GAIN, discovery
 
 from analysis.discrepancy.abscissa import abscissa_of
 from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
+from analysis.discrepancy.compiled import model_with
 from analysis.discrepancy.discover import Kind
 from analysis.discrepancy.document import Document, Origin, Section, Zero, encoded
 from analysis.discrepancy.drift import drifts
@@ -22,7 +23,7 @@ from analysis.discrepancy.onset import Onset
 from analysis.discrepancy.page import page
 from analysis.discrepancy.report import described, write
 from analysis.discrepancy.sentences import MOST, sentences
-from analysis.discrepancy.show import Shown, model_with
+from analysis.discrepancy.show import Shown
 from analysis.discrepancy.sizes import readable, sizes
 from analysis.discrepancy.structure_change import structure_change
 from analysis.discrepancy.summary import summary
@@ -39,9 +40,10 @@ KINDS: tuple[Kind, ...] = ("nothing missing", "named", "one of", "unnamed")
 def told() -> tuple[Document, Shown]:
     found = discovery()
     nominal, chosen = found.outcome.nominal, found.outcome.chosen
+    entries = [found.study.library[name] for name in chosen.effects]
     extras = Extras(
         drifts=drifts(found.study.model, nominal, chosen),
-        structure=structure_change(found.study.model, model_with(found.study, chosen.effects), chosen),
+        structure=structure_change(found.study.model, model_with(found.study.model, entries), chosen),
     )
     return described(found, ORIGIN, extras)
 
@@ -148,16 +150,25 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     onset = Onset(100.0, "e04", ())
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
     assert d.experiment is not None
-    assert d.experiment.data["weakest"] == 12.0
+    assert plan.told == {("a", "b"): 12.0}
+    assert d.experiment.data["left"] == plan.left < 0.1
     assert d.refused == ("it grew worse",)
     assert "something set in at 100 s (e04)" in next_steps(d)[0]
     asked = msgspec.structs.replace(as_kind(d, "one of"), onset=None)
     assert next_steps(asked) == [
         "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate"
     ]
-    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, {("a", "b"): 1.0})]))
+    some, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({"ab": 40.0, "ac": 30.0, "bc": 0.1}))]))
+    assert some.experiment is not None
+    assert some.experiment.sentences[0].endswith("at least 30 nats of evidence are expected for the right candidate, "
+        "but it will not tell whether it is b or c")  # fmt: skip
+    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({"ab": 1.0}))]))
     assert weak.experiment is not None
     assert "no shipped experiment" in weak.experiment.sentences[0]
+
+
+def _expected(nats: Mapping[str, float]) -> dict[tuple[str, str], float]:
+    return {pair: value for (a, b), value in nats.items() for pair in ((a, b), (b, a))}
 
 
 def test_what_it_does_to_the_bundle_is_told() -> None:

@@ -10,7 +10,7 @@ from made_study import study
 from scipy.stats import multivariate_normal
 
 from analysis.discrepancy.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from analysis.discrepancy.experiment import BEFORE_S, RESOLVES, Plan, divergence, experiments, propose
+from analysis.discrepancy.experiment import BEFORE_S, Plan, divergence, experiments, propose
 from analysis.model import load_model
 from testbench.cycles import DOSING_FROM, Segment, read_cycle
 
@@ -55,19 +55,23 @@ def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_
 
 def test_every_experiment_is_planned_the_best_first(plans: list[Plan]) -> None:
     assert {plan.experiment.name for plan in plans} == {e.name for e in experiments()[1]}
-    assert [plan.weakest for plan in plans] == sorted((plan.weakest for plan in plans), reverse=True)
+    assert [plan.left for plan in plans] == sorted(plan.left for plan in plans)
     for plan in plans:
         assert {*plan.expected} == {RIVALS, RIVALS[::-1]}
         assert np.isfinite([*plan.expected.values()]).all()
 
 
 def test_the_proposed_plan_promises_evidence_for_whichever_it_is(plans: list[Plan]) -> None:
-    assert plans[0].weakest == min(plans[0].expected.values()) > RESOLVES
+    assert plans[0].told == {RIVALS: min(plans[0].expected.values())}
+    assert plans[0].untold == ()
+    assert plans[0].left < 0.1
 
 
 def test_where_nothing_is_dosed_rivals_of_the_dosing_valve_are_not_told_apart(plans: list[Plan]) -> None:
     by_name = {plan.experiment.name: plan for plan in plans}
-    assert 0.0 <= by_name["pressure_ladder"].weakest < RESOLVES < by_name["dose_staircase"].weakest
+    assert by_name["dose_staircase"].told
+    assert by_name["pressure_ladder"].untold == (RIVALS,)
+    assert by_name["pressure_ladder"].left > 0.3 > 0.1 > by_name["dose_staircase"].left
 
 
 def test_evidence_to_expect_is_the_divergence_of_predictions() -> None:

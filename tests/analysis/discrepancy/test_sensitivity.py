@@ -12,7 +12,8 @@ M, BLOCK = 800, 8
 
 def direction(name: str, visible: Array, low: float = -1e3, high: float = 1e3, spread: float = 1.0) -> Direction:
     count = visible.shape[1]
-    return Direction(name, visible, np.full(count, low), np.full(count, high), np.full(count, spread))
+    power = np.sum(visible**2, axis=0)
+    return Direction(name, visible, power, np.full(count, low), np.full(count, high), np.full(count, spread))
 
 
 def test_what_others_can_do_does_not_remain() -> None:

@@ -139,7 +139,7 @@ def test_another_recording_or_library_entry_is_not_taken_for_this_one(tmp_path: 
     assert same([second], inline()[1:])
 
 
-def test_a_model_that_cannot_be_run_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_cannot_be_run_is_left_out_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found, baseline, orders = made()
     whole = Judge.attempt
 
@@ -150,8 +150,10 @@ def test_a_model_that_cannot_be_run_is_left_out(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(Judge, "attempt", attempt)
     heard: list[tuple[int, int]] = []
-    [only] = Crew(Inline(), found, baseline, tmp_path).attempts(orders, lambda *n: heard.append(n))
+    crew = Crew(Inline(), found, baseline, tmp_path)
+    [only] = crew.attempts(orders, lambda *n: heard.append(n))
     assert only.effects == ("offset_p_du",)
+    assert crew.failures == {("full_open_gain",): "the run leaves the range in which the model holds"}
     assert heard[-1] == (2, 2)
     assert len([*tmp_path.iterdir()]) == 1
 

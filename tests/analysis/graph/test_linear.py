@@ -18,7 +18,7 @@ from analysis.discrepancy.library import load_library
 from analysis.discrepancy.rewrite import rewritten
 from analysis.graph.bank import PERIOD_S, Bank, bank_of
 from analysis.graph.formula import write_formulas
-from analysis.graph.linear import expanded, slope
+from analysis.graph.linear import expanded
 from analysis.graph.writer import Writer
 from analysis.model import Model, load_model, sgsqrt
 from analysis.simulation import Drive, run, system_of
@@ -184,9 +184,3 @@ def test_what_is_above_and_below_a_fraction_bar_cancels_beside_sums_that_stay() 
     n, p, g = sp.symbols("n p g")
     flow = expanded(n * (1 - p / (n * (1 + g))))
     assert flow.subs(n, 0).subs({p: 2, g: 1}) == -1
-
-
-def test_the_slope_of_a_size_is_its_sign() -> None:
-    x, y = sp.symbols("x y")
-    found = slope(abs(x - y) * x, x).replace(lambda e: type(e).__name__ == "_Sign", lambda e: sp.sign(e.args[0]))
-    assert found.subs({x: 2, y: 5}) == 3 - 2
