@@ -6,6 +6,7 @@ model the rest is asked again (forward); once another has come in, the first may
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -149,7 +150,7 @@ def _round(
             for glance in glances
             if not _beaten(glance, attempts.get(glance.effects[-1]))
         ]
-        for attempt in crew.attempts(orders, lambda n, of, rest=rest: say(f"{title}, {rest}", n, of)):
+        for attempt in crew.attempts(orders, partial(say, f"{title}, {rest}")):
             known = attempts.get(attempt.effects[-1])
             if known is None or attempt.cost < known.cost:
                 attempts[attempt.effects[-1]] = attempt

@@ -24,7 +24,7 @@ from analysis.discrepancy.compiled import model_with, system_with
 from analysis.discrepancy.data import STEP_S
 from analysis.discrepancy.likelihood import Likelihood, bins_of
 from analysis.graph.bank import PERIOD_S
-from analysis.model import Equation, Known, Model, Unknown
+from analysis.model import Equation, Known, Model, OperatingModes, Unknown
 from analysis.model.expression import parse_expression
 from analysis.model.tables import Table
 from analysis.recordings.track import Track
@@ -73,13 +73,17 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Control:
-    """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and doses with `command`."""
+    """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and doses with `command`.
+
+    The set point moves by `ramp` [Pa/s] at most, as it does on a vehicle.
+    """
 
     actuator: str
     follows: str
     command: str
     offset: float
     gain: float
+    ramp: float
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ def experiments() -> tuple[Control, tuple[Experiment, ...]]:
         raise top.fail("control", "is missing")
     how = Control(
         control.text("actuator"), control.text("follows"), control.text("command"),
-        control.number("offset"), control.number("gain"),
+        control.number("offset"), control.number("gain"), control.number("ramp"),
     )  # fmt: skip
     found = []
     for table in top.tables("experiment"):
@@ -161,7 +165,7 @@ class _Rival:
         """Every signal as this model would have it, sampled as in the section `like`."""
         how, values = self.how, self.attempt.values
         t = np.arange(0.0, experiment.duration_s, STEP_S)
-        asked = _asked(experiment, t)
+        asked = _asked(experiment, t, how.ramp)
         names = self._loop.inputs
         inputs = np.column_stack([asked[0] if name == SET_POINT else asked[1] for name in names])
         start = _start(self._loop, values)
@@ -171,8 +175,9 @@ class _Rival:
         pressure = trajectory.w[:, self._loop.states.index(how.follows)]
         speed = _speed(how, asked[0], pressure)
         sampled = np.arange(0.0, t[-1], PERIOD_S)
+        restless = TINY * (-1.0) ** np.arange(len(sampled))  # a speed that held still would be taken for a command
         tracks = {
-            how.actuator: Track(sampled, np.interp(sampled, t, speed)),
+            how.actuator: Track(sampled, np.interp(sampled, t, speed) + restless),
             how.command: Track(sampled, asked[1][np.minimum((sampled / STEP_S).astype(int), len(t) - 1)]),
         }
         for name, y in trajectory.outputs().items():
@@ -182,6 +187,7 @@ class _Rival:
         return tracks
 
 
+TINY = 1e-9
 SET_POINT = "set_point_of_the_plan"
 
 
@@ -206,14 +212,18 @@ def _speed(how: Control, set_point: Array, pressure: Array) -> Array:
     return np.asarray((asked + np.sqrt(asked**2 + 1.0)) / 2.0)
 
 
-def _asked(experiment: Experiment, t: Array) -> tuple[Array, Array]:
+def _asked(experiment: Experiment, t: Array, ramp: float) -> tuple[Array, Array]:
     """Set point [Pa] and duty cycle at the times `t`; a step of the dose takes one instant, as a log has it."""
     ends = BEFORE_S + np.cumsum([duration for duration, _, _ in experiment.segments])
     k = np.searchsorted(ends, t, side="right")
     pressure = np.array([*(p for _, p, _ in experiment.segments), experiment.segments[-1][1]])[k]
     duty = np.array([*(d for _, _, d in experiment.segments), experiment.segments[-1][2]])[k]
     first = t < BEFORE_S
-    return np.where(first, START_BAR * BAR, pressure), np.where(first, 0.0, duty)
+    wanted = np.where(first, START_BAR * BAR, pressure)
+    most, set_point = ramp * STEP_S, wanted.copy()
+    for i in range(1, len(t)):
+        set_point[i] = set_point[i - 1] + min(max(wanted[i] - set_point[i - 1], -most), most)
+    return set_point, np.where(first, 0.0, duty)
 
 
 def _start(system: System, values: Mapping[str, float]) -> Array:
@@ -233,7 +243,10 @@ def _plan(study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequ
     for true in rivals:
         tracks = true.measured(experiment, study.training[0])
         sections = cut(study.model, true.system, tracks, experiment.name, STEP_S)
-        sections = [dataclasses.replace(section, noise=_noise(section, study.training)) for section in sections]
+        sections = [
+            dataclasses.replace(section, noise=_noise(study.model.modes, true.system, section, study.training))
+            for section in sections
+        ]
         problem = _problem(true, sections)
         x = carried(_punctual(true.attempt), true.attempt.unknowns, problem.unknowns)
         likelihood = Likelihood(problem, x, baseline.levels, [bins_of(section) for section in sections])
@@ -272,7 +285,17 @@ def _punctual(attempt: Attempt) -> Array:
     return x
 
 
-def _noise(planned: Section, recorded: Sequence[Section]) -> Array:
-    """The inputs' noise, which a plan has none of, as it was recorded on average."""
-    level = np.mean(np.concatenate([section.noise for section in recorded]), axis=0)
-    return np.broadcast_to(level, planned.noise.shape)
+def _noise(modes: OperatingModes | None, system: System, planned: Section, recorded: Sequence[Section]) -> Array:
+    """The inputs' noise, which a plan has none of, as it was recorded on average in the same mode."""
+    noise = np.concatenate([section.noise for section in recorded])
+    mode = np.concatenate([_mode(modes, system, section) for section in recorded])
+    level = [noise[mode == k].mean(axis=0) if (mode == k).any() else noise.mean(axis=0) for k in range(3)]
+    return np.asarray(np.array(level)[_mode(modes, system, planned)])
+
+
+def _mode(modes: OperatingModes | None, system: System, section: Section) -> npt.NDArray[np.int64]:
+    """Idle, partial or maximum (0, 1, 2) at the instants of a section."""
+    if modes is None or modes.signal not in system.inputs:
+        return np.ones(len(section.noise), dtype=np.int64)
+    limits = [-np.inf if modes.idle_below is None else modes.idle_below, modes.maximum_above or np.inf]
+    return np.digitize(section.drive.inputs[:, system.inputs.index(modes.signal)], limits)

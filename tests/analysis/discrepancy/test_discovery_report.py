@@ -158,16 +158,18 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     assert next_steps(asked) == [
         "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate"
     ]
-    some, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({"ab": 40.0, "ac": 30.0, "bc": 0.1}))]))
+    some, _ = described(
+        found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 40.0, ("a", "c"): 30.0, ("b", "c"): 0.1}))])
+    )
     assert some.experiment is not None
     assert some.experiment.sentences[0].endswith("at least 30 nats of evidence are expected for the right candidate, "
         "but it will not tell whether it is b or c")  # fmt: skip
-    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({"ab": 1.0}))]))
+    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 1.0}))]))
     assert weak.experiment is not None
     assert "no shipped experiment" in weak.experiment.sentences[0]
 
 
-def _expected(nats: Mapping[str, float]) -> dict[tuple[str, str], float]:
+def _expected(nats: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], float]:
     return {pair: value for (a, b), value in nats.items() for pair in ((a, b), (b, a))}
 
 
