@@ -6,23 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from analysis.discrepancy.adopt import undone
-from analysis.discrepancy.bundle_effect import BundleEffect, bundle_effect
+from analysis.discrepancy.add.adopt import undone
+from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect
+from analysis.discrepancy.add.drift import drifts
+from analysis.discrepancy.add.gate import Adoption, adoption
+from analysis.discrepancy.add.held_out import shown
+from analysis.discrepancy.add.structure_change import structure_change
 from analysis.discrepancy.data import load
 from analysis.discrepancy.discover import Discovery, discover
-from analysis.discrepancy.document import encoded
-from analysis.discrepancy.drift import drifts
-from analysis.discrepancy.experiment import Plan, propose
-from analysis.discrepancy.extras import Extras
-from analysis.discrepancy.gate import Adoption, adoption
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.onset import onset
-from analysis.discrepancy.report import write
-from analysis.discrepancy.sentences import sentences
-from analysis.discrepancy.show import shown
-from analysis.discrepancy.structure_change import structure_change
-from analysis.discrepancy.told import document_of, origin_of
-from analysis.discrepancy.work import workers
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.find.onset import onset
+from analysis.discrepancy.name.experiment import Plan, propose
+from analysis.discrepancy.name.work import workers
+from analysis.discrepancy.show.document import encoded
+from analysis.discrepancy.show.extras import Extras
+from analysis.discrepancy.show.report import write
+from analysis.discrepancy.show.sentences import sentences
+from analysis.discrepancy.show.told import document_of, origin_of
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.structure.lint import sound_model

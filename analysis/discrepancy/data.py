@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
 from analysis.calibration.sections import Section, sections
-from analysis.discrepancy.compiled import system_with
+from analysis.discrepancy.effects.compiled import system_with
 from analysis.model import Model, dump_model
 from analysis.recordings.observe import open_known
 from analysis.simulation import System

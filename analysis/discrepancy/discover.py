@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from analysis.discrepancy.attempt import Baseline, Begin, Judge, Study, baseline_of
-from analysis.discrepancy.contest import Outcome, Say, contest, scale
 from analysis.discrepancy.data import Data
-from analysis.discrepancy.effect import Effect
-from analysis.discrepancy.library import SHIPPED
-from analysis.discrepancy.locate import Location
-from analysis.discrepancy.rewrite import applicable, rewritten
-from analysis.discrepancy.sensitivity import LEAST, Direction, chance
-from analysis.discrepancy.work import Crew
+from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.effects.library import SHIPPED
+from analysis.discrepancy.effects.rewrite import applicable, rewritten
+from analysis.discrepancy.find.locate import Location
+from analysis.discrepancy.name.attempt import Baseline, Begin, Judge, Study, baseline_of
+from analysis.discrepancy.name.contest import Outcome, Say, contest, scale
+from analysis.discrepancy.name.sensitivity import LEAST, Direction, chance
+from analysis.discrepancy.name.work import Crew
 
 Kind = Literal["nothing missing", "named", "one of", "unnamed"]
 

@@ -24,13 +24,13 @@ from discrepancy_cases import OUTSIDE, STRONG, TRUTHS, Case, cases
 from discrepancy_page import page
 from results_page import head_commit
 
+from analysis.discrepancy.add.held_out import shown
 from analysis.discrepancy.data import load
 from analysis.discrepancy.discover import Discovery, discover
-from analysis.discrepancy.experiment import propose
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
-from analysis.discrepancy.sensitivity import alike, smallest_sizes
-from analysis.discrepancy.show import shown
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.discrepancy.name.experiment import propose
+from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from analysis.model import load_model
 from service.core.manifest import MODES
 from service.core.modes import EDGE

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from analysis.calibration.noise import Whitening
 from analysis.calibration.problem import Problem
 from analysis.calibration.sections import Samples, Section
-from analysis.discrepancy.quantities import mode_of, quantities
+from analysis.discrepancy.find.quantities import mode_of, quantities
 from analysis.model import Model
 from analysis.simulation import Drive, disturbance, run, system_of
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from made_runs import dosing
 
-from analysis.discrepancy.attempt import Study
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.discrepancy.name.attempt import Study
 from analysis.model import Model, load_model
 
 LIBRARY = load_library()

@@ -7,8 +7,8 @@ from functools import cache
 import pytest
 
 from analysis.calibration.provenance import recordings_of, vehicle_of
-from analysis.discrepancy.adopt import adopted, undone
-from analysis.discrepancy.library import load_library
+from analysis.discrepancy.add.adopt import adopted, undone
+from analysis.discrepancy.effects.library import load_library
 from analysis.model import Model, ModelError, dump_model, load_model, parse_model
 
 LIBRARY = load_library()

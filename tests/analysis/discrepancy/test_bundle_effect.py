@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analysis.discrepancy.bundle_effect import BundleEffect, bundle_effect
+from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect
 from analysis.model import Model, load_model
 from analysis.progress import Progress
 from service.core.errors import InputError

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import pytest
 from made_study import LIBRARY, Inline, study
 
-from analysis.discrepancy.attempt import Begin, Judge, Study, baseline_of
-from analysis.discrepancy.contest import Outcome, contest
-from analysis.discrepancy.sensitivity import LEAST, alike, chance, smallest_sizes
-from analysis.discrepancy.work import Crew
+from analysis.discrepancy.name.attempt import Begin, Judge, Study, baseline_of
+from analysis.discrepancy.name.contest import Outcome, contest
+from analysis.discrepancy.name.sensitivity import LEAST, alike, chance, smallest_sizes
+from analysis.discrepancy.name.work import Crew
 
 ENTRIES = ("full_open_gain", "stiff_hose", "offset_p_du", "offset_p_ap", "lag_p_du")
 

@@ -17,9 +17,9 @@ from made_drive import frames, freed, write_recording
 
 from analysis.discrepancy import command
 from analysis.discrepancy.command import main
-from analysis.discrepancy.effect import Effect
-from analysis.discrepancy.experiment import experiments
-from analysis.discrepancy.library import load_library
+from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.name.experiment import experiments
 from analysis.model import dump_model, load_model
 from analysis.structure.command import main as structure
 from service.core.errors import InputError

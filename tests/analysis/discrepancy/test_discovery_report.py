@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 from made_discovery import ENTRIES, GAIN, discovery
 
-from analysis.discrepancy.abscissa import abscissa_of
-from analysis.discrepancy.bundle_effect import Bundled, BundleEffect
-from analysis.discrepancy.compiled import model_with
+from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
+from analysis.discrepancy.add.drift import drifts
+from analysis.discrepancy.add.held_out import Shown
+from analysis.discrepancy.add.structure_change import structure_change
 from analysis.discrepancy.discover import Kind
-from analysis.discrepancy.document import Document, Origin, Section, Zero, encoded
-from analysis.discrepancy.drift import drifts
-from analysis.discrepancy.experiment import Experiment, Plan
-from analysis.discrepancy.extras import Extras
-from analysis.discrepancy.onset import Onset
-from analysis.discrepancy.page import page
-from analysis.discrepancy.report import described, write
-from analysis.discrepancy.sentences import MOST, sentences
-from analysis.discrepancy.show import Shown
-from analysis.discrepancy.sizes import readable, sizes
-from analysis.discrepancy.structure_change import structure_change
-from analysis.discrepancy.summary import summary
-from analysis.discrepancy.verdicts import limits, next_steps, sentence_of
+from analysis.discrepancy.effects.compiled import model_with
+from analysis.discrepancy.find.onset import Onset
+from analysis.discrepancy.name.experiment import Experiment, Plan
+from analysis.discrepancy.show.abscissa import abscissa_of
+from analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
+from analysis.discrepancy.show.extras import Extras
+from analysis.discrepancy.show.page import page
+from analysis.discrepancy.show.report import described, write
+from analysis.discrepancy.show.sentences import MOST, sentences
+from analysis.discrepancy.show.sizes import readable, sizes
+from analysis.discrepancy.show.summary import summary
+from analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
 from service.core.errors import InputError
 
 ORIGIN = Origin(

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from analysis.calibration.problem import unknowns_of
-from analysis.discrepancy.attempt import Attempt
-from analysis.discrepancy.drift import Drifts, drifts
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
+from analysis.discrepancy.add.drift import Drifts, drifts
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.discrepancy.name.attempt import Attempt
 from analysis.model import Model, load_model
 from analysis.simulation import system_of
 

@@ -9,8 +9,8 @@ import pytest
 from made_study import study
 from scipy.stats import multivariate_normal
 
-from analysis.discrepancy.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from analysis.discrepancy.experiment import BEFORE_S, Plan, divergence, experiments, propose
+from analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
+from analysis.discrepancy.name.experiment import BEFORE_S, Plan, divergence, experiments, propose
 from analysis.model import load_model
 from testbench.cycles import DOSING_FROM, Segment, read_cycle
 

@@ -11,13 +11,13 @@ from made_study import study
 
 from analysis.calibration.problem import LAG_S
 from analysis.calibration.validate import STEADY, Agreement
-from analysis.discrepancy.attempt import Judge, baseline_of
-from analysis.discrepancy.contest import Outcome, Place
+from analysis.discrepancy.add.gate import UNLIKELY, WORSE, adoption
+from analysis.discrepancy.add.held_out import Shown, shown
 from analysis.discrepancy.data import Data
 from analysis.discrepancy.discover import Discovery, Kind, Verdict
-from analysis.discrepancy.gate import UNLIKELY, WORSE, adoption
-from analysis.discrepancy.locate import Location
-from analysis.discrepancy.show import Shown, shown
+from analysis.discrepancy.find.locate import Location
+from analysis.discrepancy.name.attempt import Judge, baseline_of
+from analysis.discrepancy.name.contest import Outcome, Place
 from analysis.simulation import system_of
 
 NOWHERE = Location((), (), (), (), (), (), np.zeros(0))

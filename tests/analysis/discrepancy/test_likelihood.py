@@ -7,7 +7,7 @@ import pytest
 from made_study import UDS1, study
 
 from analysis.calibration.problem import Problem
-from analysis.discrepancy.likelihood import BIN_S, Likelihood, bins_of, blocks, levels_of
+from analysis.discrepancy.name.likelihood import BIN_S, Likelihood, bins_of, blocks, levels_of
 from analysis.simulation import system_of
 
 STUDY = study((), {})

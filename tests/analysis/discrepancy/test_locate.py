@@ -9,9 +9,9 @@ import sympy as sp
 from made_runs import DOSE, HOLD_S, Missing, dosing, tanks, weights
 
 from analysis.calibration.problem import Problem
-from analysis.discrepancy.classes import inseparable, splitting_sensors
-from analysis.discrepancy.latent import Latent, null_law, tail
-from analysis.discrepancy.locate import Location, locate
+from analysis.discrepancy.find.classes import inseparable, splitting_sensors
+from analysis.discrepancy.find.latent import Latent, null_law, tail
+from analysis.discrepancy.find.locate import Location, locate
 from analysis.model import Model, Parameter, load_model
 from analysis.simulation import Drive, System, disturbance, run, system_of
 from service.core.errors import InputError

@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.discrepancy.locate import Location, Suspect
-from analysis.discrepancy.onset import Onset, onset
+from analysis.discrepancy.find.locate import Location, Suspect
+from analysis.discrepancy.find.onset import Onset, onset
 from analysis.model import load_model
 
 Array = npt.NDArray[np.float64]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from made_runs import Missing, dosing, tanks, weights
 
-from analysis.discrepancy.disturbed import disturbed_runs
-from analysis.discrepancy.features import Operation
-from analysis.discrepancy.latent import Misfit
-from analysis.discrepancy.operating_space import Finding, finding_of
-from analysis.discrepancy.quantities import quantities
+from analysis.discrepancy.find.disturbed import disturbed_runs
+from analysis.discrepancy.find.features import Operation
+from analysis.discrepancy.find.latent import Misfit
+from analysis.discrepancy.find.operating_space import Finding, finding_of
+from analysis.discrepancy.find.quantities import quantities
 from analysis.model import load_model
 
 UDS4, TANKS = load_model("uds4"), load_model("three_tank")

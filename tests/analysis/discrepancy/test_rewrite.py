@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 import sympy as sp
 
-from analysis.discrepancy.effect import Effect
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import applicable, rewritten, substituted
+from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import applicable, rewritten, substituted
 from analysis.graph.bank import build_bank
 from analysis.model import Model, ModelError, dump_model, load_model, parse_model
 from analysis.simulation import Drive, System, run, system_of

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.discrepancy.search import descend
+from analysis.discrepancy.name.search import descend
 from service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.discrepancy.sensitivity import LEAST, Direction, alike, chance, remaining, smallest, smallest_sizes
+from analysis.discrepancy.name.sensitivity import LEAST, Direction, alike, chance, remaining, smallest, smallest_sizes
 
 Array = npt.NDArray[np.float64]
 M, BLOCK = 800, 8
@@ -90,7 +90,7 @@ def test_the_law_of_chance_is_that_of_the_noise_that_there_is(low: float, within
     block = np.arange(M) // BLOCK
 
     def noise() -> Array:
-        return 2.0 * (rng.standard_normal(M) + within * rng.standard_normal(M // BLOCK)[block])
+        return 3.0 * (rng.standard_normal(M) + within * rng.standard_normal(M // BLOCK)[block])
 
     direct = law(visible, np.array([noise() for _ in range(4000)]), low, np.inf)
     assert direct > 2 * LEAST

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from analysis.calibration.problem import unknowns_of
-from analysis.discrepancy.attempt import Attempt
-from analysis.discrepancy.changed_tests import ChangedTest
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
-from analysis.discrepancy.structure_change import StructureChange, structure_change
+from analysis.discrepancy.add.changed_tests import ChangedTest
+from analysis.discrepancy.add.structure_change import StructureChange, structure_change
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.discrepancy.name.attempt import Attempt
 from analysis.model import Model, load_model
 from analysis.simulation import system_of
 

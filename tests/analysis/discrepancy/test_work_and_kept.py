@@ -14,10 +14,10 @@ import pytest
 from distributed import LocalCluster
 from made_study import Inline, study
 
-from analysis.discrepancy import work
-from analysis.discrepancy.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
-from analysis.discrepancy.kept import keep, kept
-from analysis.discrepancy.work import Crew, Order, workers
+from analysis.discrepancy.name import work
+from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
+from analysis.discrepancy.name.kept import keep, kept
+from analysis.discrepancy.name.work import Crew, Order, workers
 from service.core.errors import InputError
 
 ENTRIES = ("full_open_gain", "offset_p_du")

@@ -14,8 +14,8 @@ import pytest
 import sympy as sp
 
 from analysis.codegen import computation_sequence, python_source, residual_program
-from analysis.discrepancy.library import load_library
-from analysis.discrepancy.rewrite import rewritten
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
 from analysis.graph.bank import PERIOD_S, Bank, bank_of
 from analysis.graph.formula import write_formulas
 from analysis.graph.linear import expanded

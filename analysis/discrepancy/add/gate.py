@@ -1,0 +1,76 @@
+"""Whether what was found may be added to the model: a right name in a wrong form can make a model worse.
+
+The model with the effects has to predict the held-out recordings better in free runs; and nothing in it may have run
+into a bound, which would be the form's way to say that it does not fit.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from analysis.calibration.problem import DELAY_S, LAG_S
+from analysis.calibration.validate import STEADY
+from analysis.discrepancy.add.adopt import adopted
+from analysis.discrepancy.add.held_out import REAL, Shown
+from analysis.discrepancy.data import Data
+from analysis.discrepancy.discover import Discovery
+from analysis.model import Model
+
+WORSE = 1.05
+"""A free run's error, steady, may grow by this factor; more, and the effect is not added."""
+
+UNLIKELY = 3.0
+"""Standard deviations of a prior: a sensor's lag or a command's delay beyond them does another thing's work."""
+
+
+@dataclass(frozen=True)
+class Adoption:
+    """The model with the effects, or the reasons why it should not be; without effects there is neither."""
+
+    model: Model | None
+    reasons: tuple[str, ...]
+
+
+def adoption(data: Data, found: Discovery, shown: Shown) -> Adoption:
+    """The model with the chosen effects of a discovery, and why it should not be taken, if there are reasons.
+
+    Raises:
+        ModelError: an effect has no place in the model any more.
+    """
+    chosen = found.outcome.chosen
+    if not chosen.effects:
+        return Adoption(None, ())
+    facts = {
+        "vehicle": data.vehicle,
+        "recordings": [log.sha256 for log in data.training],
+        "held_out": [log.sha256 for log in data.held],
+        "evidence_nats": round(found.verdict.gain, 1),
+        "verdict": found.verdict.kind,
+        "rivals": [list(names[1:]) for names in found.verdict.sets],
+    }
+    effects = [found.study.library[name] for name in chosen.effects]
+    model = adopted(
+        data.model, effects, chosen.values, {name: fact for name, fact in facts.items() if fact is not None}
+    )
+    return Adoption(model, tuple(_reasons(found, shown)))
+
+
+def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
+    chosen = found.outcome.chosen
+    if found.verdict.kind == "unnamed":
+        yield f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name"
+    known = found.study.model.known
+    for gap in shown.gaps:
+        if gap.mode == STEADY and gap.after.rms > max(WORSE * gap.before.rms, REAL * gap.expected):
+            unit = known[gap.output].unit
+            yield (
+                f"the held-out free run of {gap.output} grows worse, from {gap.before.rms:.0f} to "
+                f"{gap.after.rms:.0f} {unit}"
+            )
+    for name, inside in zip(chosen.unknowns.parameters, chosen.inside.tolist(), strict=False):
+        if not inside:
+            yield f"{name} has run into its bound"
+    nuisance = chosen.unknowns.nuisance(chosen.x)
+    for what, values, usual in (("lag", nuisance.lag, LAG_S), ("delay", nuisance.delay, DELAY_S)):
+        for name, seconds in values.items():
+            if abs(seconds) > UNLIKELY * usual:
+                yield f"the {what} of {name} has gone to {seconds:.2f} s, {usual:g} s is usual"

@@ -1,0 +1,231 @@
+"""The library of effects that a model may miss: TOML to `Effect`.
+
+    schema = 1
+    [[effect]]               name, statement, component, source, signature
+      rivals, separated_by   entries that look alike; experiments (see EXPERIMENTS) that tell which it is
+      replaces = true        only for an entry that is to stand for a shipped one of its name
+    [effect.roles]           flow = ["q_filt_t", "q_pump"]: a name by model; those of one position go together
+    [effect.parameter.g]     unit, description, min, max, and one of
+      null, spread             how strong the effect is: null where there is none, spread its prior standard deviation
+      value, prior or spread   calibrated too; with neither a constant
+    [effect.unknown.z]       unit, description, initial (states only): a new variable
+    [[effect.change]]        where = ["q_dos", "A_dos"], replace = "A_dos -> A_dos*(1 + g)"
+    [[effect.equation]]      name, description, expr = "..."  (= 0): a new equation
+    [[effect.differential]]  name, state, derivative
+
+A change replaces a name in every equation that has all names of `where` in it, as `enters` of a fault does. Formulas
+know the effect's own names, its roles and the names of the model; in the model, `z` of `lag_p_du` is `lag_p_du_z`.
+"""
+
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+
+from analysis.discrepancy.effects.effect import Change, Effect, EffectEquation, EffectParameter, EffectUnknown
+from analysis.model import Differential, ModelError
+from analysis.model.check import check_name
+from analysis.model.expression import FUNCTIONS, parse_expression
+from analysis.model.model import check_bounds
+from analysis.model.tables import Table, first_repeated
+
+SCHEMA = 1
+
+SHIPPED = Path(__file__).with_name("library.toml")
+
+EXPERIMENTS = (
+    "pressure_ladder",
+    "pump_off_decay",
+    "speed_ramp",
+    "dosing_at_pressures",
+    "full_dose_at_pressures",
+    "dose_staircase",
+    "fast_square",
+    "steady_hold",
+    "warm_up",
+)
+"""What `separated_by` may name."""
+
+
+def load_library(path: Path | None = None) -> dict[str, Effect]:
+    """The shipped effects by name, and those of the file at `path`.
+
+    Raises:
+        ModelError: the file cannot be read, or an entry is not valid; the message names file, entry, place and remedy.
+    """
+    shipped = _shipped()
+    found = {name: effect for name, (effect, _) in shipped.items()}
+    for name, (effect, replaces) in ({} if path is None else _read(path)).items():
+        if replaces != (name in shipped):
+            remedy = "say `replaces = true`, or rename it" if name in shipped else "remove `replaces`, or correct name"
+            problem = "is a shipped entry too" if name in shipped else "replaces a shipped entry that there is not"
+            raise ModelError(f"{effect.place}: {problem}; {remedy}")
+        found[name] = effect
+    for effect in found.values():
+        for k, rival in enumerate(effect.rivals):
+            if rival not in found or rival == effect.name:
+                raise ModelError(f"{effect.place}.rivals[{k}]: {rival} is no other entry; name one, or leave it away")
+    return found
+
+
+@cache
+def _shipped() -> dict[str, tuple[Effect, bool]]:
+    return _read(SHIPPED)
+
+
+def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
+    """The entries of one file, and whether they replace shipped ones."""
+    try:
+        top = Table(tomllib.loads(path.read_bytes().decode()), str(path), top=True)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read; give a library file") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ModelError(f"{path}: not TOML: {error}") from error
+    schema = top.number("schema")
+    if schema != SCHEMA:
+        raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that it was written for")
+    tables = top.tables("effect")
+    top.done()
+    if not tables:
+        raise top.fail("effect", "there is none; add [[effect]] entries, or give no file")
+    read = [_entry(table, path) for table in tables]
+    twice = first_repeated([effect.name for effect, _ in read])
+    if twice is not None:
+        raise ModelError(f"{path}: two effects are named {twice}; rename one")
+    return {effect.name: (effect, replaces) for effect, replaces in read}
+
+
+def _entry(table: Table, path: Path) -> tuple[Effect, bool]:
+    name = table.text("name")
+    check_name(name, f"{table.at('name')}: {name!r}")
+    written = table.rest()
+    replaces = written.pop("replaces", False)
+    entry = Table(written, f"{path}: effect {name}")  # named, not numbered
+    if not isinstance(replaces, bool):
+        raise entry.fail("replaces", f"must be true or false, not {replaces!r}")
+    return _effect(entry, name), replaces
+
+
+def _effect(table: Table, name: str) -> Effect:
+    effect = Effect(
+        name=name,
+        statement=table.text("statement"),
+        component=table.text("component"),
+        source=table.text("source"),
+        signature=table.text("signature"),
+        rivals=table.texts("rivals"),
+        separated_by=table.texts("separated_by"),
+        roles=_roles(table.table("roles")),
+        parameters={own: _parameter(part) for own, part in table.named_tables("parameter").items()},
+        unknowns={own: _unknown(part) for own, part in table.named_tables("unknown").items()},
+        changes=tuple(_change(part) for part in table.tables("change")),
+        equations=tuple(_equation(part) for part in table.tables("equation")),
+        differentials=tuple(_differential(part) for part in table.tables("differential")),
+        place=table.place,
+    )
+    table.done()
+    for k, experiment in enumerate(effect.separated_by):
+        if experiment not in EXPERIMENTS:
+            raise table.fail(f"separated_by[{k}]", f"{experiment} is none of {', '.join(EXPERIMENTS)}")
+    _check_own_names(effect, table)
+    if not effect.strengths:
+        raise table.fail("parameter", "none has a null value; give one `null`, where there is no effect, and `spread`")
+    if not effect.changes:
+        raise table.fail("change", "there is none, so the model stays as it is; say what the effect replaces")
+    twice = first_repeated([*(e.name for e in effect.equations), *(d.name for d in effect.differentials)])
+    if twice is not None:
+        raise table.fail("equation", f"two equations or differentials are named {twice}; rename one")
+    return effect
+
+
+def _check_own_names(effect: Effect, table: Table) -> None:
+    own = [*effect.roles, *effect.parameters, *effect.unknowns]
+    for name in own:
+        check_name(name, f"{effect.place}: {name!r}")
+    twice = first_repeated(own)
+    if twice is not None:
+        raise table.fail(twice, "is declared twice among roles, parameter and unknown; rename one")
+    for k, d in enumerate(effect.differentials):
+        for role, name in (("state", d.state), ("derivative", d.derivative)):
+            if name not in effect.unknowns:
+                problem = f"{name} is no unknown of the effect; declare [effect.unknown.{name}]"
+                raise table.fail(f"differential[{k}].{role}", problem)
+
+
+def _roles(table: Table | None) -> dict[str, tuple[str, ...]]:
+    if table is None:
+        return {}
+    written = table.rest()
+    names = Table(written, table.place)
+    roles = {role: names.texts(role) for role in written}
+    for role, choices in roles.items():
+        if not choices or len(choices) != len(next(iter(roles.values()))):
+            raise names.fail(role, "those of one position go together; give every role as many names, at least one")
+    return roles
+
+
+def _parameter(table: Table) -> EffectParameter:
+    null, value = table.optional_number("null"), table.optional_number("value")
+    if (null is None) == (value is None):
+        raise table.fail("null", "give either null, where there is no effect, or the value of a parameter beside it")
+    parameter = EffectParameter(
+        unit=table.text("unit"),
+        description=table.text("description"),
+        value=value if null is None else null,  # type: ignore[arg-type]  # one of the two is a number
+        null=null,
+        min=table.optional_number("min"),
+        max=table.optional_number("max"),
+        prior=table.optional_number("prior"),
+        spread=table.optional_number("spread"),
+    )
+    table.done()
+    if null is not None and parameter.spread is None:
+        raise table.fail("spread", "is missing; say how strong the effect may well be, in its unit")
+    check_bounds(parameter.in_model(""), table.place)
+    return parameter
+
+
+def _unknown(table: Table) -> EffectUnknown:
+    unknown = EffectUnknown(
+        unit=table.text("unit"), description=table.text("description", ""), initial=table.texts("initial")
+    )
+    table.done()
+    for k, text in enumerate(unknown.initial):
+        _check_formula(text, table.at(f"initial[{k}]"))
+    return unknown
+
+
+def _change(table: Table) -> Change:
+    where, text = table.texts("where"), table.text("replace")
+    table.done()
+    if not where:
+        raise table.fail("where", "is missing; name what the equation has in it")
+    symbol, arrow, replacement = (part.strip() for part in text.partition("->"))
+    if not arrow or not symbol.isidentifier():
+        raise table.fail("replace", f"`{text}` must be like `A -> A*(1 + g)`, with a name on the left")
+    _check_formula(replacement, table.at("replace"))
+    return Change(where=where, symbol=symbol, replacement=replacement)
+
+
+def _equation(table: Table) -> EffectEquation:
+    equation = EffectEquation(
+        name=table.text("name"), description=table.text("description", ""), text=table.text("expr")
+    )
+    table.done()
+    _check_formula(equation.text, table.at("expr"))
+    return equation
+
+
+def _differential(table: Table) -> Differential:
+    differential = Differential(name=table.text("name"), state=table.text("state"), derivative=table.text("derivative"))
+    table.done()
+    return differential
+
+
+def _check_formula(text: str, place: str) -> None:
+    """Whether it is one, whatever its names are: those are known with the model only."""
+    parse_expression(text, _names_in(text), place)
+
+
+def _names_in(text: str) -> list[str]:
+    return sorted(set(re.findall(r"(?<![\w.])[A-Za-z]\w*", text)) - FUNCTIONS)

@@ -1,0 +1,1 @@
+"""Which effect it is: fits, evidence, the contest of the library's entries, experiments that tell rivals apart."""

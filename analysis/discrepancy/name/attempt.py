@@ -1,0 +1,296 @@
+"""A model with effects added, fitted and judged: how likely it makes the training data, and then the held-out data.
+
+Both are probabilities with everything unknown integrated out, around the optimum (Laplace). The held-out data are
+predicted: what the training has left uncertain may still move there, and every recording has zero errors of its own.
+All attempts have the same weights, those of the baseline, so that their evidences can be subtracted; the baseline is
+among them, because an effect at its null value is the baseline's model exactly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from analysis.calibration.problem import Problem, Unknowns
+from analysis.calibration.sections import Section, fitting
+from analysis.discrepancy.effects.compiled import system_with
+from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.find.locate import Location, locate
+from analysis.discrepancy.name.likelihood import Likelihood, bins_of, blocks, levels_of
+from analysis.discrepancy.name.search import Optimum, descend
+from analysis.discrepancy.name.sensitivity import Direction, remaining
+from analysis.model import Model
+from analysis.simulation import System
+
+Array = npt.NDArray[np.float64]
+
+BLOCK_S = 10.0
+"""Longer than the hose remembers: what is left of blocks is independent."""
+
+ROUNDS = 3
+"""How often the baseline is fitted, with levels from what the one before left."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is known: the `model` as it is, a library of effects, and the sections to fit and those held out.
+
+    The sections are those of the model's system; `fitting` makes them another's. `key` is a hash of model and data.
+    """
+
+    key: str
+    model: Model
+    library: Mapping[str, Effect]
+    training: tuple[Section, ...]
+    held: tuple[Section, ...]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Where the model without effects has been fitted: `x` (n,), and the `levels` (outputs, modes) of bins there."""
+
+    x: Array
+    levels: Array
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came out for a model with `effects`.
+
+    `x` (n,) are its `unknowns`' most likely values, `curvature` (n, n) the precision there, `inside` (n,) those not at
+    a bound. `cost` [nats] is what the search ended at, `training` and `predicted` are log evidences [nats], comparable
+    between attempts of one baseline. `blocks` are log likelihoods of `BLOCK_S` at the optimum, training first;
+    `dispersion` is the mean square of what is left, 1 if nothing but noise is.
+    """
+
+    effects: tuple[str, ...]
+    unknowns: Unknowns
+    x: Array
+    curvature: Array
+    inside: npt.NDArray[np.bool_]
+    cost: float
+    training: float
+    predicted: float
+    blocks: Array
+    dispersion: float
+
+    @property
+    def evidence(self) -> float:
+        """Of all data [nats]."""
+        return self.training + self.predicted
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters' values."""
+        return self.unknowns.theta(self.x)
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """The parameters' standard deviations, in their units; zero of one at a bound."""
+        place = np.flatnonzero(self.inside)
+        variance = np.zeros(len(self.x))
+        variance[place] = np.diag(np.linalg.inv(self.curvature[np.ix_(place, place)]))
+        n = len(self.unknowns.parameters)
+        found = np.sqrt(variance[:n]) * np.abs(self.unknowns.theta_by_x(self.x))
+        return dict(zip(self.unknowns.parameters, found.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Where a search begins: the values `x` of other `unknowns`, and what is new at null, or `typical` in size."""
+
+    unknowns: Unknowns
+    x: Array
+    typical: bool = False
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What a few steps from some beginning come to: `cost` [nats], where, and what the next step promises [nats]."""
+
+    effects: tuple[str, ...]
+    unknowns: Unknowns
+    x: Array
+    cost: float
+    promised: float
+
+
+class Judge:
+    """Makes attempts, with the weights that hold at the baseline."""
+
+    def __init__(self, study: Study, baseline: Baseline) -> None:
+        self._study = study
+        self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
+        numbers = [blocks(bins, BLOCK_S) for bins in self._bins]
+        self._blocks = np.concatenate([numbers[0], numbers[1] + numbers[0].max() + 1])
+        problems = self._with(())
+        self._baseline = baseline
+        self._nominal = problems[0].unknowns
+        self._likelihoods = [
+            Likelihood(problem, carried(baseline.x, self._nominal, problem.unknowns), baseline.levels, bins)
+            for problem, bins in zip(problems, self._bins, strict=True)
+        ]
+
+    def glance(self, effects: Sequence[str], begin: Begin, steps: int) -> Glance:
+        """How far a few steps come.
+
+        Raises:
+            InputError: an effect has no place in the model, or the model cannot be run there.
+        """
+        training, _ = self._with(effects)
+        found = descend(self._likelihoods[0], training, self._start(effects, begin, training.unknowns), steps)
+        return Glance(tuple(effects), training.unknowns, found.x, found.cost, found.promised)
+
+    def attempt(self, effects: Sequence[str], begin: Begin | None = None) -> Attempt:
+        """The attempt with `effects`, searched from there (none: from the baseline).
+
+        Raises:
+            InputError: an effect has no place in the model, or the model cannot be run there.
+        """
+        training, held = self._with(effects)
+        begin = begin or Begin(self._nominal, self._baseline.x)
+        best = descend(self._likelihoods[0], training, self._start(effects, begin, training.unknowns))
+        predicted, after = predictive(self._likelihoods[1], held, best, training.unknowns)
+        e = np.concatenate([self._likelihoods[0].left(training, best.x), after])
+        return Attempt(
+            effects=tuple(effects),
+            unknowns=training.unknowns,
+            x=best.x,
+            curvature=best.curvature,
+            inside=best.inside,
+            cost=best.cost,
+            training=best.log_evidence,
+            predicted=predicted,
+            blocks=np.asarray(-0.5 * np.bincount(self._blocks, e**2), dtype=np.float64),
+            dispersion=float(e @ e) / len(e),
+        )
+
+    def left(self, attempt: Attempt) -> tuple[Array, npt.NDArray[np.int64]]:
+        """What an attempt leaves of all data, whitened (M,), and the number of each bin's block."""
+        training, held = self._with(attempt.effects)
+        optimum = Optimum(attempt.x, attempt.cost, attempt.curvature, attempt.inside, 0.0)
+        _, after = predictive(self._likelihoods[1], held, optimum, attempt.unknowns)
+        return np.concatenate([self._likelihoods[0].left(training, attempt.x), after]), self._blocks
+
+    def direction(self, effect: str) -> Direction:
+        """What one effect would do to all data at the baseline, and what remains of it if all else may move."""
+        strengths = self._study.library[effect].strengths
+        problems = self._with((effect,))
+        parts = []
+        for likelihood, problem in zip(self._likelihoods, problems, strict=True):
+            x = carried(self._baseline.x, self._nominal, problem.unknowns)
+            parts.append((likelihood.slopes(problem, x), problem.unknowns.of_zeros))
+        unknowns = problems[0].unknowns
+        what = np.flatnonzero([name in strengths for name in unknowns.parameters])
+        lower, upper = problems[0].bounds[:, what]
+        zeros = [J[:, part] for J, part in parts]
+        shared = np.concatenate([np.delete(J, np.r_[part], axis=1) for J, part in parts])
+        apart = block_diag(*zeros)
+        others = np.hstack([np.delete(shared, what, axis=1), apart])
+        does = shared[:, what]
+        visible = remaining(does, others)
+        power = np.sum(does * visible, axis=0)
+        return Direction(effect, visible, power, lower, upper, unknowns.spreads[what])
+
+    def locate(self, attempt: Attempt) -> Location:
+        """Where the model of an attempt misses something still."""
+        training, _ = self._with(attempt.effects)
+        return locate(training, attempt.x, self._likelihoods[0].weights)
+
+    def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
+        """The problems of the model with effects: the training's and the held-out's."""
+        entries = [self._study.library[name] for name in effects]
+        return _problems(self._study, system_with(self._study.model, entries))
+
+    def _start(self, effects: Sequence[str], begin: Begin, unknowns: Unknowns) -> Array:
+        x = carried(begin.x, begin.unknowns, unknowns)
+        if begin.typical:
+            strengths = {name for effect in effects for name in self._study.library[effect].strengths}
+            x[[k for k, name in enumerate(unknowns.parameters) if name in strengths]] = 1.0
+        return x
+
+
+def baseline_of(study: Study) -> Baseline:
+    """The model without effects, fitted to the training sections.
+
+    Raises:
+        InputError: it cannot be run.
+    """
+    problems = _problems(study, system_with(study.model, ()))
+    bins = [[bins_of(section) for section in sections] for sections in (study.training, study.held)]
+    x, outputs = np.zeros(problems[0].unknowns.size), [*problems[0].system.outputs]
+    for _ in range(ROUNDS):
+        left = [
+            [
+                part.mean(e)
+                for part, e in zip(parts, problem.left(carried(x, problems[0].unknowns, problem.unknowns)), strict=True)
+            ]
+            for parts, problem in zip(bins, problems, strict=True)
+        ]
+        levels = levels_of(study.model, outputs, [*bins[0], *bins[1]], [*left[0], *left[1]])
+        x = descend(Likelihood(problems[0], x, levels, bins[0]), problems[0], x).x
+    return Baseline(x, levels)
+
+
+def _problems(study: Study, system: System) -> tuple[Problem, Problem]:
+    """The training's and the held-out's, with all outputs' lags unknown."""
+    fitted, kept = ([fitting(section, system) for section in sections] for sections in (study.training, study.held))
+    training = Problem(system, fitted, lagging=True)
+    return training, Problem(system, kept, lagging=True, commands=training.commands)
+
+
+def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
+    """The same x for a model with other parameters, or for other logs; what is new is as expected beforehand."""
+    found = np.zeros(new.size)
+    place = {name: k for k, name in enumerate(old.parameters)}
+    for k, name in enumerate(new.parameters):
+        if name in place:
+            found[k] = x[place[name]]
+    found[new.of_zeros.stop :] = x[old.of_zeros.stop :]
+    if old.logs == new.logs:  # other logs have zero errors of their own
+        found[new.of_zeros] = x[old.of_zeros]
+    return found
+
+
+def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum, known: Unknowns) -> tuple[float, Array]:
+    """The log probability [nats] of held-out data given the training, and what they leave (M,) at their own optimum.
+
+    `known` are the optimum's unknowns; zero errors are each recording's own.
+    """
+    e, J, H = foretold(likelihood, problem, optimum.x, optimum.curvature, optimum.inside, known)
+    M, b = J.T @ J + H, J.T @ e
+    step = np.linalg.solve(M, b)
+    log_probability = -0.5 * float(e @ e - b @ step) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(H)[1])
+    return log_probability, e - J @ step
+
+
+def foretold(
+    likelihood: Likelihood,
+    problem: Problem,
+    x: Array,
+    curvature: Array,
+    inside: npt.NDArray[np.bool_],
+    known: Unknowns,
+) -> tuple[Array, Array, Array]:
+    """What data differ from their prediction by (M,), what is unknown does to it (M, f), and its precision (f, f).
+
+    All whitened: the prediction's covariance is 1 + J H^-1 J'.
+    """
+    own, other = problem.unknowns.of_zeros, known.of_zeros
+    begin = carried(x, known, problem.unknowns)
+    begin[own] = 0.0
+    place = np.flatnonzero(inside)
+    between = np.linalg.inv(curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
+    kept = np.delete(np.arange(len(begin)), own)[np.delete(inside, other)]
+    covariance = np.zeros((len(begin), len(begin)))
+    covariance[np.ix_(kept, kept)] = between
+    covariance[own, own] = np.eye(own.stop - own.start)
+    free = np.sort(np.concatenate([kept, np.arange(own.start, own.stop)]))
+    e, J = likelihood.left(problem, begin), likelihood.slopes(problem, begin)[:, free]
+    return e, J, np.linalg.inv(covariance[np.ix_(free, free)])
+
+
+def _within(place: npt.NDArray[np.int64], part: slice) -> npt.NDArray[np.bool_]:
+    return np.asarray((place >= part.start) & (place < part.stop))

@@ -1,0 +1,200 @@
+"""Which effects the data ask for: all of the library in turn, the best kept, and again on top of it.
+
+Every entry is fitted and judged. Those that the data cannot tell from the best are its rivals. With the best in the
+model the rest is asked again (forward); once another has come in, the first may be replaced or dropped (backward).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from analysis.discrepancy.name.attempt import Attempt, Begin, Glance
+from analysis.discrepancy.name.work import Crew, Order
+
+AT_MOST = 3
+"""Effects at once: what more are needed, the library lacks."""
+
+UNLIKELY = 5.0
+"""Evidence [nats] by which a rival must be worse to be out: odds of 150 to 1."""
+
+QUANTILE = 2.0
+"""And so many standard deviations of the difference, from block to block: 98 % (Vuong 1989)."""
+
+SHARE = 0.02
+"""Of the first effect's evidence: less is what its form leaves, not another effect."""
+
+STEPS, FURTHER, FAR = 2, 1, 4
+"""Of a glance, of one for a further effect, and of one from the prior: by then most show that it is not they."""
+
+WORTH = 3.0
+"""Gain [nats] in a glance from which anything is looked at again."""
+
+FIELD = 8
+"""So many are fitted to the end, and besides all that come near the best: those in `NEAR` of its gain."""
+
+NEAR = 0.4
+HOPE = 2.0
+"""Times what the next step of a glance promises may be won on the rest of its way."""
+
+CLOSE = 10.0
+"""Or within so much [nats] of it: a small gain is no order, as entries pay for their freedom yet."""
+
+Say = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Place:
+    """One effect of the model that was chosen: `attempts` with it, and with those that may be it as well, best first.
+
+    `gain` [nats] is the evidence lost without it.
+    """
+
+    attempts: tuple[Attempt, ...]
+    gain: float
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """The effects' names."""
+        return tuple(attempt.effects[-1] for attempt in self.attempts)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The `nominal` attempt, all `singles` by evidence, the one that is `chosen`, and what its effects are.
+
+    `threshold` [nats] is what chance does not reach.
+    """
+
+    nominal: Attempt
+    singles: tuple[Attempt, ...]
+    chosen: Attempt
+    places: tuple[Place, ...]
+    threshold: float
+
+    @property
+    def gain(self) -> float:
+        """The evidence [nats] for what was chosen, against the model as it was."""
+        return self.chosen.evidence - self.nominal.evidence
+
+
+def contest(
+    crew: Crew, effects: Sequence[str], nominal: Attempt, threshold: float, unbent: Callable[[], Begin | None], say: Say
+) -> Outcome:
+    """The contest of `effects` for a place in the model.
+
+    `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
+    """
+    singles = _round(crew, nominal, effects, WORTH, unbent, say)
+    chosen, places = nominal, list[Place]()
+    if singles and singles[0].evidence - nominal.evidence > threshold * scale(singles[0]):
+        chosen = singles[0]
+        places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
+        for _ in range(2 * AT_MOST):  # each round adds one and may drop another: it must end
+            if len(chosen.effects) >= AT_MOST:
+                break
+            needed = max(threshold * scale(chosen), SHARE * places[0].gain)
+            field = _round(crew, chosen, [name for name in effects if name not in chosen.effects], needed, None, say)
+            if not field or field[0].evidence - chosen.evidence < needed:
+                break
+            places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
+            chosen, places = _reconsidered(crew, field[0], places, needed, say)
+    return Outcome(nominal, tuple(singles), chosen, tuple(places), threshold)
+
+
+def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[Attempt, ...]:
+    """Of attempts sorted by evidence, those whose last effects the data cannot tell from the first one's."""
+    best = field[0]
+    found = [best]
+    for other in field[1:]:
+        gap = best.evidence - other.evidence
+        spread = float(np.std(best.blocks - other.blocks)) * np.sqrt(len(best.blocks))
+        helps = other.evidence - without.evidence > 0.0
+        if helps and gap < max(UNLIKELY * scale(best), QUANTILE * spread):
+            found.append(other)
+    return tuple(found)
+
+
+def scale(best: Attempt) -> float:
+    """By how much evidence is too sure of itself: what is left even of the best model is more than the noise."""
+    return max(best.dispersion, 1.0)
+
+
+def _round(
+    crew: Crew, base: Attempt, names: Sequence[str], worth: float, unbent: Callable[[], Begin | None] | None, say: Say
+) -> list[Attempt]:
+    """Attempts with one of `names` on top of `base`, by evidence, the best first: of those that may be the best.
+
+    None where a glance promises none of them a gain of `worth` [nats].
+    """
+    title = f"on top of {', '.join(base.effects)}" if base.effects else "effects one by one"
+    begin = Begin(base.unknowns, base.x)
+    orders = [Order((*base.effects, name), begin, FURTHER if base.effects else STEPS) for name in names]
+    found = crew.glances(orders, lambda n, of: say(title, n, of))
+    if all(base.cost - glance.cost + glance.promised < worth for glance in found):
+        return []
+    if unbent is not None:
+        elsewhere = [(Begin(base.unknowns, np.zeros_like(base.x), typical=True), FAR)]
+        other = unbent()
+        if other is not None:
+            elsewhere.append((other, STEPS))
+        orders = [Order((*base.effects, name), start, steps) for start, steps in elsewhere for name in names]
+        found += crew.glances(orders, lambda n, of: say(f"{title}, from elsewhere", n, of))
+    attempts: dict[str, Attempt] = {}
+    field = _field(found, base)
+    for rest, wave in (("to the end", [glances[:1] for glances in field]), ("again", [g[1:] for g in field])):
+        orders = [
+            Order(glance.effects, Begin(glance.unknowns, glance.x))
+            for glances in wave
+            for glance in glances
+            if not _beaten(glance, attempts.get(glance.effects[-1]))
+        ]
+        for attempt in crew.attempts(orders, partial(say, f"{title}, {rest}")):
+            known = attempts.get(attempt.effects[-1])
+            if known is None or attempt.cost < known.cost:
+                attempts[attempt.effects[-1]] = attempt
+    return sorted(attempts.values(), key=lambda attempt: -attempt.evidence)
+
+
+def _beaten(glance: Glance, by: Attempt | None) -> bool:
+    """Whether what a glance promises is not near what was found already: the rest of the way is not worth it."""
+    return by is not None and glance.cost - HOPE * glance.promised > by.cost
+
+
+def _field(found: Sequence[Glance], base: Attempt) -> list[list[Glance]]:
+    """The glances to follow to the end: of each effect that may be the best all, the most promising first."""
+    best = min(glance.cost for glance in found)
+    near = best + max((1.0 - NEAR) * (base.cost - best), CLOSE)
+    by_effect: dict[str, list[Glance]] = {}
+    for glance in sorted(found, key=lambda glance: glance.cost - glance.promised):
+        by_effect.setdefault(glance.effects[-1], []).append(glance)
+    field = list[list[Glance]]()
+    for k, glances in enumerate(by_effect.values()):
+        first = glances[0]
+        if (k < FIELD or first.cost - first.promised < near) and first.cost - first.promised < base.cost:
+            field.append(glances)
+    return field
+
+
+def _reconsidered(
+    crew: Crew, chosen: Attempt, places: Sequence[Place], needed: float, say: Say
+) -> tuple[Attempt, list[Place]]:
+    """With the newest effect in, the rivals of the others again, and whether each is still needed."""
+    found: list[Place] = []
+    for k, place in enumerate(places[:-1]):
+        rest = [name for name in chosen.effects if name != place.rivals[0]]
+        begin = Begin(chosen.unknowns, chosen.x)
+        orders = [Order((*rest, name), begin) for name in place.rivals if name not in rest]
+        attempts = crew.attempts([*orders, Order(tuple(rest), begin)], lambda n, of: say("backward", n, of))
+        without = next((attempt for attempt in attempts if len(attempt.effects) == len(rest)), None)
+        tried = sorted((a for a in attempts if a is not without), key=lambda attempt: -attempt.evidence)
+        if without is None or not tried:  # one of the two cannot be run from here: the place stays as it was
+            found.append(place)
+            continue
+        gain = tried[0].evidence - without.evidence
+        if gain < needed:
+            return without, [*found, *places[k + 1 :]]
+        chosen = tried[0]
+        found.append(Place(rivals(tried, without), gain))
+    return chosen, [*found, places[-1]]

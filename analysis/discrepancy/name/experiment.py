@@ -1,0 +1,301 @@
+"""The experiment that tells rivals apart: planned on their fitted models, written as a cycle for the rig.
+
+For every experiment of `experiments.toml` and every rival in turn, the rival's model is run in a closed loop: that is
+what would be measured if it were the one. Every rival predicts it with what the recordings so far have left uncertain;
+the evidence to expect is the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey
+2003). The best experiment is the one after which the fewest rivals are left to be expected.
+"""
+
+import dataclasses
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import exp
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.problem import Problem
+from analysis.calibration.sections import Section, cut, fitting
+from analysis.discrepancy.data import STEP_S
+from analysis.discrepancy.effects.compiled import model_with, system_with
+from analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
+from analysis.discrepancy.name.likelihood import Likelihood, bins_of
+from analysis.graph.bank import PERIOD_S
+from analysis.model import Equation, Known, Model, OperatingModes, Unknown
+from analysis.model.expression import parse_expression
+from analysis.model.tables import Table
+from analysis.recordings.track import Track
+from analysis.simulation import Drive, System, run, system_of
+from service.core.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+SHIPPED = Path(__file__).with_name("experiments.toml")
+
+BEFORE_S = 40.0
+"""From the start of a recording until its cycle begins: standing still, building pressure, the model's warm-up."""
+
+START_BAR = 10.0
+BAR = 1e5
+
+MANY = 6
+"""More rivals than these are not planned for: the experiment is repeated for those that are left."""
+
+RESOLVES = 5.0
+"""Evidence [nats] to expect for the right one of a pair, from which they are told apart."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A cycle: `segments` of duration [s], pressure [Pa absolute] and duty cycle [0..1]."""
+
+    name: str
+    text: str
+    segments: tuple[tuple[float, float, float], ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Of the recording, with the pressure's build-up [s]."""
+        return BEFORE_S + sum(duration for duration, _, _ in self.segments)
+
+    def cycle(self) -> str:
+        """As the rig reads cycles."""
+        head = f'schema = 1\nname = "{self.name.replace("_", "-")}"\ntext = "{self.text}"\n'
+        parts = [
+            f"\n[[segment]]\nduration_s = {duration:g}\nsetpoint_bar = {pressure / BAR:g}\nduty = {duty:g}\n"
+            for duration, pressure, duty in self.segments
+        ]
+        return head + "".join(parts)
+
+
+@dataclass(frozen=True)
+class Control:
+    """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and doses with `command`.
+
+    The set point moves by `ramp` [Pa/s] at most, as it does on a vehicle.
+    """
+
+    actuator: str
+    follows: str
+    command: str
+    offset: float
+    gain: float
+    ramp: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An experiment with the evidence [nats] to expect for each pair: the first is what is there, the second is not."""
+
+    experiment: Experiment
+    expected: Mapping[tuple[str, str], float]
+
+    @property
+    def left(self) -> float:
+        """How many rivals of what is there will not be told from it, to be expected."""
+        return sum(exp(-nats / RESOLVES) for nats in self.expected.values()) / len({true for true, _ in self.expected})
+
+    @property
+    def told(self) -> Mapping[tuple[str, str], float]:
+        """The pairs that it tells apart, whichever of the two is there, with the evidence [nats] of the harder case."""
+        worst = {(a, b): min(nats, self.expected[b, a]) for (a, b), nats in self.expected.items() if a < b}
+        return {pair: nats for pair, nats in worst.items() if nats > RESOLVES}
+
+    @property
+    def untold(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that it does not."""
+        return tuple(pair for pair in self.expected if pair[0] < pair[1] and pair not in self.told)
+
+
+@cache
+def experiments() -> tuple[Control, tuple[Experiment, ...]]:
+    """The shipped ones."""
+    top = Table(tomllib.loads(SHIPPED.read_text()), str(SHIPPED), top=True)
+    top.number("schema")
+    control = top.table("control")
+    if control is None:
+        raise top.fail("control", "is missing")
+    how = Control(
+        control.text("actuator"), control.text("follows"), control.text("command"),
+        control.number("offset"), control.number("gain"), control.number("ramp"),
+    )  # fmt: skip
+    found = []
+    for table in top.tables("experiment"):
+        name, text, rows = table.text("name"), table.text("text"), table.rest()["segments"]
+        if not isinstance(rows, list):
+            raise table.fail("segments", "must be a list of [duration_s, bar, duty]")
+        found.append(Experiment(name, text, tuple((float(s), float(bar) * BAR, float(dc)) for s, bar, dc in rows)))
+    return how, tuple(found)
+
+
+def propose(
+    study: Study, baseline: Baseline, rivals: Sequence[Attempt], note: Callable[[str], None] = lambda _: None
+) -> list[Plan]:
+    """The experiments by how well they tell the rivals apart, the best first; none where the model is not for them.
+
+    `note` hears which could not be planned: a rival's model does not run there, or leaves the range in which it holds.
+    """
+    how, all_of_them = experiments()
+    if not {how.actuator, how.command} <= study.model.known.keys() or how.follows not in study.model.unknown:
+        return []
+    fitted = [_Rival(study, how, attempt) for attempt in rivals[:MANY]]
+    plans = []
+    for experiment in all_of_them:
+        try:
+            plans.append(_plan(study, baseline, experiment, fitted))
+        except InputError as error:
+            note(f"no plan for {experiment.name}: {error}")
+    return sorted(plans, key=lambda plan: plan.left)
+
+
+class _Rival:
+    """A fitted model, open and in a closed loop."""
+
+    def __init__(self, study: Study, how: Control, attempt: Attempt) -> None:
+        effects = [study.library[name] for name in attempt.effects]
+        self.attempt, self.name, self.how = attempt, attempt.effects[-1], how
+        self.system = system_with(study.model, effects)
+        model = _closed(model_with(study.model, effects), how)
+        self._loop = system_of(model, model.calibrated)
+
+    def measured(self, experiment: Experiment, like: Section) -> dict[str, Track]:
+        """Every signal as this model would have it, sampled as in the section `like`."""
+        how, values = self.how, self.attempt.values
+        t = np.arange(0.0, experiment.duration_s, STEP_S)
+        asked = _asked(experiment, t, how.ramp)
+        names = self._loop.inputs
+        inputs = np.column_stack([asked[0] if name == SET_POINT else asked[1] for name in names])
+        start = _start(self._loop, values)
+        guess = np.where(start > 0.5 * START_BAR * BAR, asked[0][:, None], start)  # after the pump, or before it
+        drive = Drive(STEP_S, inputs, start, guess)
+        trajectory = run(self._loop, drive, values)
+        pressure = trajectory.w[:, self._loop.states.index(how.follows)]
+        speed = _speed(how, asked[0], pressure)
+        sampled = np.arange(0.0, t[-1], PERIOD_S)
+        restless = TINY * (-1.0) ** np.arange(len(sampled))  # a speed that held still would be taken for a command
+        tracks = {
+            how.actuator: Track(sampled, np.interp(sampled, t, speed) + restless),
+            how.command: Track(sampled, asked[1][np.minimum((sampled / STEP_S).astype(int), len(t) - 1)]),
+        }
+        for name, y in trajectory.outputs().items():
+            period = float(np.median(np.diff(like.samples[name].t)))
+            at = np.arange(0.0, t[-1], period)
+            tracks[name] = Track(at, np.interp(at, t, y))
+        return tracks
+
+
+TINY = 1e-9
+SET_POINT = "set_point_of_the_plan"
+
+
+def _closed(model: Model, how: Control) -> Model:
+    """The model with its actuator following a pressure, which is a new signal."""
+    known = {name: k for name, k in model.known.items() if name != how.actuator}
+    unit = model.unknown[how.follows].unit
+    known[SET_POINT] = Known(unit=unit, description="", min=0.0, max=np.inf, noise=1.0)
+    unknown = {
+        **model.unknown,
+        how.actuator: Unknown(unit=model.known[how.actuator].unit, description="", initial=(), initial_text=()),
+    }
+    asked = f"({how.offset!r} + {how.gain!r}*({SET_POINT} - {how.follows}))"
+    text = f"{how.actuator} - ({asked} + ({asked}**2 + 1)**(1/2))/2"
+    names = [*known, *unknown, *model.parameters]
+    law = Equation(name="plan", description="", text=text, expression=parse_expression(text, names, "plan"), fault=None)
+    return dataclasses.replace(model, known=known, unknown=unknown, equations={**model.equations, "plan": law})
+
+
+def _speed(how: Control, set_point: Array, pressure: Array) -> Array:
+    asked = how.offset + how.gain * (set_point - pressure)
+    return np.asarray((asked + np.sqrt(asked**2 + 1.0)) / 2.0)
+
+
+def _asked(experiment: Experiment, t: Array, ramp: float) -> tuple[Array, Array]:
+    """Set point [Pa] and duty cycle at the times `t`; a step of the dose takes one instant, as a log has it."""
+    ends = BEFORE_S + np.cumsum([duration for duration, _, _ in experiment.segments])
+    k = np.searchsorted(ends, t, side="right")
+    pressure = np.array([*(p for _, p, _ in experiment.segments), experiment.segments[-1][1]])[k]
+    duty = np.array([*(d for _, _, d in experiment.segments), experiment.segments[-1][2]])[k]
+    first = t < BEFORE_S
+    wanted = np.where(first, START_BAR * BAR, pressure)
+    most, set_point = ramp * STEP_S, wanted.copy()
+    for i in range(1, len(t)):
+        set_point[i] = set_point[i - 1] + min(max(wanted[i] - set_point[i - 1], -most), most)
+    return set_point, np.where(first, 0.0, duty)
+
+
+def _start(system: System, values: Mapping[str, float]) -> Array:
+    """The states when the pressure has been built up."""
+    numbers = {name: p.value for name, p in system.model.parameters.items()} | dict(values)
+    found = []
+    for state in system.states:
+        expressions = system.model.unknown[state].initial
+        told = next((e for e in expressions if all(s.name in numbers for s in e.free_symbols)), expressions[0])
+        gauge = {s.name: START_BAR * BAR for s in told.free_symbols if s.name not in numbers}
+        found.append(float(told.subs({**numbers, **gauge})))
+    return np.array(found)
+
+
+def _plan(study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequence[_Rival]) -> Plan:
+    expected = {}
+    for true in rivals:
+        tracks = true.measured(experiment, study.training[0])
+        sections = cut(study.model, true.system, tracks, experiment.name, STEP_S)
+        sections = [
+            dataclasses.replace(section, noise=_noise(study.model.modes, true.system, section, study.training))
+            for section in sections
+        ]
+        problem = _problem(true, sections)
+        x = carried(_punctual(true.attempt), true.attempt.unknowns, problem.unknowns)
+        likelihood = Likelihood(problem, x, baseline.levels, [bins_of(section) for section in sections])
+        mean, covariance = _prediction(likelihood, true, sections)
+        for other in rivals:
+            if other is not true:
+                e, wider = _prediction(likelihood, other, sections)
+                expected[true.name, other.name] = divergence(e - mean, covariance, wider)
+    return Plan(experiment, expected)
+
+
+def _problem(rival: _Rival, sections: Sequence[Section]) -> Problem:
+    fitted = [fitting(section, rival.system) for section in sections]
+    return Problem(rival.system, fitted, lagging=True, commands=rival.attempt.unknowns.delays)
+
+
+def _prediction(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> tuple[Array, Array]:
+    """How far (M,) a rival's prediction is off, and its covariance (M, M), whitened."""
+    a = rival.attempt
+    e, J, H = foretold(likelihood, _problem(rival, sections), _punctual(a), a.curvature, a.inside, a.unknowns)
+    return e, np.eye(len(e)) + J @ np.linalg.solve(H, J.T)
+
+
+def divergence(difference: Array, true: Array, other: Array) -> float:
+    """Of normal distributions with means `difference` (M,) apart and covariances (M, M): evidence [nats]."""
+    ratio = np.linalg.solve(other, true)
+    logs = np.linalg.slogdet(other)[1] - np.linalg.slogdet(true)[1]
+    square = float(difference @ np.linalg.solve(other, difference))
+    return 0.5 * float(np.trace(ratio) - len(difference) + square + logs)
+
+
+def _punctual(attempt: Attempt) -> Array:
+    """The attempt's x without delays and lags, which the plan has none of."""
+    x = attempt.x.copy()
+    x[attempt.unknowns.of_zeros.stop :] = 0.0
+    return x
+
+
+def _noise(modes: OperatingModes | None, system: System, planned: Section, recorded: Sequence[Section]) -> Array:
+    """The inputs' noise, which a plan has none of, as it was recorded on average in the same mode."""
+    noise = np.concatenate([section.noise for section in recorded])
+    mode = np.concatenate([_mode(modes, system, section) for section in recorded])
+    level = [noise[mode == k].mean(axis=0) if (mode == k).any() else noise.mean(axis=0) for k in range(3)]
+    return np.asarray(np.array(level)[_mode(modes, system, planned)])
+
+
+def _mode(modes: OperatingModes | None, system: System, section: Section) -> npt.NDArray[np.int64]:
+    """Idle, partial or maximum (0, 1, 2) at the instants of a section."""
+    if modes is None or modes.signal not in system.inputs:
+        return np.ones(len(section.noise), dtype=np.int64)
+    limits = [-np.inf if modes.idle_below is None else modes.idle_below, modes.maximum_above or np.inf]
+    return np.digitize(section.drive.inputs[:, system.inputs.index(modes.signal)], limits)

@@ -1,0 +1,96 @@
+"""The most likely x of a model, near a start: damped Gauss-Newton on whitened differences, within bounds.
+
+The bounded step is exact (Stark and Parker 1995), so an effect that physics lets go one way only stays at nothing where
+the data would have it go the other. scipy's trust region method keeps off the bounds, at which most effects belong.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import lsq_linear
+
+from analysis.calibration.problem import Problem
+from analysis.discrepancy.name.likelihood import Likelihood
+from service.core.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+STEPS = 15
+
+ENOUGH = 0.05
+"""A step that promises less [nats] is not made."""
+
+SHORTEST = 1e-2
+"""A part of the step; if that does not help either, there is no better place near."""
+
+AT_BOUND = 1e-6
+"""So near to a bound in standard deviations of the prior, an unknown does not move."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """`x` (n,), its `cost` [nats] (half the squares of whitened differences and of x), and the `curvature` (n, n).
+
+    `inside` (n,) tells which unknowns are not at a bound. `promised` [nats] is what another step would bring, were the
+    model linear.
+    """
+
+    x: Array
+    cost: float
+    curvature: Array
+    inside: npt.NDArray[np.bool_]
+    promised: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the data under the model, but for a constant that no model has of its own (Laplace's approximation)."""
+        free = self.curvature[np.ix_(self.inside, self.inside)]
+        return -self.cost - 0.5 * float(np.linalg.slogdet(free)[1])
+
+
+def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STEPS) -> Optimum:
+    """The optimum near `x`, or how far so many `steps` come.
+
+    Raises:
+        InputError: the model cannot be run at `x`.
+    """
+    x = np.clip(x, *problem.bounds)
+    e = likelihood.left(problem, x)
+    for number in range(steps + 1):
+        J = likelihood.slopes(problem, x)
+        H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
+        step = _bounded(H, g, problem.bounds[0] - x, problem.bounds[1] - x)
+        promised = float(g @ step - 0.5 * step @ H @ step)
+        if promised < ENOUGH or number == steps:
+            break
+        share, before = 1.0, _cost(e, x)
+        while share >= SHORTEST:
+            trial = np.clip(x + share * step, *problem.bounds)
+            try:
+                left = likelihood.left(problem, trial)
+            except InputError:  # too far: the model cannot be run there
+                share /= 4.0
+                continue
+            if _cost(left, trial) < before:
+                break
+            share /= 2.0
+        else:
+            break
+        x, e = trial, left
+    inside = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
+    return Optimum(x, _cost(e, x), H, inside, promised)
+
+
+def _cost(e: Array, x: Array) -> float:
+    return 0.5 * float(e @ e + x @ x)
+
+
+def _bounded(H: Array, g: Array, lower: Array, upper: Array) -> Array:
+    """The step within bounds that lowers g'd - d'Hd/2 most."""
+    free = np.linalg.solve(H, g)
+    if (free >= lower).all() and (free <= upper).all():
+        return np.asarray(free)
+    L = np.linalg.cholesky(H)
+    room = (np.minimum(lower, 0.0) - 1e-12, np.maximum(upper, 0.0) + 1e-12)  # the solver wants some between them
+    return np.asarray(lsq_linear(L.T, np.linalg.solve(L, g), bounds=room, method="bvls").x)

@@ -1,0 +1,157 @@
+"""Attempts on all cores or on a Dask cluster, each kept on disk as soon as it is there.
+
+What was interrupted goes on where it stopped: an attempt is kept under what it depends on, so the same call finds it,
+and another recording, model or library entry does not.
+"""
+
+import hashlib
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
+from analysis.discrepancy.name.kept import keep, kept
+from analysis.discrepancy.name.sensitivity import Direction
+from service.core.errors import InputError
+
+_judges: dict[str, Judge] = {}
+"""In a worker: the judge that it made last, by the key of what it was made from."""
+
+ANSWERS_S = 10.0
+"""A Dask scheduler, within so much time."""
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Order:
+    """An attempt that is wanted, or a glance of so many `steps`: with `effects`, searched from `begin`."""
+
+    effects: tuple[str, ...]
+    begin: Begin
+    steps: int | None = None
+
+
+class Crew:
+    """Makes attempts and glances of one study side by side."""
+
+    def __init__(self, executor: Executor, study: Study, baseline: Baseline, folder: Path | None) -> None:
+        self._executor, self._study, self._folder = executor, study, folder
+        self._weights = repr((baseline.x.tolist(), baseline.levels.tolist()))  # evidences hold for one baseline only
+        self._payload = pickle.dumps((study, baseline))
+        self._key = hashlib.sha256(self._payload).hexdigest()  # a study's own says nothing of its library
+        self.failures: dict[tuple[str, ...], str] = {}
+        """Why models with these effects could not be run, from one beginning at least."""
+
+    def attempts(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt]:
+        """What came out, but for models that cannot be run; `say` hears how many of how many are there.
+
+        Raises:
+            InputError: a result cannot be kept.
+        """
+        return [found for found in self._all(orders, say) if isinstance(found, Attempt)]
+
+    def glances(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Glance]:
+        """The same of orders that have `steps`."""
+        return [found for found in self._all(orders, say) if isinstance(found, Glance)]
+
+    def directions(self, effects: Sequence[str]) -> list[Direction]:
+        """What each effect would do to the data."""
+        waiting = [self._executor.submit(_direction, self._key, self._payload, effect) for effect in effects]
+        return [future.result() for future in waiting]
+
+    def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt | Glance | None]:
+        found = [self._kept(order) for order in orders]
+        waiting = {
+            self._executor.submit(_worked, self._key, self._payload, order): k
+            for k, order in enumerate(orders)
+            if found[k] is None
+        }
+        say(len(orders) - len(waiting), len(orders))
+        for number, future in enumerate(as_completed(waiting), len(orders) - len(waiting) + 1):
+            k = waiting[future]
+            try:
+                result = future.result()
+            except BrokenExecutor as error:
+                raise InputError(
+                    "a worker died, of too little memory perhaps; call again, what is done is kept"
+                ) from error
+            if isinstance(result, str):
+                self.failures[orders[k].effects] = result
+            else:
+                found[k] = result
+                place = self._place(orders[k])
+                if place is not None:
+                    keep(place, result)
+            say(number, len(orders))
+        return found
+
+    def _kept(self, order: Order) -> Attempt | Glance | None:
+        place = self._place(order)
+        if place is None:
+            return None
+        return kept(place, Attempt) if order.steps is None else kept(place, Glance)
+
+    def _place(self, order: Order) -> Path | None:
+        if self._folder is None:
+            return None
+        entries = [repr(self._study.library[name]) for name in order.effects]
+        begin = order.begin
+        given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(begin.x.tolist())]
+        text = "\n".join([*given, *entries])
+        digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}".encode()).hexdigest()[:16]
+        return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
+
+
+def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | str:
+    """In a worker; the reason if the model cannot be run from there."""
+    judge = _judge(key, payload)
+    try:
+        if order.steps is None:
+            return judge.attempt(order.effects, order.begin)
+        return judge.glance(order.effects, order.begin, order.steps)
+    except InputError as error:
+        return str(error)
+
+
+def _direction(key: str, payload: bytes, effect: str) -> Direction:
+    return _judge(key, payload).direction(effect)
+
+
+def _judge(key: str, payload: bytes) -> Judge:
+    if key not in _judges:
+        _judges.clear()
+        _judges[key] = Judge(*pickle.loads(payload))  # noqa: S301  (our own bytes, from the process that asks)
+    return _judges[key]
+
+
+@contextmanager
+def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Executor]:
+    """An executor on this machine's cores (or so many processes), or on the Dask scheduler at an address.
+
+    Raises:
+        InputError: there are no processes; dask is not installed, or nobody answers there.
+    """
+    if scheduler is None:
+        cores = len(os.sched_getaffinity(0)) if processes is None else processes
+        if cores < 1:
+            raise InputError(f"--processes {cores}: nobody would work; give at least 1")
+        for name in THREADS:  # matrices are small: two processes are faster than two threads
+            os.environ.setdefault(name, "1")
+        with ProcessPoolExecutor(cores) as executor:
+            yield executor
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("--scheduler needs dask: pip install 'faultline[scale]'") from error
+    try:
+        client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise InputError(f"{scheduler}: no Dask scheduler answers ({error}); check address and port") from error
+    with client:
+        yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]

@@ -1,0 +1,1 @@
+"""What was found, told: document, page, pictures, summary, terminal."""

@@ -1,0 +1,91 @@
+"""What may be found out about a discovery besides: parameters, structure, bundle, experiment, fault; as documents."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import msgspec
+
+from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
+from analysis.discrepancy.add.drift import Drifts
+from analysis.discrepancy.add.structure_change import StructureChange
+from analysis.discrepancy.find.onset import Onset
+from analysis.discrepancy.name.experiment import Plan
+from analysis.discrepancy.show import document as told
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What else may have been found out; of the `plans` the first is the experiment that is proposed.
+
+    `refused` are reasons why the effects should not be added to the model, `applied` tells that a model with them is
+    written.
+    """
+
+    drifts: Drifts | None = None
+    structure: StructureChange | None = None
+    bundle: BundleEffect | None = None
+    plans: Sequence[Plan] = ()
+    onset: Onset | None = None
+    refused: Sequence[str] = ()
+    applied: bool = False
+
+
+def drifts_told(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
+    """All parameters, if it was asked for."""
+    if drifts is None:
+        return None
+    return tuple(
+        told.Drift(
+            name=d.name,
+            unit=d.unit,
+            datasheet=d.datasheet,
+            before=d.without,
+            after=d.with_it,
+            distance_before=d.before,
+            distance_after=d.after,
+        )
+        for d in drifts.parameters
+    )
+
+
+def section(sentences: Sequence[str], data: StructureChange | Onset | None = None) -> told.Section:
+    """What was found out, in words and for programs."""
+    return told.Section(sentences=tuple(sentences), data=msgspec.to_builtins(asdict(data)) if data else {})
+
+
+def experiment_told(plan: Plan) -> told.Section:
+    """What the experiment is, and what is to be expected of it."""
+    experiment = plan.experiment
+    record = f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s)"
+    untold = "; ".join(f"{a} or {b}" for a, b in plan.untold)
+    if plan.told:
+        least = min(plan.told.values())
+        sentence = f"{record}: at least {least:.0f} nats of evidence are expected for the right candidate"
+        if untold:
+            sentence += f", but it will not tell whether it is {untold}"
+    else:
+        sentence = f"no shipped experiment is expected to tell the candidates apart; the best is to {record}"
+    data = {
+        "name": experiment.name,
+        "duration_s": experiment.duration_s,
+        "left": plan.left,
+        "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
+    }
+    return told.Section(sentences=(sentence,), data=data)
+
+
+def bundle_told(effect: BundleEffect) -> told.Section:
+    """Both bundles: what their tests tolerate, their false alarms and their verdicts by recording."""
+    data = {"tolerances": effect.tolerances, "before": _bundled(effect.before), "after": _bundled(effect.after)}
+    return told.Section(sentences=tuple(effect.sentences()), data=data)
+
+
+def _bundled(bundled: Bundled) -> dict[str, object]:
+    return {
+        "generators": [generator.test for generator in bundled.generators],
+        "tolerated": [*bundled.tolerated],
+        "false_alarms": bundled.false_alarms,
+        "fault_free_s": round(3600.0 * bundled.hours, 3),
+        "verdicts": {name: msgspec.to_builtins(judged.verdict) for name, judged in bundled.judged.items()},
+        "reason": bundled.reason,
+    }

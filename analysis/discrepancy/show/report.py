@@ -1,0 +1,47 @@
+"""Everything that is written about a discovery: for programs, for a review, for a page and for those in a hurry."""
+
+from pathlib import Path
+
+from analysis.discrepancy.add.held_out import Shown, shown
+from analysis.discrepancy.discover import Discovery
+from analysis.discrepancy.show.abscissa import abscissa_of
+from analysis.discrepancy.show.document import Document, Origin, encoded
+from analysis.discrepancy.show.extras import Extras
+from analysis.discrepancy.show.page import page
+from analysis.discrepancy.show.summary import summary
+from analysis.discrepancy.show.told import document_of
+from service.core.errors import InputError
+
+
+def described(found: Discovery, origin: Origin, extras: Extras | None = None) -> tuple[Document, Shown]:
+    """The document of a discovery, and the free runs that it tells of.
+
+    Raises:
+        InputError: a model cannot be run over the held-out recordings.
+    """
+    runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
+    return document_of(found, runs, origin, extras), runs
+
+
+def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> list[Path]:
+    """Writes `discovery.json`, `summary.md`, `report.html` and its pictures as PNG; the paths written.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    from analysis.discrepancy.show.picture import pictures  # matplotlib takes a second to import
+
+    drawn = pictures(document, runs, found.study.model, abscissa_of(found))
+    files = {
+        "discovery.json": encoded(document),
+        "summary.md": summary(document).encode(),
+        "report.html": page(document, drawn).encode(),
+        **{f"{name}.png": png for name, png in drawn.items()},
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; give --out another place") from error
+    return [folder / name for name in files]

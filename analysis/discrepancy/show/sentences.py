@@ -1,0 +1,57 @@
+"""A discovery in the terminal: a line a matter, what was found before how it was found."""
+
+from analysis.calibration.validate import STEADY
+from analysis.discrepancy.show.document import Document, Regime
+from analysis.discrepancy.show.verdicts import confidence, next_steps
+
+BAR = 1e5
+
+MOST = 25
+"""Lines."""
+
+
+def sentences(d: Document) -> list[str]:
+    """What a reader needs to know, the verdict first."""
+    lines = [d.verdict.sentence, *(f"  {line}" for line in confidence(d))]
+    nearest = "" if d.named else "nearest, and not its name: "
+    lines += [f"  {nearest}{strength.effect}: {strength.words}" for strength in d.strengths]
+    if d.located.equations:
+        lines += ["where:", *(f"  {sentence}" for sentence in d.located.sentences)]
+    if d.left.equations and d.strengths:
+        lines += ["still left, with the effects in:", *(f"  {sentence}" for sentence in d.left.sentences[:1])]
+    lines += gap_lines(d)
+    if d.drift and d.named:
+        lines += [f"parameters: {sentence}" for sentence in d.drift.sentences[:3]]
+    if d.structure and d.named:
+        lines += [f"structure: {sentence}" for sentence in d.structure.sentences[:3]]
+    if d.bundle:
+        lines += [f"bundle: {sentence}" for sentence in d.bundle.sentences[:3]]
+    lines += [f"next: {step}" for step in next_steps(d)]
+    lines += [f"note: {sentence}" for sentence in d.origin.missing[:2]]
+    return [*lines[: MOST - 1], "..."] if len(lines) > MOST else lines
+
+
+def gap_lines(d: Document) -> list[str]:
+    """The steady free run's error by output."""
+    steady = [regime for regime in d.regimes if regime.mode == STEADY]
+    if not steady:
+        return []
+    head = "held-out free run, RMS error in steady operation" + (": before -> after" if d.strengths else "")
+    return [head, *(f"  {regime.output}: {gap_words(regime, changed=bool(d.strengths))}" for regime in steady)]
+
+
+def gap_words(r: Regime, *, changed: bool) -> str:
+    """For example "0.276 -> 0.031 bar (expected from the noise: 0.046); the gap is closed by 100 %"."""
+    one, unit = (BAR, "bar") if r.unit == "Pa" else (1.0, r.unit)
+    told = (
+        f"{r.rms_before / one:.3g} -> {r.rms_after / one:.3g} {unit}" if changed else f"{r.rms_before / one:.3g} {unit}"
+    )
+    if r.expected is not None:
+        told += f" (noise lets expect {r.expected / one:.3g})"
+    if changed:
+        told += (
+            "; no gap that an RMS error could show"
+            if r.closure is None
+            else f"; {100 * r.closure:.0f} % of the gap closed"
+        )
+    return told

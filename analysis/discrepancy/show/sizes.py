@@ -1,0 +1,84 @@
+"""How large the effects of an attempt are, with 95 % intervals, in the model's units and in those that people read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.find.operating_space import UNITS
+from analysis.discrepancy.name.attempt import Attempt
+
+SURE = 1.96
+"""Standard deviations either way, for 95 %."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter that an effect brings, with its 95 % interval, None for one at its bound; `null` is no effect.
+
+    Of a parameter that has no null value, a time constant for example, `null` is None.
+    """
+
+    effect: str
+    parameter: str
+    description: str
+    unit: str
+    value: float
+    interval: tuple[float, float] | None
+    null: float | None
+
+    @property
+    def words(self) -> str:
+        """For example "additional flow when held open, as a fraction: 0.17 (95 %: 0.16 to 0.18)"."""
+        if self.interval is None:
+            return f"{self.description}: {readable(self.value, self.unit)}, the end of what is possible"
+        low, high = (readable(value, self.unit) for value in self.interval)
+        return f"{self.description}: {readable(self.value, self.unit)} (95 %: {low} to {high})"
+
+
+def sizes(attempt: Attempt, library: Mapping[str, Effect]) -> tuple[Size, ...]:
+    """Of all effects in an attempt.
+
+    What is left even of the best model may be more than the noise; then the intervals are as much wider.
+    """
+    unknowns = attempt.unknowns
+    scale = dict(zip(unknowns.parameters, np.abs(unknowns.theta_by_x(attempt.x)).tolist(), strict=True))
+    found = []
+    for effect in (library[name] for name in attempt.effects):
+        for own, p in effect.parameters.items():
+            name = effect.prefixed(own)
+            if name in unknowns.parameters:
+                k = unknowns.parameters.index(name)
+                sd = attempt.spreads[name] / scale[name] * np.sqrt(max(attempt.dispersion, 1.0))
+                ends = (_moved(attempt, k, side * SURE * sd, p.min, p.max) for side in (-1.0, 1.0))
+                low, high = ends
+                found.append(
+                    Size(
+                        effect=effect.name,
+                        parameter=name,
+                        description=p.description,
+                        unit=p.unit,
+                        value=attempt.values[name],
+                        interval=(low, high) if attempt.inside[k] else None,
+                        null=p.null,
+                    )
+                )
+    return tuple(found)
+
+
+def _moved(attempt: Attempt, k: int, by: float, least: float | None, most: float | None) -> float:
+    """The parameter so many prior standard deviations from where it was found, within its bounds."""
+    x = attempt.x.copy()
+    x[k] += by
+    value = attempt.unknowns.theta(x)[attempt.unknowns.parameters[k]]
+    return float(np.clip(value, -np.inf if least is None else least, np.inf if most is None else most))
+
+
+MORE_UNITS = {"m2": (1e6, "mm2"), "m3/(s Pa)": (1e11, "mL/(s bar)")}
+
+
+def readable(value: float, unit: str) -> str:
+    """A value in a unit that people read."""
+    factor, shown = {**UNITS, **MORE_UNITS}.get(unit, (1.0, unit))
+    return f"{factor * value:.3g} {'' if shown == '1' else shown}".rstrip()

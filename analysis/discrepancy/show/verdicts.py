@@ -1,0 +1,189 @@
+"""The verdict in words: what it is, how sure, what it means for diagnosis, what to do next, what it does not say."""
+
+from collections.abc import Sequence
+
+from analysis.discrepancy.add.drift import MOVED
+from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.show.document import Candidate, Document, Entry, Place
+
+MANY = 6
+"""Names that a sentence lists."""
+
+HARDLY = 0.1
+"""Of the evidence: less from the held-out recordings, and they were of another operation."""
+
+FAR = 3.0
+"""Standard deviations from which a zero error is not what the datasheet says."""
+
+
+def sentence_of(kind: Kind, places: Sequence[Place], where: str, *, set_in: bool = False) -> str:
+    """What was found, for example "missing in the model: the dosing valve passes more when ... (full_open_gain)".
+
+    `set_in`: while it was recorded.
+    """
+    if set_in:
+        return f"something set in while this was recorded, as faults do: {where}"
+    if kind == "nothing missing":
+        return "nothing is missing in the model that these recordings could show"
+    if kind == "unnamed":
+        return f"something is missing in the model that no entry of the library describes: {where}"
+    return f"missing in the model: {'; and besides, '.join(_one(place.candidates) for place in places)}"
+
+
+def _one(candidates: Sequence[Candidate]) -> str:
+    said = [f"{candidate.statement} ({candidate.name})" for candidate in candidates]
+    return (
+        said[0]
+        if len(said) == 1
+        else f"one of {len(said)} effects that these data cannot tell apart: {'; or '.join(said)}"
+    )
+
+
+def confidence(d: Document) -> list[str]:
+    """How sure that is."""
+    v, best = d.verdict, max((entry.gain for entry in d.entries if entry.gain is not None), default=None)
+    if v.kind == "nothing missing":
+        tried = sum(entry.no_place is None for entry in d.entries)
+        brought = "none brought any evidence" if best is None else f"the best brought {best:.1f} nats of evidence"
+        return [f"{tried} effects were looked for; {brought}, {_asked(v.threshold)}"]
+    lines = []
+    if v.places:
+        e, what = d.evidence, "evidence" if d.named else "the nearest effects bring"
+        lines.append(
+            f"{what} {v.gain:.0f} nats ({e.training_after - e.training_before:.0f} of the training recordings, "
+            f"{e.held_out_after - e.held_out_before:.0f} of the held-out ones), {_asked(v.threshold)}"
+        )
+    if v.kind == "unnamed":
+        nearest = f" with them in ({', '.join(_names(d))})" if v.places else ""
+        lines.append(f"{v.remainder:.0f} nats of evidence for an unknown input are left{nearest}")
+    return lines
+
+
+def _asked(threshold: float) -> str:
+    return f"where {threshold:.1f} are asked for, which chance brings in less than 1 of 100 cases"
+
+
+def _names(d: Document) -> list[str]:
+    return [place.candidates[0].name for place in d.verdict.places]
+
+
+def meaning(d: Document) -> list[str]:
+    """What it means for a diagnosis with this model."""
+    kind = d.verdict.kind
+    if d.onset:
+        return [
+            "A model fitted to these recordings would take the fault for the healthy vehicle, and its tests would not "
+            "see it."
+        ]
+    if kind == "nothing missing":
+        return ["Tests made from this model see nothing but noise on a healthy vehicle, as far as these recordings go."]
+    found = [
+        "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
+        "tolerate it, and small faults stay unseen, or they raise false alarms."
+    ]
+    back = [drift.name for drift in d.drifts or () if abs(drift.distance_before) - abs(drift.distance_after) >= MOVED]
+    if back and kind != "unnamed":
+        found.append(
+            f"A fit without it has bent {_listed(back)} instead; with it they come back towards the datasheet, so that "
+            "a component that wears is seen where it is."
+        )
+    if kind == "one of":
+        found.append(
+            "The candidates describe these recordings equally well: a diagnosis in the same operation does not depend "
+            "on which it is; outside of it, it may."
+        )
+    if kind == "unnamed":
+        found.append(
+            "The place is known, not the reason. It must not be given the name of the effect that fits best: its "
+            "parameters, and others, would absorb what it does not describe."
+        )
+    return found
+
+
+def next_steps(d: Document) -> list[str]:
+    """What to do now."""
+    if d.onset:
+        return list(d.onset.sentences)
+    kind = d.verdict.kind
+    if kind == "nothing missing":
+        return ["use the model as it is: `faultline tune`, `faultline export`"]
+    if kind == "named" and d.refused:
+        return [f"do not add it as it is, {d.refused[0]}: try other forms of the same effect in a file for --library"]
+    if kind == "named" and d.applied:
+        return ["tune and export the model that was written, `model.toml`, anew"]
+    if kind == "named":
+        return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
+    if kind == "one of":
+        if d.experiment:
+            return list(d.experiment.sentences)
+        named = experiments(d)
+        return [
+            f"record what tells them apart: {', '.join(named)}" if named else "no experiment is known that tells them"
+        ]
+    steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
+    if d.located.sensors:
+        steps.append(f"a sensor of {d.located.sensors[0]} would tell better where it is")
+    return steps
+
+
+def experiments(d: Document) -> tuple[str, ...]:
+    """Of the library: which experiments tell candidates of a place apart, those first that most of them name."""
+    named: dict[str, int] = {}
+    for place in d.verdict.places:
+        if len(place.candidates) > 1:
+            for candidate in place.candidates:
+                for experiment in candidate.separated_by:
+                    named[experiment] = named.get(experiment, 0) + 1
+    return tuple(sorted(named, key=lambda name: -named[name]))
+
+
+def limits(d: Document) -> list[str]:
+    """What these recordings could not show, and what was taken for granted."""
+    found = [*d.origin.missing]
+    held = d.evidence.held_out_after - d.evidence.held_out_before
+    if d.verdict.places and held < HARDLY * d.verdict.gain:
+        found.append(
+            f"the held-out recordings hardly show it ({held:.0f} of {d.verdict.gain:.0f} nats): hold out one that has "
+            "the operation in which it acts"
+        )
+    unseen = [entry.name for entry in d.entries if entry.no_place is None and entry.smallest is None]
+    if unseen:
+        found.append(f"these recordings cannot show, at any possible size: {_listed(unseen)}")
+    groups = alike_groups(d.entries)
+    if groups:
+        found.append(f"look the same in these recordings: {'; '.join(_listed(group) for group in groups)}")
+    found += [
+        f"{entry.name} may be it all the same: its model could not be run from everywhere ({entry.halted})"
+        for entry in d.entries
+        if entry.halted is not None
+    ]
+    absent = [entry.name for entry in d.entries if entry.no_place is not None]
+    if absent:
+        found.append(f"have no place in this model: {_listed(absent)}")
+    found += [
+        f"the zero error of {zero.output} in {zero.recording} would be {abs(zero.after):.1f} times what its datasheet "
+        "says; check the sensor"
+        for zero in d.zeros
+        if abs(zero.after) > FAR and d.named  # there it may do what is missing
+    ]
+    found.append(
+        "the library is what was looked for: an effect that looks like an entry's here may be another elsewhere"
+    )
+    if d.simulated:
+        found.append("these data are simulated: no figure here is of a real vehicle")
+    return found
+
+
+def alike_groups(entries: Sequence[Entry]) -> list[list[str]]:
+    """Entries that do the same, each group once."""
+    groups: list[list[str]] = []
+    for entry in entries:
+        group = sorted((entry.name, *entry.alike))
+        if entry.alike and group not in groups:
+            groups.append(group)
+    return groups
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - MANY} more" if len(names) > MANY else ""
+    return f"{', '.join(names[:MANY])}{rest}"
