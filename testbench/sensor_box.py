@@ -30,7 +30,9 @@ class SensorBox:
 
     def add(self, known: Knowledge, run: Run, t: float) -> Knowledge:
         """What is `known`, with what the box reads of the run at `t` [s]."""
-        p_tp, _, p_ap, _ = (np.interp(t, run.t, pressure) for pressure in run.pressures.T)
+        after = np.clip(np.searchsorted(run.t, t, side="right"), 1, len(run.t) - 1)
+        near = slice(after - 1, after + 1)  # of a whole run, each reading would copy an hour
+        p_tp, _, p_ap, _ = (np.interp(t, run.t[near], pressure) for pressure in run.pressures[near].T)
         return known._replace(
             p_tp=self._read(self._p_tp, "p_tp", p_tp, self._zero_tp, t),
             p_ap=self._read(self._p_ap, "p_ap", p_ap, self._zero_ap, t),

@@ -32,7 +32,9 @@ def main(argv: list[str]) -> int:
         "faultline tune", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="the calibrated model file")
-    parser.add_argument("recording", type=Path, nargs="+", help="instrumented, fault-free, not used for calibration")
+    parser.add_argument(
+        "recording", type=Path, nargs="+", help="instrumented, fault-free, none that the model was made from"
+    )
     parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
     parser.add_argument("--json", action="store_true", help="print the detectors as JSON")
     options = parser.parse_args(argv)
@@ -58,7 +60,7 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
     for path in recordings:
         log = open_known(path, progress.note)
         if log.sha256 in calibrated or log.sha256 in digests:
-            used = "for calibration" if log.sha256 in calibrated else "twice"
+            used = "to make the model" if log.sha256 in calibrated else "twice"
             raise InputError(f"{path}: this recording is used {used}; tune on fault-free recordings of their own")
         check_vehicle(log, path, vehicle_of(bank.model), f"the calibration of {bank.model.name}")
         progress.say(log.id)

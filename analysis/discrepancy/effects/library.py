@@ -33,18 +33,19 @@ SCHEMA = 1
 
 SHIPPED = Path(__file__).with_name("library.toml")
 
-EXPERIMENTS = (
-    "pressure_ladder",
-    "pump_off_decay",
-    "speed_ramp",
-    "dosing_at_pressures",
-    "full_dose_at_pressures",
-    "dose_staircase",
-    "fast_square",
-    "steady_hold",
-    "warm_up",
-)
-"""What `separated_by` may name."""
+EXPERIMENTS = {
+    "pressure_ladder": "steps of pressure from 6 to 12.5 bar without dosing",
+    "pump_off_decay": "the pump switched off at a high pressure, and the pressure's fall to the end",
+    "speed_ramp": "rises and falls of pressure without dosing, between 5.5 and 12.5 bar",
+    "dosing_at_pressures": "half dose at pressures from 7.5 to 12 bar",
+    "full_dose_at_pressures": "maximum dose at pressures from 7.5 to 12 bar",
+    "dose_staircase": "the dose in ten steps from almost nothing to maximum",
+    "fast_square": "maximum dose and none in turn, every five seconds",
+    "steady_hold": "the pressure held at 10 bar without dosing",
+    "warm_up": "half an hour from a cold start",
+}
+"""What `separated_by` may name, in words. Cycles in `experiments.toml` are those that can be planned with a model: a
+pump that is off leaves the range of pressures in which models hold, and half an hour is more than a plan takes."""
 
 
 def load_library(path: Path | None = None) -> dict[str, Effect]:

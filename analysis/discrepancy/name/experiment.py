@@ -21,6 +21,7 @@ from analysis.calibration.problem import Problem
 from analysis.calibration.sections import Section, cut, fitting
 from analysis.discrepancy.data import STEP_S
 from analysis.discrepancy.effects.compiled import model_with, system_with
+from analysis.discrepancy.effects.library import EXPERIMENTS
 from analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
 from analysis.discrepancy.name.likelihood import Likelihood, bins_of
 from analysis.graph.bank import PERIOD_S
@@ -124,10 +125,12 @@ def experiments() -> tuple[Control, tuple[Experiment, ...]]:
     )  # fmt: skip
     found = []
     for table in top.tables("experiment"):
-        name, text, rows = table.text("name"), table.text("text"), table.rest()["segments"]
+        name, rows = table.text("name"), table.rest()["segments"]
         if not isinstance(rows, list):
             raise table.fail("segments", "must be a list of [duration_s, bar, duty]")
-        found.append(Experiment(name, text, tuple((float(s), float(bar) * BAR, float(dc)) for s, bar, dc in rows)))
+        found.append(
+            Experiment(name, EXPERIMENTS[name], tuple((float(s), float(bar) * BAR, float(dc)) for s, bar, dc in rows))
+        )
     return how, tuple(found)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from analysis.discrepancy.add.drift import MOVED
 from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.effects.library import EXPERIMENTS
 from analysis.discrepancy.show.document import Candidate, Document, Entry, Place
 
 MANY = 6
@@ -118,7 +119,9 @@ def next_steps(d: Document) -> list[str]:
             return list(d.experiment.sentences)
         named = experiments(d)
         return [
-            f"record what tells them apart: {', '.join(named)}" if named else "no experiment is known that tells them"
+            f"record what tells them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"
+            if named
+            else "no experiment is known that tells them"
         ]
     steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
     if d.located.sensors:

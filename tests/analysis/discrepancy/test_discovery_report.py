@@ -127,7 +127,9 @@ def test_every_verdict_is_told_in_every_form(document: Document, kind: Kind) -> 
 
 def test_what_is_next_depends_on_the_verdict(document: Document) -> None:
     assert "--apply" in next_steps(as_kind(document, "named"))[0]
-    assert next_steps(as_kind(document, "one of")) == ["record what tells them apart: dose_staircase"]
+    assert next_steps(as_kind(document, "one of")) == [
+        "record what tells them apart: the dose in ten steps from almost nothing to maximum"
+    ]
     assert "--library" in next_steps(as_kind(document, "unnamed"))[0]
     assert "q_dos" in next_steps(as_kind(document, "unnamed"))[1]
     refused = msgspec.structs.replace(as_kind(document, "named"), refused=("its gain has run into its bound",))

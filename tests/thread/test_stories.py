@@ -1,0 +1,57 @@
+"""The stories in docs: their commands run, and print what the pages say they print."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from analysis.model import Model, load_model
+
+FAULTLINE = str(Path(sys.executable).with_name("faultline"))
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+NUMBER = r"(?<![\w.])\d+(?:\.\d+)?"
+
+
+def told(story: str, folder: Path, unsure: int = 0) -> None:
+    """Runs the page in a folder: so many of its calls of `discover` end without one name."""
+    page = (DOCS / f"story-{story}.md").read_text()
+    commands = [line for block in re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL) for line in block.splitlines()]
+    printed, codes = "", []
+    for command in commands:
+        program, *arguments = shlex.split(command)
+        assert program == ".venv/bin/faultline"
+        done = subprocess.run(
+            [FAULTLINE, *arguments], cwd=folder, capture_output=True, text=True, check=False, timeout=600
+        )
+        codes.append(done.returncode)
+        assert done.returncode == 0 or (done.returncode == 1 and arguments[0] == "discover"), done.stdout + done.stderr
+        printed += done.stdout
+    assert sum(codes) == unsure, printed
+    lines = {re.sub(NUMBER, "#", line): line for line in printed.splitlines()}
+    for line in "".join(re.findall(r"```text\n(.*?)```", page, flags=re.DOTALL)).splitlines():
+        came = lines.get(re.sub(NUMBER, "#", line), "")
+        figures, ours = ([float(number) for number in re.findall(NUMBER, text)] for text in (line, came))
+        assert ours == pytest.approx(figures, rel=0.1), f"the page says\n{line}\nand it printed\n{printed}"
+
+
+def added(model: Path) -> set[str]:
+    """The parameters that a model has more than the shipped one."""
+    return {*load_model(str(model)).parameters} - {*shipped().parameters}
+
+
+def shipped() -> Model:
+    return load_model("uds4")
+
+
+def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
+    told("full-lift", tmp_path)
+    assert added(tmp_path / "out" / "story" / "found" / "model.toml") == {"full_open_gain_g"}
+    assert load_model(str(tmp_path / "out" / "story" / "before" / "model.toml")).equations == shipped().equations
+
+
+def test_air_in_the_hose_or_a_hose_that_stiffens(tmp_path: Path) -> None:
+    told("air-or-stiff-hose", tmp_path, unsure=1)
+    assert added(tmp_path / "out" / "air" / "found" / "model.toml") >= {"entrained_air_V_a"}
