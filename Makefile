@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench campaign-recordings campaign-discrepancy clean
+.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations clean
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -35,6 +35,10 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy.py --set $(SET) \
 		--out docs/results/discrepancy-$(SET).md
 
+campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py \
+		--out docs/results/discrepancy-ablations.md
+
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info
 
@@ -58,7 +62,7 @@ clean:
 # The peer tool has an environment of its own: it may crash, and wants libraries that are none of ours.
 PEER := tests/analysis/structure/peer-requirements.txt
 .venv-peer/.done: $(PEER)
-	@echo "setting up .venv-peer (the Fault Diagnosis Toolbox, a minute)"
+	@echo "setting up .venv-peer (the Fault Diagnosis Toolbox and pysindy, a minute)"
 	@$(PYTHON) -m venv .venv-peer
 	@.venv-peer/bin/pip install --quiet --requirement $(PEER)
 	@touch $@

@@ -59,8 +59,8 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
     """Records, searches and judges one case; `further`: with what experiments and closure tell."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        training = _record(case, CYCLES["training"], "training", case.seed, case.effects, root, duration_s)
-        held = _record(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root, duration_s)
+        training = record_case(case, CYCLES["training"], "training", case.seed, case.effects, root, duration_s)
+        held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root, duration_s)
         start, busy = time.monotonic(), time.process_time()
         model = load_model("uds4")
         library = {name: effect for name, effect in load_library().items() if name not in case.without}
@@ -80,7 +80,10 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
     return result
 
 
-def _record(case: Case, cycle: Cycle, name: str, seed: int, effects: Any, root: Path, s: float = DURATION_S) -> Path:
+def record_case(
+    case: Case, cycle: Cycle, name: str, seed: int, effects: Any, root: Path, s: float = DURATION_S
+) -> Path:
+    """The case's vehicle on a cycle, with effects, in a folder."""
     request = Request(name, vehicle(case.vehicle), cycle, (), seed, s, effects, kind="instrumented")
     folder, _ = record(request, load_dbc(), root / "logs", root / "truth", force=True, progress=lambda _: None)
     return folder
@@ -129,7 +132,7 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     best = plans[0]
     written = root / "experiment.toml"
     written.write_text(best.experiment.cycle())
-    extra = _record(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
+    extra = record_case(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
     data = load(load_model("uds4"), [training, extra], [held], _nothing)
     again = discover(data, load_library(), Inline(), None, _quiet)
     return {
@@ -144,8 +147,8 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
 def _closure(case: Case, found: Discovery, root: Path) -> dict[str, Any]:
     """Held-out RMS by output and mode [Pa]: as it was, with what was found, and without the effect (the floor)."""
     off = root / "off"
-    training = _record(case, CYCLES["training"], "training", case.seed, {}, off)
-    held = _record(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
+    training = record_case(case, CYCLES["training"], "training", case.seed, {}, off)
+    held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
     twin = discover(load(load_model("uds4"), [training], [held], _nothing), {}, Inline(), None, _quiet)
     runs, floor = (shown(d.study, d.baseline, d.outcome.nominal, d.outcome.chosen) for d in (found, twin))
     errors = {"before": runs.before.agreement, "after": runs.after.agreement, "floor": floor.before.agreement}

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from results_page import provenance, share
+from results_page import exact_share, provenance
 
 Result = Mapping[str, Any]
 
@@ -50,7 +50,8 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
         f"{len(results)} records (`tests/campaigns/discrepancy.py`): each a truck of its own of profile `ideal`, 480 s "
         "of the training cycle to fit and 480 s of the validation cycle held out, searched with the four-state model's "
         "datasheet values and the shipped library. All data are simulated. *Visible* are effects above the smallest "
-        "size that the recordings could show, as the sensitivities declare it before anything is searched.",
+        "size that the recordings could show, as the sensitivities declare it before anything is searched. In "
+        "brackets: exact 95 % intervals (Clopper, Pearson).",
         "",
         "| | share | mark |",
         "|---|---|---|",
@@ -101,7 +102,7 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
 
 
 def _row(title: str, found: int, of: int, mark: str) -> str:
-    return f"| {title} | {share(found, of) if of else '-'} | {mark} |"
+    return f"| {title} | {exact_share(found, of)} | {mark} |"
 
 
 def _one(r: Result) -> bool:

@@ -5,6 +5,8 @@ import os
 import platform
 import subprocess
 
+from scipy.stats import beta
+
 
 def wilson(found: int, of: int) -> tuple[float, float]:
     """95 % confidence interval of a share (Wilson 1927)."""
@@ -19,6 +21,21 @@ def share(found: int, of: int) -> str:
     """A share in words."""
     low, high = wilson(found, of)
     return f"{found} of {of}, {100 * found / of:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def exact(found: int, of: int) -> tuple[float, float]:
+    """95 % confidence interval of a share (Clopper and Pearson 1934)."""
+    low = beta.ppf(0.025, found, of - found + 1) if found else 0.0
+    high = beta.ppf(0.975, found + 1, of - found) if found < of else 1.0
+    return float(low), float(high)
+
+
+def exact_share(found: int, of: int) -> str:
+    """A share in words, with that interval."""
+    if not of:
+        return "none"
+    low, high = exact(found, of)
+    return f"{found} of {of}, {100 * found / of:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def head_commit() -> str:

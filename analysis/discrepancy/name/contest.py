@@ -80,11 +80,17 @@ class Outcome:
 
 
 def contest(
-    crew: Crew, effects: Sequence[str], nominal: Attempt, threshold: float, unbent: Callable[[], Begin | None], say: Say
+    crew: Crew,
+    effects: Sequence[str],
+    nominal: Attempt,
+    threshold: float,
+    unbent: Callable[[], Begin | None] | None,
+    say: Say,
 ) -> Outcome:
     """The contest of `effects` for a place in the model.
 
     `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
+    Without it they begin at the nominal attempt only.
     """
     singles = _round(crew, nominal, effects, WORTH, unbent, say)
     chosen, places = nominal, list[Place]()
