@@ -47,7 +47,7 @@ TRUTHS: dict[str, Truth] = {
     "incomplete_filling": Truth("suction_limits_filling", (30 / 33) ** 2, ("e01",), ("incomplete_filling",)),
     "relief_valve": Truth("relief_valve", 1e-11, ("e10", "e01")),
     "viscosity_drift": Truth("viscosity_drift", 1.0, ("e02",)),
-    "cake_growth": Truth("du_filter_cake", 1.0, ("e07",)),
+    "cake_growth": Truth("du_filter_clogs", 1.0, ("e07",), ("du_filter_cake",)),
     "sensor_lag": Truth("lag_p_du", 1.0, ("e16",)),
     "leak": Truth("leak_orifice", 1e-6 / 42.0 / 0.7, ("e10",)),
     "back_pressure": Truth("nozzle_back_pressure", 1e5, ("e04",)),

@@ -60,9 +60,9 @@ class Attempt:
     """What came out for a model with `effects`.
 
     `x` (n,) are its `unknowns`' most likely values, `curvature` (n, n) the precision there, `inside` (n,) those not at
-    a bound. `cost` [nats] is what the search ended at, `training` and `predicted` are log evidences [nats], comparable
-    between attempts of one baseline. `blocks` are log likelihoods of `BLOCK_S` at the optimum, training first;
-    `dispersion` is the mean square of what is left, 1 if nothing but noise is.
+    a bound. `cost` [nats] is what the search ended at, `promised` [nats] what was in sight there. `training` and
+    `predicted` are log evidences [nats], comparable between attempts of one baseline. `blocks` are log likelihoods of
+    `BLOCK_S` at the optimum, training first; `dispersion` is the mean square of what is left, 1 if only noise is.
     """
 
     effects: tuple[str, ...]
@@ -71,6 +71,7 @@ class Attempt:
     curvature: Array
     inside: npt.NDArray[np.bool_]
     cost: float
+    promised: float
     training: float
     predicted: float
     blocks: Array
@@ -161,6 +162,7 @@ class Judge:
             curvature=best.curvature,
             inside=best.inside,
             cost=best.cost,
+            promised=best.promised,
             training=best.log_evidence,
             predicted=predicted,
             blocks=np.asarray(-0.5 * np.bincount(self._blocks, e**2), dtype=np.float64),
@@ -170,7 +172,7 @@ class Judge:
     def left(self, attempt: Attempt) -> tuple[Array, npt.NDArray[np.int64]]:
         """What an attempt leaves of all data, whitened (M,), and the number of each bin's block."""
         training, held = self._with(attempt.effects)
-        optimum = Optimum(attempt.x, attempt.cost, attempt.curvature, attempt.inside, 0.0)
+        optimum = Optimum(attempt.x, attempt.cost, attempt.curvature, attempt.inside, attempt.promised)
         _, after = predictive(self._likelihoods[1], held, optimum, attempt.unknowns)
         return np.concatenate([self._likelihoods[0].left(training, attempt.x), after]), self._blocks
 

@@ -4,7 +4,7 @@ Every entry is fitted and judged. Those that the data cannot tell from the best 
 model the rest is asked again (forward); once another has come in, the first may be replaced or dropped (backward).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,7 +22,7 @@ UNLIKELY = 5.0
 QUANTILE = 2.0
 """And so many standard deviations of the difference, from block to block: 98 % (Vuong 1989)."""
 
-SHARE = 0.02
+SHARE = 0.01
 """Of the first effect's evidence: less is what its form leaves, not another effect."""
 
 STEPS, FURTHER, FAR = 2, 1, 4
@@ -31,10 +31,14 @@ STEPS, FURTHER, FAR = 2, 1, 4
 WORTH = 3.0
 """Gain [nats] in a glance from which anything is looked at again."""
 
-FIELD = 8
-"""So many are fitted to the end, and besides all that come near the best: those in `NEAR` of its gain."""
+FIELD, MOST = 8, 16
+"""So many are fitted to the end, and besides those that come near the best, in `NEAR` of its gain, but not more than
+`MOST`: far from the optimum all promise a lot."""
 
 NEAR = 0.4
+UNSETTLED, LAPS = 1.0, 6
+"""Evidence [nats] in sight from which a search goes on for another lap, and how many it gets at most."""
+
 HOPE = 2.0
 """Times what the next step of a glance promises may be won on the rest of its way."""
 
@@ -160,12 +164,34 @@ def _round(
             known = attempts.get(attempt.effects[-1])
             if known is None or attempt.cost < known.cost:
                 attempts[attempt.effects[-1]] = attempt
-    return sorted(attempts.values(), key=lambda attempt: -attempt.evidence)
+    settled = _settled(crew, attempts, partial(say, f"{title}, to the very end"))
+    return sorted(settled.values(), key=lambda attempt: -attempt.evidence)
 
 
-def _beaten(glance: Glance, by: Attempt | None) -> bool:
-    """Whether what a glance promises is not near what was found already: the rest of the way is not worth it."""
-    return by is not None and glance.cost - HOPE * glance.promised > by.cost
+def _settled(crew: Crew, attempts: Mapping[str, Attempt], say: Callable[[int, int], None]) -> dict[str, Attempt]:
+    """The attempts, the best and those that may catch up with it at their optimum.
+
+    A large effect has bent everything, so that the way to the optimum may be longer than a search goes.
+    """
+    found, ended = dict(attempts), set[str]()
+    for _ in range(LAPS):
+        going = {name: a for name, a in found.items() if name not in ended and a.promised > UNSETTLED}
+        best = min(found, key=lambda name: found[name].cost, default="")
+        if best in going:
+            going = {best: going[best]}  # once it is there, most of the others are out of the race
+        orders = [Order(a.effects, Begin(a.unknowns, a.x)) for a in going.values() if not _beaten(a, found[best])]
+        if not orders:
+            break
+        came = {a.effects[-1]: a for a in crew.attempts(orders, say)}
+        better = {name: a for name, a in came.items() if a.cost < found[name].cost - UNSETTLED}
+        found |= better
+        ended |= {*going} - {*better}
+    return found
+
+
+def _beaten(one: Glance | Attempt, by: Attempt | None) -> bool:
+    """Whether what one promises is not near what another found already: the rest of the way is not worth it."""
+    return by is not None and one.cost - HOPE * one.promised > by.cost
 
 
 def _field(found: Sequence[Glance], base: Attempt) -> list[list[Glance]]:
@@ -176,7 +202,7 @@ def _field(found: Sequence[Glance], base: Attempt) -> list[list[Glance]]:
     for glance in sorted(found, key=lambda glance: glance.cost - glance.promised):
         by_effect.setdefault(glance.effects[-1], []).append(glance)
     field = list[list[Glance]]()
-    for k, glances in enumerate(by_effect.values()):
+    for k, glances in enumerate([*by_effect.values()][:MOST]):
         first = glances[0]
         if (k < FIELD or first.cost - first.promised < near) and first.cost - first.promised < base.cost:
             field.append(glances)

@@ -38,6 +38,7 @@ def attempt(model: Model, at: Mapping[str, float]) -> Attempt:
         curvature=np.eye(len(x)),
         inside=np.ones(len(x), bool),
         cost=0.0,
+        promised=0.0,
         training=0.0,
         predicted=0.0,
         blocks=np.zeros(1),

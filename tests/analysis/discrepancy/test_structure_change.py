@@ -35,6 +35,7 @@ def attempt(model: Model, spreads: Mapping[str, float], at_bound: tuple[str, ...
         curvature=np.diag(sd**-2),
         inside=inside,
         cost=0.0,
+        promised=0.0,
         training=0.0,
         predicted=0.0,
         blocks=np.zeros(1),
