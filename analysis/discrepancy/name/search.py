@@ -1,4 +1,4 @@
-"""The most likely x of a model, near a start: damped Gauss-Newton on whitened differences, within bounds.
+"""The most likely x of a model, near a start: Levenberg and Marquardt's steps on whitened differences, within bounds.
 
 The bounded step is exact (Stark and Parker 1995), so an effect that physics lets go one way only stays at nothing where
 the data would have it go the other. scipy's trust region method keeps off the bounds, at which most effects belong.
@@ -21,8 +21,9 @@ STEPS = 15
 ENOUGH = 0.05
 """A step that promises less [nats] is not made."""
 
-SHORTEST = 1e-2
-"""A part of the step; if that does not help either, there is no better place near."""
+FIRST, FACTOR, LAST = 1e-2, 8.0, 1e5
+"""Damping, in parts of the curvature: what a step that led nowhere gets, by how much it grows and shrinks, and where it
+ends: there is no better place near. A narrow valley that bends is followed in steps, where cut ones would crawl."""
 
 AT_BOUND = 1e-6
 """So near to a bound in standard deviations of the prior, an unknown does not move."""
@@ -56,28 +57,30 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
         InputError: the model cannot be run at `x`.
     """
     x = np.clip(x, *problem.bounds)
-    e = likelihood.left(problem, x)
+    e, damping = likelihood.left(problem, x), 0.0
     for number in range(steps + 1):
         J = likelihood.slopes(problem, x)
         H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
-        step = _bounded(H, g, problem.bounds[0] - x, problem.bounds[1] - x)
+        room = problem.bounds - x
+        step = _bounded(H, g, *room)
         promised = float(g @ step - 0.5 * step @ H @ step)
         if promised < ENOUGH or number == steps:
             break
-        share, before = 1.0, _cost(e, x)
-        while share >= SHORTEST:
-            trial = np.clip(x + share * step, *problem.bounds)
+        before = _cost(e, x)
+        while damping < LAST:
+            if damping:
+                step = _bounded(H + damping * np.diag(np.diag(H)), g, *room)
+            trial = np.clip(x + step, *problem.bounds)
             try:
                 left = likelihood.left(problem, trial)
+                if _cost(left, trial) < before:
+                    break
             except InputError:  # too far: the model cannot be run there
-                share /= 4.0
-                continue
-            if _cost(left, trial) < before:
-                break
-            share /= 2.0
+                pass
+            damping = max(FACTOR * damping, FIRST)
         else:
             break
-        x, e = trial, left
+        x, e, damping = trial, left, damping / FACTOR if damping > FIRST else 0.0
     inside = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
     return Optimum(x, _cost(e, x), H, inside, promised)
 
