@@ -136,7 +136,7 @@ def evidence(document: Document) -> bytes | None:
     axes.invert_yaxis()
     axes.axvline(v.threshold, color=INK, linestyle="--", linewidth=1.2)
     axes.annotate(
-        "chance", (v.threshold, 0.0), xycoords=("data", "axes fraction"), xytext=(3, 3), textcoords="offset points",
+        "asked for", (v.threshold, 0.0), xycoords=("data", "axes fraction"), xytext=(3, 3), textcoords="offset points",
         fontsize=8, color=INK,
     )  # fmt: skip
     if max(entry.gain or 0.0 for entry in shown) > 30.0 * v.threshold:
