@@ -22,13 +22,15 @@ STRONG = 1.0
 class Truth:
     """The library's `entry` for an effect of the rig, `scale` times the rig's size in its unit; where it acts.
 
-    `equations` are those of uds4 that it changes. `forms` are other entries for the same effect.
+    `equations` are those of uds4 that it changes. `forms` are other entries for the same effect; `besides` are entries
+    for what the rig does along with it.
     """
 
     entry: str
     scale: float
     equations: tuple[str, ...]
     forms: tuple[str, ...] = ()
+    besides: tuple[str, ...] = ()
 
     @property
     def entries(self) -> tuple[str, ...]:
@@ -37,7 +39,7 @@ class Truth:
 
 
 TRUTHS: dict[str, Truth] = {
-    "laminar_filters": Truth("laminar_filters", 1.0, ("e05", "e06", "e07")),
+    "laminar_filters": Truth("laminar_filters", 1.0, ("e05", "e06", "e07"), besides=("laminar_bores",)),
     "full_lift": Truth("full_open_gain", 1.0, ("e04",)),
     "opening_delay": Truth("valve_opens_late", 1.0 / VALVE_PERIOD_S, ("e04",)),
     "closing_delay": Truth("valve_shuts_late", 1.0 / VALVE_PERIOD_S, ("e04",)),
