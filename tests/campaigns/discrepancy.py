@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from discrepancy_cases import OUTSIDE, STRONG, TRUTHS, Case, cases
 from discrepancy_page import page
-from results_page import head_commit
+from results_page import digest, head_commit
 
 from analysis.discrepancy.add.held_out import shown
 from analysis.discrepancy.data import load
@@ -43,6 +43,13 @@ from testbench.vehicles import vehicle
 
 DURATION_S, EXPERIMENT_S = 480.0, 120.0
 RESULTS = Path("docs/results")
+
+FROZEN = (
+    "analysis/calibration", "analysis/model", "analysis/simulation", "analysis/discrepancy/data.py",
+    "analysis/discrepancy/discover.py", "analysis/discrepancy/effects", "analysis/discrepancy/find",
+    "analysis/discrepancy/name", "testbench",
+)  # fmt: skip
+"""What the figures depend on: it stays as it is from the first record of set B to the last."""
 
 
 class Inline(Executor):
@@ -198,14 +205,14 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    start, commit = time.monotonic(), head_commit()
+    start, commit, code = time.monotonic(), head_commit(), digest(*FROZEN)
     kept = RESULTS / f"discrepancy-{options.set}.jsonl"
     there = {line["case"] for line in done(kept)}
     wanted = [c for c in list(cases(options.set))[:: options.every] if c.kind in options.kinds]
     wanted = [c for c in shard(wanted, options.shard) if c.name not in there]
     for number, result in enumerate(results(wanted, options.processes), 1):
         with kept.open("a") as file:
-            file.write(json.dumps({**result, "commit": commit}) + "\n")
+            file.write(json.dumps({**result, "commit": commit, "code": code}) + "\n")
         print(f"{number} of {len(wanted)}: {result['case']}: {result['verdict']} {result['sets']}", flush=True)
     text = page(done(kept), options.set, time.monotonic() - start)
     options.out.parent.mkdir(parents=True, exist_ok=True)

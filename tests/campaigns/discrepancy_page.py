@@ -54,6 +54,7 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
     of = {kind: [r for r in results if r["kind"] == kind] for kind in ("hidden", "nothing", "outside", "two")}
     seen = [r for r in of["hidden"] if all(r["visible"].values())]
     spoke = [r for r in seen if r["sets"]]
+    codes = [*dict.fromkeys(r["code"] for r in results)]
     speaking = [r for r in [*of["hidden"], *of["outside"]] if said(r)]
     lines = [
         f"# Discrepancy workflow, the rig's effect set {set_name}",
@@ -108,7 +109,11 @@ def page(results: Sequence[Result], set_name: str, seconds: float) -> str:
         *_closures(of["hidden"]),
         "",
         *_failures([*seen, *of["outside"], *of["two"], *of["nothing"]]),
-        provenance(", ".join(dict.fromkeys(r.get("commit", "?") for r in results)), seconds),
+        f"Searched and recorded by one state of the code, {codes[0]}."
+        if len(codes) == 1
+        else f"**Not by one state of the code**: {', '.join(codes)}.",
+        "",
+        provenance(", ".join(dict.fromkeys(r["commit"] for r in results)), seconds),
         "",
     ]
     return "\n".join(lines)

@@ -1,9 +1,11 @@
 """What every page of results says: shares with their confidence, and where the figures come from."""
 
+import hashlib
 import math
 import os
 import platform
 import subprocess
+from pathlib import Path
 
 from scipy.stats import beta
 
@@ -42,6 +44,20 @@ def head_commit() -> str:
     """The commit of the working tree: to be asked when a campaign starts, it may move on."""
     asked = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
     return asked.stdout.strip()
+
+
+def digest(*places: str) -> str:
+    """A hash of what the files of these folders and these files say: results with the same one are of the same code."""
+    files = sorted(
+        file
+        for place in map(Path, places)
+        for file in ([place] if place.is_file() else place.rglob("*"))
+        if file.suffix in (".py", ".toml")
+    )
+    found = hashlib.sha256()
+    for file in files:
+        found.update(f"{file.as_posix()}\0".encode() + file.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def provenance(commit: str, seconds: float) -> str:
