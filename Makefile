@@ -32,12 +32,10 @@ campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameter
 # In parts if wanted: SHARD=1/4 ...; set A is for development. Results so far are in docs/results/*.jsonl.
 SET ?= B
 campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added? writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy.py --set $(SET) \
-		--out docs/results/discrepancy-$(SET).md
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy.py --set $(SET)
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py \
-		--out docs/results/discrepancy-ablations.md
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
 
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info

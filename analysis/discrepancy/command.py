@@ -2,19 +2,22 @@
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from analysis.calibration.provenance import recordings_of
 from analysis.discrepancy.add.adopt import undone
-from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect
+from analysis.discrepancy.add.bundle_effect import BundleEffect, Trial, bundle_effect, trial
 from analysis.discrepancy.add.drift import drifts
 from analysis.discrepancy.add.gate import Adoption, adoption
 from analysis.discrepancy.add.held_out import shown
 from analysis.discrepancy.add.structure_change import structure_change
-from analysis.discrepancy.data import load
+from analysis.discrepancy.data import Data, load
 from analysis.discrepancy.discover import Discovery, discover
+from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import applicable
 from analysis.discrepancy.find.onset import onset
 from analysis.discrepancy.name.experiment import Plan, propose
 from analysis.discrepancy.name.work import workers
@@ -23,7 +26,7 @@ from analysis.discrepancy.show.extras import Extras
 from analysis.discrepancy.show.report import write
 from analysis.discrepancy.show.sentences import sentences
 from analysis.discrepancy.show.told import document_of, origin_of
-from analysis.model import dump_model
+from analysis.model import Model, dump_model
 from analysis.progress import Progress
 from analysis.structure.lint import sound_model
 from service.core.errors import InputError
@@ -39,6 +42,9 @@ then call this again with that recording besides. What is done is kept in DIR/wo
 It exits with 0 where nothing is missing or what is missing has one name, with 1 where it has several names or none,
 where it looks like a fault, and where --apply is refused.
 """
+
+
+MODEL, EXPERIMENT = "model.toml", "experiment.toml"
 
 
 def main(argv: list[str]) -> int:
@@ -75,28 +81,33 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
         raise InputError("--undo takes a model only; leave the recordings away")
     before = undone(sound_model(model))
     _room(out)
-    _write(out / "model.toml", dump_model(before))
-    print(f"wrote {out / 'model.toml'}: {before.name} as it was before its last discovery")
+    _write(out / MODEL, dump_model(before))
+    print(f"wrote {out / MODEL}: {before.name} as it was before its last discovery")
     return 0
 
 
 def _discover(options: argparse.Namespace) -> int:
     model, library = sound_model(options.model), load_library(options.library)
+    if Path(options.model).resolve() == (options.out / MODEL).resolve():
+        raise InputError(f"{options.model}: --out {options.out} would write over it; give --out another place")
     _room(options.out)
     with Progress(f"discovering what {model.name} misses") as progress:
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
             progress.note(gap)
+        for gap in _without_place(model, library, options.library):
+            progress.note(gap)
+        recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
             found = discover(data, library, executor, options.out / "work", _Clock(progress))
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
-        set_in = onset(model, found.before)
+        set_in = onset(model, found.before, "training") or onset(model, found.held, "held-out")
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
-            bundle=_bundles(options, found, new, progress),
+            bundle=_bundles(recordings, found, new, progress),
             plans=_plans(found, progress),
             onset=set_in,
             refused=new.reasons,
@@ -120,22 +131,44 @@ def _plans(found: Discovery, progress: Progress) -> list[Plan]:
     return propose(found.study, found.baseline, place.attempts, progress.note) if place is not None else []
 
 
-def _bundles(options: argparse.Namespace, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:
-    if not options.tune or new.model is None:
+def _without_place(model: Model, library: Mapping[str, Effect], own: Path | None) -> Iterator[str]:
+    """Why entries of the user's file have no place in the model: a shipped one may well have none, theirs was meant."""
+    for effect in library.values():
+        reason = applicable(model, effect)
+        if reason is not None and own is not None and effect.place.startswith(str(own)):
+            yield f"{effect.place}: {reason}; the entry is left away"
+
+
+def _trial(options: argparse.Namespace, data: Data, progress: Progress) -> Trial | None:
+    """What the bundles are made and judged with, if that was asked for: what is wrong with it is said at once."""
+    if not options.tune:
+        return None
+    seen = [*recordings_of(data.model), *(log.sha256 for log in (*data.training, *data.held))]
+    truths = options.truth or [None] * len(options.evaluate)
+    used = dict.fromkeys(seen, "calibrate the model or to discover its effects")
+    return trial(used, options.tune, list(zip(options.evaluate, truths, strict=True)), progress.note)
+
+
+def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:
+    if recordings is None or new.model is None:
         return None
     progress.say("bundles before and after")
     before = found.study.model.with_parameters(found.outcome.nominal.values, new.model.provenance[-1])
-    truths = options.truth or [None] * len(options.evaluate)
-    return bundle_effect(before, new.model, options.tune, list(zip(options.evaluate, truths, strict=True)), progress)
+    return bundle_effect(before, new.model, recordings, progress)
 
 
 def _results(options: argparse.Namespace, new: Adoption, extras: Extras) -> list[Path]:
-    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help."""
+    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help.
+
+    What an earlier call has left goes, as it is not of this one.
+    """
     files = {}
     if extras.applied and new.model is not None:
-        files["model.toml"] = dump_model(new.model)
+        files[MODEL] = dump_model(new.model)
     if extras.plans and extras.plans[0].told:
-        files["experiment.toml"] = extras.plans[0].experiment.cycle()
+        files[EXPERIMENT] = extras.plans[0].experiment.cycle()
+    for name in {MODEL, EXPERIMENT} - {*files}:
+        (options.out / name).unlink(missing_ok=True)
     for name, text in files.items():
         _write(options.out / name, text)
     return [options.out / name for name in files]

@@ -42,9 +42,9 @@ class Verdict:
 class Discovery:
     """All that a search came to.
 
-    `before` is where the model as it was misses something, `after` where that with the chosen effects does.
-    `unfit` are entries that have no place in this model, with the reason; `halted` those whose model could not be run
-    from some beginning, and that came to nothing from the others.
+    `before` is where the model as it was misses something, `after` where that with the chosen effects does, `held`
+    where that does in the held-out recordings. `unfit` are entries that have no place in this model, with the reason;
+    `halted` those whose model could not be run from some beginning, and that came to nothing from the others.
     """
 
     study: Study
@@ -52,6 +52,7 @@ class Discovery:
     outcome: Outcome
     before: Location
     after: Location
+    held: Location
     verdict: Verdict
     directions: tuple[Direction, ...]
     unfit: Mapping[str, str]
@@ -89,14 +90,16 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     if outcome.places and outcome.places[0].gain <= threshold * scale(outcome.chosen):
         outcome = replace(outcome, chosen=nominal, places=())
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
+    held = judge.locate(outcome.chosen, held=True)
     judged = {attempt.effects for attempt in outcome.singles}
     halted = {effects[0]: why for effects, why in crew.failures.items() if len(effects) == 1 and effects not in judged}
-    return Discovery(study, baseline, outcome, before, after, verdict_of(outcome, after), directions, unfit, halted)
+    verdict = verdict_of(outcome, after, held)
+    return Discovery(study, baseline, outcome, before, after, held, verdict, directions, unfit, halted)
 
 
-def verdict_of(outcome: Outcome, after: Location) -> Verdict:
-    """What to say of an outcome, with what is left unexplained."""
-    remainder = 0.5 * after.suspects[0].evidence if after.members else 0.0
+def verdict_of(outcome: Outcome, *left: Location) -> Verdict:
+    """What to say of an outcome, with what is `left` unexplained in the training and the held-out recordings."""
+    remainder = max(0.5 * location.suspects[0].evidence if location.members else 0.0 for location in left)
     sets = tuple(place.rivals for place in outcome.places)
     if not sets:
         return Verdict("unnamed" if remainder > REMAINDER else "nothing missing", (), 0.0, remainder)

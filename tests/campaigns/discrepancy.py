@@ -1,6 +1,6 @@
 """The discrepancy workflow against effects that the rig hides: are they found, named, added, and is the gap gone?
 
-    SHARD=1/4 .venv/bin/python tests/campaigns/discrepancy.py --set A --out docs/results/discrepancy-a.md
+    SHARD=1/4 .venv/bin/python tests/campaigns/discrepancy.py --set A
 
 Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the
 hidden effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library.
@@ -19,18 +19,18 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from discrepancy_cases import OUTSIDE, STRONG, TRUTHS, Case, cases
+from discrepancy_ablations_page import ABLATIONS, ablations
+from discrepancy_cases import STRONG, Case, cases
 from discrepancy_page import page
 from results_page import digest, head_commit
 
+from analysis.discrepancy.add.gate import adoption
 from analysis.discrepancy.add.held_out import shown
-from analysis.discrepancy.data import load
+from analysis.discrepancy.data import Data, load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.discrepancy.find.onset import onset
 from analysis.discrepancy.name.experiment import propose
-from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from analysis.model import load_model
 from service.core.manifest import MODES
 from service.core.modes import EDGE
@@ -42,12 +42,11 @@ from testbench.request import Request
 from testbench.vehicles import vehicle
 
 DURATION_S, EXPERIMENT_S = 480.0, 120.0
-RESULTS = Path("docs/results")
+PAGE = Path("docs/results/discrepancy.md")
 
 FROZEN = (
-    "analysis/calibration", "analysis/model", "analysis/simulation", "analysis/discrepancy/data.py",
-    "analysis/discrepancy/discover.py", "analysis/discrepancy/effects", "analysis/discrepancy/find",
-    "analysis/discrepancy/name", "testbench",
+    "analysis", "service/core", "service/logs", "testbench", "tests/campaigns/discrepancy.py",
+    "tests/campaigns/discrepancy_cases.py", "tests/campaigns/discrepancy_declared.json",
 )  # fmt: skip
 """What the figures depend on: it stays as it is from the first record of set B to the last."""
 
@@ -71,7 +70,8 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
         start, busy = time.monotonic(), time.process_time()
         model = load_model("uds4")
         library = {name: effect for name, effect in load_library().items() if name not in case.without}
-        found = discover(load(model, [training], [held], _nothing), library, Inline(), None, _quiet)
+        data = load(model, [training], [held], _nothing)
+        found = discover(data, library, Inline(), None, _quiet)
         result = {
             "case": case.name,
             "kind": case.kind,
@@ -82,8 +82,8 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
         }
         if further and found.verdict.kind == "one of" and case.kind == "hidden":
             result["experiment"] = _resolved(case, found, training, held, root)
-        if further and case.kind == "hidden" and _share(case) >= STRONG and found.verdict.sets:
-            result["closure"] = _closure(case, found, root)
+        if further and case.kind == "hidden" and _share(case) >= STRONG:
+            result |= _closure(case, found, data, root)
     return result
 
 
@@ -97,37 +97,17 @@ def record_case(
 
 
 def _judged(case: Case, found: Discovery) -> dict[str, Any]:
-    sets = [list(names) for names in found.verdict.sets]
-    same, smallest = alike(found.directions), smallest_sizes(found.directions, found.outcome.threshold)
-    right = [TRUTHS[name].entries for name in case.effects if name in TRUTHS]
-    shown = {
-        name: bool(abs(TRUTHS[name].scale * size) >= smallest.get(TRUTHS[name].entry, np.inf))
-        for name, size in case.effects.items()
-        if name in TRUTHS
-    }
-    where = [e for name in case.effects for e in (TRUTHS[name].equations if name in TRUTHS else OUTSIDE[name])]
+    place = onset(found.study.model, found.before, "training") or onset(found.study.model, found.held, "held-out")
     return {
-        "verdict": found.verdict.kind,
-        "sets": sets,
+        "verdict": "fault" if place else found.verdict.kind,
+        "sets": [list(names) for names in found.verdict.sets],
         "gain": found.verdict.gain,
         "remainder": found.verdict.remainder,
         "threshold": found.outcome.threshold,
         "dispersion": [found.outcome.nominal.dispersion, found.outcome.chosen.dispersion],
-        "right": right,
-        "alike": [sorted({other for entry in entries for other in same.get(entry, ())}) for entries in right],
-        "visible": shown,
         "members": list(found.before.members),
-        "changed": _changed(found),
-        "where": where,
         "singles": [[a.effects[0], a.evidence - found.outcome.nominal.evidence] for a in found.outcome.singles[:5]],
     }
-
-
-def _changed(found: Discovery) -> list[str]:
-    """The equations that the candidates of the sets change."""
-    model, candidates = found.study.model, {name for names in found.verdict.sets for name in names}
-    texts = [rewritten(model, found.study.library[name]).equations for name in candidates]
-    return sorted({name for new in texts for name, e in model.equations.items() if new[name].text != e.text})
 
 
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:
@@ -151,20 +131,24 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     }
 
 
-def _closure(case: Case, found: Discovery, root: Path) -> dict[str, Any]:
-    """Held-out RMS by output and mode [Pa]: as it was, with what was found, and without the effect (the floor)."""
+def _closure(case: Case, found: Discovery, data: Data, root: Path) -> dict[str, Any]:
+    """Held-out RMS by output and mode [Pa]: as it was, with what was found, and without the effect (the floor).
+
+    Also why `--apply` would refuse what was found, if it would.
+    """
     off = root / "off"
     training = record_case(case, CYCLES["training"], "training", case.seed, {}, off)
     held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
     twin = discover(load(load_model("uds4"), [training], [held], _nothing), {}, Inline(), None, _quiet)
     runs, floor = (shown(d.study, d.baseline, d.outcome.nominal, d.outcome.chosen) for d in (found, twin))
     errors = {"before": runs.before.agreement, "after": runs.after.agreement, "floor": floor.before.agreement}
-    return {
+    by_regime = {
         f"{name} {mode}": {title: float(by_output[name][mode].rms) for title, by_output in errors.items()}
         for name, by_mode in floor.before.agreement.items()
         for mode in by_mode
         if mode != MODES[EDGE]
     }
+    return {"closure": by_regime, "refused": list(adoption(data, found, runs).reasons)}
 
 
 def _share(case: Case) -> float:
@@ -176,6 +160,11 @@ def _nothing(_: str) -> None: ...
 
 
 def _quiet(*_: object) -> None: ...
+
+
+def kept_in(set_name: str) -> Path:
+    """The file of a set's results."""
+    return PAGE.with_name(f"discrepancy-{set_name}.jsonl")
 
 
 def done(path: Path) -> list[dict[str, Any]]:
@@ -203,10 +192,8 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="only every so many cases")
     parser.add_argument("--kinds", nargs="+", default=["hidden", "nothing", "outside", "two"])
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    start, commit, code = time.monotonic(), head_commit(), digest(*FROZEN)
-    kept = RESULTS / f"discrepancy-{options.set}.jsonl"
+    commit, code, kept = head_commit(), digest(*FROZEN), kept_in(options.set)
     there = {line["case"] for line in done(kept)}
     wanted = [c for c in list(cases(options.set))[:: options.every] if c.kind in options.kinds]
     wanted = [c for c in shard(wanted, options.shard) if c.name not in there]
@@ -214,9 +201,8 @@ def main() -> None:
         with kept.open("a") as file:
             file.write(json.dumps({**result, "commit": commit, "code": code}) + "\n")
         print(f"{number} of {len(wanted)}: {result['case']}: {result['verdict']} {result['sets']}", flush=True)
-    text = page(done(kept), options.set, time.monotonic() - start)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text)
+    by_set = {name: done(kept_in(name)) for name in ("B", "A")}
+    PAGE.write_text(page({name: found for name, found in by_set.items() if found}, ablations(done(ABLATIONS))))
 
 
 if __name__ == "__main__":

@@ -1,19 +1,14 @@
 """What the workflow is without the parts that make it work: the same records, one part taken out at a time.
 
-    .venv/bin/python tests/campaigns/discrepancy_ablations.py --out docs/results/discrepancy-ablations.md
+    .venv/bin/python tests/campaigns/discrepancy_ablations.py
 
-One record of every effect of set A and as many with nothing hidden. `whole` is the workflow as it is. Without *timing
-noise* the inputs are taken for exact. Without *other beginnings* searches begin at the model as it was fitted. *By
-RMSE* takes the entry with the smallest error of the held-out free run, if that is smaller than the model's as it was,
-which is what people do. *Sparse regression* is pysindy (see `sindy_peer`): right if the term for the effect is chosen
-and no other is; effects that such a regression has no term for are left out of its count.
+What the variants are is told by `discrepancy_ablations_page`, on the campaign's page.
 """
 
 import argparse
 import json
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import Pool
@@ -24,8 +19,9 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 from discrepancy import DURATION_S, Inline, done, record_case
-from discrepancy_cases import TRUTHS, Case, cases
-from results_page import exact_share, head_commit, provenance
+from discrepancy_ablations_page import ABLATIONS
+from discrepancy_cases import Case, cases
+from results_page import head_commit
 
 from analysis.calibration.sections import Section
 from analysis.calibration.validate import STEADY
@@ -42,22 +38,9 @@ from testbench.cycles import CYCLES
 Array = npt.NDArray[np.float64]
 Names = list[list[str]]
 
-KEPT = Path("docs/results/discrepancy-ablations.jsonl")
 PEER = Path(".venv-peer/bin/python")
 
 NOMINAL = ("n", "p", "root p", "dose")
-TERMS = {
-    "full_lift": "full dose",
-    "opening_delay": "partial dose",
-    "closing_delay": "partial dose",
-    "entrained_air": "rate / p2",
-    "stiff_hose": "rate p",
-    "pump_slip": "p2",
-    "incomplete_filling": "n2",
-    "relief_valve": "above 10.5 bar",
-    "viscosity_drift": "p t",
-}
-"""The candidate term of an effect, in a balance of the hose."""
 
 
 def wanted() -> list[Case]:
@@ -189,50 +172,18 @@ def run(case: Case) -> dict[str, Any]:
     return {"case": case.name, "effects": [*case.effects], "named": named}
 
 
-def page(results: list[dict[str, Any]], seconds: float) -> str:
-    """The table."""
-    lines = [
-        "# Discrepancy workflow: what it is without its parts",
-        "",
-        " ".join((__doc__ or "").split("\n\n")[2].split()),
-        "",
-        "| variant | truth in a named set | and nothing else named | nothing hidden: something named |",
-        "|---|---|---|---|",
-    ]
-    hidden = [r for r in results if r["effects"]]
-    nothing = [r for r in results if not r["effects"]]
-    for title in VARIANTS:
-        right = [(r["named"][title], _right(title, r["effects"][0])) for r in hidden]
-        counted = [(sets, names) for sets, names in right if names]
-        there = sum(any({*some} & {*names} for some in sets) for sets, names in counted)
-        alone = sum(len(sets) == 1 and {*sets[0]} <= {*names} for sets, names in counted)
-        false = sum(bool(r["named"][title]) for r in nothing)
-        row = [exact_share(there, len(counted)), exact_share(alone, len(counted)), exact_share(false, len(nothing))]
-        lines.append(f"| {title} | {' | '.join(row)} |")
-    lines += ["", provenance(", ".join(dict.fromkeys(r["commit"] for r in results)), seconds), ""]
-    return "\n".join(lines)
-
-
-def _right(title: str, effect: str) -> tuple[str, ...]:
-    if title == "sparse regression":
-        return (TERMS[effect],) if effect in TERMS else ()
-    return TRUTHS[effect].entries
-
-
 def main() -> None:
-    """Runs what is missing and writes the page."""
+    """Runs what is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    start, commit = time.monotonic(), head_commit()
-    there = {line["case"] for line in done(KEPT)}
+    commit = head_commit()
+    there = {line["case"] for line in done(ABLATIONS)}
     with Pool(options.processes) as pool:
         for result in pool.imap_unordered(run, [case for case in wanted() if case.name not in there]):
-            with KEPT.open("a") as file:
+            with ABLATIONS.open("a") as file:
                 file.write(json.dumps({**result, "commit": commit}) + "\n")
             print(result["case"], result["named"], flush=True)
-    options.out.write_text(page(done(KEPT), time.monotonic() - start))
 
 
 if __name__ == "__main__":

@@ -67,8 +67,13 @@ their curvatures at 10 bar are compared. A faster pump than it says cannot be to
 and needs none.
 """
 
-OUTSIDE: dict[str, tuple[str, ...]] = {"creeping_hose": ("e10", "e11"), "sensor_backlash": ("e16",)}
-"""Effects of set B that no entry describes, with where they act."""
+OUTSIDE: dict[str, tuple[str, ...]] = {
+    "log_delay": ("e01", "e04"),
+    "creeping_hose": ("e10", "e11"),
+    "sensor_backlash": ("e16",),
+    "speed_scale": ("e01",),
+}
+"""Effects that no entry describes, with where they act."""
 
 LEFT_OUT: dict[str, tuple[str, ...]] = {
     "full_lift": ("full_open_gain", "valve_opens_late", "valve_shuts_late"),
@@ -77,7 +82,7 @@ LEFT_OUT: dict[str, tuple[str, ...]] = {
     "sensor_lag": ("lag_p_du",),
     "viscosity_drift": ("viscosity_drift", "pump_wears"),
 }
-"""Set A has none: these are searched in a library without the entries that describe them."""
+"""Set A has but one: these are searched in a library without the entries that describe them besides."""
 
 
 @dataclass(frozen=True)
@@ -102,15 +107,16 @@ def cases(set_name: str) -> Iterator[Case]:
             for name in hidden:
                 number += 1
                 yield _case(f"{name}-x{size:g}-{seed}", "hidden", {name: _size(name, size)}, number)
-    outside = [*OUTSIDE] if set_name == "B" else [*LEFT_OUT]
+    outside = [name for name in OUTSIDE if EFFECTS[name].set == set_name]
+    outside += [name for name in LEFT_OUT if EFFECTS[name].set == set_name]
     for size in (0.6, 1.0, 2.0):
-        for seed in range(10 // len(outside)):
+        for seed in range(-(-10 // len(outside))):
             for name in outside:
                 number += 1
                 left_out = LEFT_OUT.get(name, ())
                 yield _case(f"{name}-x{size:g}-{seed}", "outside", {name: _size(name, size)}, number, left_out)
     pairs = [pair for pair in combinations(hidden, 2) if not set(pair) & _ALIKE]
-    for k in range(10):
+    for k in range(20):
         first_name, second_name = pairs[(k * 7 + 3) % len(pairs)]
         number += 1
         both = {first_name: _size(first_name, 1.0), second_name: _size(second_name, 1.0)}

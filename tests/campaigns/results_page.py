@@ -52,7 +52,7 @@ def digest(*places: str) -> str:
         file
         for place in map(Path, places)
         for file in ([place] if place.is_file() else place.rglob("*"))
-        if file.suffix in (".py", ".toml")
+        if file.suffix in (".py", ".toml", ".json")
     )
     found = hashlib.sha256()
     for file in files:

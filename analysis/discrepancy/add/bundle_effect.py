@@ -4,13 +4,12 @@ A test tolerates a lasting deviation of nu spreads of its residual. A model that
 it, so its tests tolerate less: smaller faults are seen, and what the model does not know raises no alarm.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean
 from tempfile import TemporaryDirectory
 
-from analysis.calibration.provenance import recordings_of
 from analysis.evaluation.judge import Verdict, judge
 from analysis.evaluation.story import tell
 from analysis.evaluation.truth import Truth, load_truth
@@ -103,58 +102,71 @@ class BundleEffect:
         return found
 
 
-def bundle_effect(
-    before: Model,
-    after: Model,
+@dataclass(frozen=True)
+class Trial:
+    """What bundles are made and judged with: fault-free recordings to tune on, and logs with their truths."""
+
+    tuning: tuple[Path, ...]
+    dbc: Path
+    judged: tuple[tuple[Log, Truth | None], ...]
+
+
+def trial(
+    used: Mapping[str, str],
     tuning: Sequence[Path],
     evaluation: Sequence[tuple[Path, Path | None]],
-    progress: Progress,
-) -> BundleEffect:
-    """Makes both bundles from the fault-free recordings `tuning` and judges them on recordings with their truths.
+    note: Callable[[str], None],
+) -> Trial:
+    """The recordings read; `used` says what those with these SHA-256 were used for.
 
-    A recording without a truth is taken as fault-free. A model that has no bundle says why.
+    A recording without a truth is taken as fault-free.
 
     Raises:
-        InputError: a recording or truth cannot be read, a recording is too short, of another DBC, or was used before:
-            to make either model, for tuning, or twice.
+        InputError: a recording or truth cannot be read, or a recording was used before, for tuning, or twice.
     """
-    used = {sha: "calibrate the model or to discover its effects" for m in (before, after) for sha in recordings_of(m)}
-    first, logs = None, list[tuple[Log, Truth | None]]()
+    taken, first, judged = dict(used), None, list[tuple[Log, Truth | None]]()
     for path in tuning:
-        log = _unused(path, used, "tune", progress)
+        log = _unused(path, taken, "tune", note)
         first = first or log
     if first is None or first.dbc_path is None:
         raise InputError("no recording to tune on; give fault-free recordings that neither fit nor choice has seen")
     for path, told in evaluation:
-        log = _unused(path, used, "evaluate", progress)
-        logs.append((log, None if told is None else load_truth(told, log.id)))
+        log = _unused(path, taken, "evaluate", note)
+        judged.append((log, None if told is None else load_truth(told, log.id)))
+    return Trial(tuple(tuning), first.dbc_path, tuple(judged))
+
+
+def bundle_effect(before: Model, after: Model, recordings: Trial, progress: Progress) -> BundleEffect:
+    """Makes both models' bundles and judges them. A model that has no bundle says why.
+
+    Raises:
+        InputError: a recording is too short, or of another DBC.
+    """
     made = []
     for title, model in (("without the effect", before), ("with it", after)):
         progress.say(f"bundle {title}")
-        made.append(_bundled(model, tuning, first.dbc_path, logs, progress))
+        made.append(_bundled(model, recordings, progress))
     return BundleEffect(*made)
 
 
-def _unused(path: Path, used: dict[str, str], purpose: str, progress: Progress) -> Log:
-    log = open_known(path, progress.note)
+def _unused(path: Path, used: dict[str, str], purpose: str, note: Callable[[str], None]) -> Log:
+    log = open_known(path, note)
     if log.sha256 in used:
         raise InputError(f"{path}: this recording was used to {used[log.sha256]}; give one of its own to {purpose} on")
     used[log.sha256] = purpose
     return log
 
 
-def _bundled(
-    model: Model, tuning: Sequence[Path], dbc: Path, logs: Sequence[tuple[Log, Truth | None]], progress: Progress
-) -> Bundled:
+def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
     """The model's bundle, or why there is none."""
     try:
         bank = build_bank(model)
-        tuned = tune(bank, [*tuning], progress)
+        tuned, dbc = tune(bank, [*recordings.tuning], progress), recordings.dbc
         bundle = _written(bundle_files(bank, tuned, dbc.name, dbc.read_bytes(), model.name))
     except InputError as error:
         return Bundled(reason=str(error))
     judged = {}
-    for log, truth in logs:
+    for log, truth in recordings.judged:
         progress.say(log.id)
         judged[log.id] = _judged(bundle, log, truth)
     return Bundled(

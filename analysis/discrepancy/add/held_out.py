@@ -60,21 +60,16 @@ class Gap:
         return self.after.expected
 
     @property
-    def reachable(self) -> float:
-        """What a right model has: as expected, or what the model shows that does better than that."""
-        return float(np.minimum(self.expected, np.maximum(self.after.rms, self.after.floor)))
-
-    @property
     def real(self) -> bool:
         """Whether there was more to close than what differs from run to run."""
-        return bool(self.before.rms > REAL * self.reachable)
+        return bool(self.before.rms > REAL * self.expected)
 
     @property
     def closure(self) -> float | None:
         """The part of the gap that is closed, one where the error is as expected or less; None where there was none."""
         if not self.real:
             return None
-        return float(min(1.0, (self.before.rms - self.after.rms) / (self.before.rms - self.reachable)))
+        return float(min(1.0, (self.before.rms - self.after.rms) / (self.before.rms - self.expected)))
 
 
 @dataclass(frozen=True)

@@ -24,27 +24,46 @@ BETTER = 0.5
 """Of what a straight line leaves: a wear that grows is no fault that set in."""
 
 
+CLEAR = 30.0
+"""Evidence [nats] that something is missing; with less there is no curve to look at."""
+
+
 @dataclass(frozen=True)
 class Onset:
-    """When something set in, `t_s` [s] of log time, in which `equation`, with the `faults` that enter there."""
+    """When something set in, `t_s` [s] of log time, in which `equation`, with the `faults` that enter there.
+
+    `where` names the recordings.
+    """
 
     t_s: float
     equation: str
     faults: tuple[str, ...]
+    where: str
 
-    def sentence(self, model: Model) -> str:
-        """For people: what it looks like, and how to tell."""
-        what = " or ".join(f"{model.faults[name].component}: {model.faults[name].description}" for name in self.faults)
+    def what(self, model: Model) -> str:
+        """What happened, for people."""
+        faults = "; or ".join(
+            f"{model.faults[name].component}: {model.faults[name].description}" for name in self.faults
+        )
         return (
-            f"something set in at {self.t_s:.0f} s ({self.equation}{f', {what}' if what else ''}): that is a fault "
-            "rather than a missing effect, which would be there from the start; fit a recording from before it, and "
-            "let `faultline diagnose` look at this one"
+            f"something set in at {self.t_s:.0f} s of the {self.where} recordings, as faults do ({self.equation}"
+            f"{f', where these enter: {faults}' if faults else ''})"
+        )
+
+    def advice(self) -> str:
+        """How to tell."""
+        return (
+            "physics that a model lacks would be there from the start: take a recording from before it, and let "
+            "`faultline diagnose` look at this one; nothing was added to the model"
         )
 
 
-def onset(model: Model, location: Location) -> Onset | None:
-    """Whether what is missing set in while it was recorded; None where it did not, or nothing is missing."""
-    if not location.members:
+def onset(model: Model, location: Location, where: str) -> Onset | None:
+    """Whether what is missing set in while it was recorded; None where it did not, or nothing is missing.
+
+    `where` names the recordings of the location.
+    """
+    if not location.members or 0.5 * location.suspects[0].evidence < CLEAR:
         return None
     suspect = max((s for s in location.suspects if s.equation in location.members), key=lambda s: s.evidence)
     t, value, weight = suspect.t, suspect.value, 1.0 / suspect.sd**2
@@ -64,7 +83,7 @@ def onset(model: Model, location: Location) -> Onset | None:
         if all(name in model.equations for name in location.members)
         else ()
     )
-    return Onset(float(inside[best]), location.members[0], faults)
+    return Onset(float(inside[best]), location.members[0], faults, where)
 
 
 def _left(value: Array, weight: Array, features: Array) -> float:

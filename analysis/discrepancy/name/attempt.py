@@ -196,10 +196,11 @@ class Judge:
         power = np.sum(does * visible, axis=0)
         return Direction(effect, visible, power, lower, upper, unknowns.spreads[what])
 
-    def locate(self, attempt: Attempt) -> Location:
-        """Where the model of an attempt misses something still."""
-        training, _ = self._with(attempt.effects)
-        return locate(training, attempt.x, self._likelihoods[0].weights)
+    def locate(self, attempt: Attempt, *, held: bool = False) -> Location:
+        """Where the model of an attempt misses something still, in the training or in the `held` out recordings."""
+        problem = self._with(attempt.effects)[held]
+        x = carried(attempt.x, attempt.unknowns, problem.unknowns) if held else attempt.x
+        return locate(problem, x, self._likelihoods[held].weights)
 
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
         """The problems of the model with effects: the training's and the held-out's."""

@@ -1,4 +1,4 @@
-"""The most likely x of a model, near a start: Levenberg and Marquardt's steps on whitened differences, within bounds.
+"""The most likely x of a model, near a start: Levenberg's damped steps on whitened differences, within bounds.
 
 The bounded step is exact (Stark and Parker 1995), so an effect that physics lets go one way only stays at nothing where
 the data would have it go the other. scipy's trust region method keeps off the bounds, at which most effects belong.
@@ -21,9 +21,10 @@ STEPS = 15
 ENOUGH = 0.05
 """A step that promises less [nats] is not made."""
 
-FIRST, FACTOR, LAST = 1e-2, 8.0, 1e5
-"""Damping, in parts of the curvature: what a step that led nowhere gets, by how much it grows and shrinks, and where it
-ends: there is no better place near. A narrow valley that bends is followed in steps, where cut ones would crawl."""
+FIRST, LARGER, SMALLER, LAST = 1.0, 4.0, 8.0, 1e8
+"""Damping, in parts of the prior's precision: what a step that led nowhere gets, by how much it grows and shrinks, and
+where it ends: there is no better place near. A narrow valley that bends is followed in such steps; cut ones crawl, and
+so do Marquardt's, in parts of the curvature, where all flows may be larger at no price."""
 
 AT_BOUND = 1e-6
 """So near to a bound in standard deviations of the prior, an unknown does not move."""
@@ -69,7 +70,7 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
         before = _cost(e, x)
         while damping < LAST:
             if damping:
-                step = _bounded(H + damping * np.diag(np.diag(H)), g, *room)
+                step = _bounded(H + damping * np.eye(len(x)), g, *room)
             trial = np.clip(x + step, *problem.bounds)
             try:
                 left = likelihood.left(problem, trial)
@@ -77,10 +78,10 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
                     break
             except InputError:  # too far: the model cannot be run there
                 pass
-            damping = max(FACTOR * damping, FIRST)
+            damping = max(LARGER * damping, FIRST)
         else:
             break
-        x, e, damping = trial, left, damping / FACTOR if damping > FIRST else 0.0
+        x, e, damping = trial, left, damping / SMALLER if damping > FIRST else 0.0
     inside = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
     return Optimum(x, _cost(e, x), H, inside, promised)
 

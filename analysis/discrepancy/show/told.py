@@ -68,7 +68,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
         bundle=bundle_told(extras.bundle) if extras.bundle else None,
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
-        onset=section([extras.onset.sentence(found.study.model)], extras.onset) if extras.onset else None,
+        onset=section([extras.onset.advice()], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
         applied=extras.applied,
     )
@@ -81,10 +81,13 @@ def _verdict(found: Discovery, extras: Extras) -> told.Verdict:
         told.Place(candidates=tuple(_candidate(library[name]) for name in names), gain=gain)
         for names, gain in zip(verdict.sets, gains, strict=True)
     )
-    where = found.before.sentences[0] if found.before.members else ""
+    where = (
+        found.before.sentences[0] if found.before.members else f"in the held-out recordings, {found.held.sentences[0]}"
+    )
+    set_in = extras.onset.what(found.study.model) if extras.onset else None
     return told.Verdict(
         kind=verdict.kind,
-        sentence=sentence_of(verdict.kind, places, where, set_in=extras.onset is not None),
+        sentence=sentence_of(verdict.kind, places, where, set_in),
         places=places,
         gain=verdict.gain,
         remainder=verdict.remainder,

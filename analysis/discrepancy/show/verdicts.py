@@ -17,13 +17,13 @@ FAR = 3.0
 """Standard deviations from which a zero error is not what the datasheet says."""
 
 
-def sentence_of(kind: Kind, places: Sequence[Place], where: str, *, set_in: bool = False) -> str:
+def sentence_of(kind: Kind, places: Sequence[Place], where: str, set_in: str | None = None) -> str:
     """What was found, for example "missing in the model: the dosing valve passes more when ... (full_open_gain)".
 
-    `set_in`: while it was recorded.
+    `set_in` says what did while it was recorded, if anything.
     """
-    if set_in:
-        return f"something set in while this was recorded, as faults do: {where}"
+    if set_in is not None:
+        return set_in
     if kind == "nothing missing":
         return "nothing is missing in the model that these recordings could show"
     if kind == "unnamed":
@@ -115,13 +115,15 @@ def next_steps(d: Document) -> list[str]:
     if kind == "named":
         return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
     if kind == "one of":
+        taken = [f"`model.toml` has {_names(d)[0]}, the most probable: which it is stays open"] if d.applied else []
         if d.experiment:
-            return list(d.experiment.sentences)
+            return [*d.experiment.sentences, *taken]
         named = experiments(d)
         return [
             f"record what tells them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"
             if named
-            else "no experiment is known that tells them"
+            else "no experiment is known that tells them",
+            *taken,
         ]
     steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
     if d.located.sensors:

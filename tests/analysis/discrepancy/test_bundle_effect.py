@@ -7,7 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect
+from analysis.calibration.provenance import recordings_of
+from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect, trial
 from analysis.model import Model, load_model
 from analysis.progress import Progress
 from service.core.errors import InputError
@@ -47,7 +48,12 @@ def recorded(folder: Path, name: str, seed: int, duration_s: float) -> Path:
 
 def effect(before: Model, after: Model, tuning: list[Path], *evaluation: tuple[Path, Path | None]) -> BundleEffect:
     with Progress("bundles") as progress:
-        return bundle_effect(before, after, tuning, evaluation, progress)
+        used = {
+            sha: "calibrate the model or to discover its effects"
+            for model in (before, after)
+            for sha in recordings_of(model)
+        }
+        return bundle_effect(before, after, trial(used, tuning, evaluation, progress.note), progress)
 
 
 @pytest.fixture(scope="module")

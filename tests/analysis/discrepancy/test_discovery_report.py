@@ -149,13 +149,14 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     found = discovery()
     steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),))
     plan = Plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
-    onset = Onset(100.0, "e04", ())
+    onset = Onset(100.0, "e04", (), "training")
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
     assert d.experiment is not None
     assert plan.told == {("a", "b"): 12.0}
     assert d.experiment.data["left"] == plan.left < 0.1
     assert d.refused == ("it grew worse",)
-    assert "something set in at 100 s (e04)" in next_steps(d)[0]
+    assert d.verdict.sentence.startswith("something set in at 100 s of the training recordings, as faults do (e04)")
+    assert "faultline diagnose" in next_steps(d)[0]
     asked = msgspec.structs.replace(as_kind(d, "one of"), onset=None)
     assert next_steps(asked) == [
         "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate"

@@ -39,30 +39,31 @@ STEP = np.where(T >= 260.0, 1.0, 0.0)
 
 
 def test_a_step_is_a_fault_that_set_in_with_its_component() -> None:
-    found = onset(UDS4, location(suspect("e07", STEP)))
-    assert found == Onset(260.0, "e07", ("fA_du",))
+    found = onset(UDS4, location(suspect("e07", STEP)), "training")
+    assert found == Onset(260.0, "e07", ("fA_du",), "training")
     fault = UDS4.faults["fA_du"]
-    assert found.sentence(UDS4).startswith(
-        f"something set in at 260 s (e07, {fault.component}: {fault.description}): that is a fault rather than"
+    assert found.what(UDS4) == (
+        "something set in at 260 s of the training recordings, as faults do "
+        f"(e07, where these enter: {fault.component}: {fault.description})"
     )
 
 
 def test_all_components_of_the_class_are_named_and_what_no_fault_enters_has_none() -> None:
-    found = onset(UDS4, location(suspect("e04", STEP), suspect("e07", STEP, 400.0)))
+    found = onset(UDS4, location(suspect("e04", STEP), suspect("e07", STEP, 400.0)), "training")
     assert found is not None
     assert found.faults == ("fA_dos", "fA_du")
-    assert " or " in found.sentence(UDS4)
+    assert "; or " in found.what(UDS4)
     none = next(name for name, e in UDS4.equations.items() if e.fault is None)
-    bare = onset(UDS4, location(suspect(none, STEP)))
+    bare = onset(UDS4, location(suspect(none, STEP)), "training")
     assert bare is not None
     assert bare.faults == ()
-    assert f"at 260 s ({none}): that is" in bare.sentence(UDS4)
+    assert bare.what(UDS4).endswith(f"as faults do ({none})")
 
 
 @pytest.mark.parametrize("up", [1.0, -3.0])
 @pytest.mark.parametrize("base", [0.0, 5.0])
 def test_it_may_go_either_way_from_anywhere(up: float, base: float) -> None:
-    found = onset(UDS4, location(suspect("e07", base + up * STEP)))
+    found = onset(UDS4, location(suspect("e07", base + up * STEP)), "training")
     assert found is not None
     assert found.t_s == 260.0
 
@@ -81,16 +82,19 @@ def test_it_may_go_either_way_from_anywhere(up: float, base: float) -> None:
     ids=["nothing", "from the start", "ramp", "switching", "waves", "just before the end", "just after the start"],
 )
 def test_what_did_not_set_in_is_no_fault(value: Array) -> None:
-    assert onset(UDS4, location(suspect("e07", value))) is None
+    assert onset(UDS4, location(suspect("e07", value)), "training") is None
+
+
+def test_a_curve_that_hardly_is_one_is_not_looked_at() -> None:
+    assert onset(UDS4, location(suspect("e07", STEP, 40.0)), "training") is None
 
 
 def test_where_nothing_is_missing_nothing_set_in() -> None:
-    assert onset(UDS4, location(suspect("e07", STEP), members=())) is None
+    assert onset(UDS4, location(suspect("e07", STEP), members=()), "training") is None
 
 
 def test_the_curve_is_that_of_the_class_with_the_most_evidence() -> None:
     far = suspect("e10", STEP, 9e9)
-    found = onset(
-        UDS4, location(far, suspect("e04", (T - 20.0) / 460.0), suspect("e07", STEP, 1.0), members=("e04", "e07"))
-    )
+    near = suspect("e04", (T - 20.0) / 460.0), suspect("e07", STEP, 1.0)
+    found = onset(UDS4, location(far, *near, members=("e04", "e07")), "training")
     assert found is None

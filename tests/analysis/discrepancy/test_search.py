@@ -18,12 +18,17 @@ FREE = np.array([[-np.inf], [np.inf]])
 
 
 class Made:
-    """A likelihood and a problem at once: the differences `left` of x, slopes by difference quotients."""
+    """A likelihood and a problem at once: the differences `left` of x, slopes by difference quotients.
 
-    def __init__(self, left: Callable[[Array], Array], bounds: Array) -> None:
-        self._left, self.bounds = left, bounds
+    It cannot be run where x is above `end`.
+    """
+
+    def __init__(self, left: Callable[[Array], Array], bounds: Array, end: float = np.inf) -> None:
+        self._left, self.bounds, self._end = left, bounds, end
 
     def left(self, _: Any, x: Array) -> Array:
+        if x.max() > self._end:
+            raise InputError("no run")
         return self._left(x)
 
     def slopes(self, _: Any, x: Array) -> Array:
@@ -32,8 +37,8 @@ class Made:
         return np.column_stack([(self._left(x + d) - self._left(x - d)) / (2 * h) for d in steps])
 
 
-def found(left: Callable[[Array], Array], bounds: Array, x: Array, steps: int = 15) -> Any:
-    made: Any = Made(left, bounds)
+def found(left: Callable[[Array], Array], bounds: Array, x: Array, steps: int = 15, end: float = np.inf) -> Any:
+    made: Any = Made(left, bounds, end)
     return descend(made, made, x, steps)
 
 
@@ -107,30 +112,16 @@ def test_it_begins_within_the_bounds() -> None:
 
 def test_it_goes_less_far_where_the_model_cannot_be_run() -> None:
     """The first step would go to 0.99; from 0.6 on there is no run."""
-
-    def left(x: Array) -> Array:
-        if x[0] > 0.6:
-            raise InputError("the run leaves the range in which the model holds")
-        return 10.0 * x - 10.0
-
-    end = found(left, FREE, np.zeros(1))
+    end = found(lambda x: 10.0 * x - 10.0, FREE, np.zeros(1), end=0.6)
     assert 0.5 < end.x[0] <= 0.6
 
 
 def test_where_it_cannot_be_run_at_all_it_stays() -> None:
-    def left(x: Array) -> Array:
-        if x[0] > 1e-5:
-            raise InputError("no run")
-        return 10.0 * x - 10.0
-
-    end = found(left, FREE, np.zeros(1))
+    end = found(lambda x: 10.0 * x - 10.0, FREE, np.zeros(1), end=0.0)
     assert end.x == pytest.approx([0.0])
     assert end.promised > 40.0
 
 
 def test_a_start_that_cannot_be_run_is_an_error() -> None:
-    def left(x: Array) -> Array:
-        raise InputError("no run")
-
     with pytest.raises(InputError, match="no run"):
-        found(left, FREE, np.zeros(1))
+        found(lambda x: x, FREE, np.zeros(1), end=-1.0)
