@@ -1,8 +1,10 @@
 """Find where a model and recordings disagree, name the missing effect and add it to the model."""
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -44,7 +46,7 @@ where it looks like a fault, and where --apply is refused.
 """
 
 
-MODEL, EXPERIMENT = "model.toml", "experiment.toml"
+MODEL, EXPERIMENT, WORK = "model.toml", "experiment.toml", "work"
 
 
 def main(argv: list[str]) -> int:
@@ -68,6 +70,8 @@ def main(argv: list[str]) -> int:
     add("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
     if options.undo:
+        if options.apply or options.held_out or options.tune:
+            parser.error("--undo takes MODEL and --out only")
         return _undo(options.model, options.recording, options.out)
     if not options.recording or not options.held_out:
         parser.error("give recordings to fit, and others with --held-out")
@@ -91,7 +95,7 @@ def _discover(options: argparse.Namespace) -> int:
     if Path(options.model).resolve() == (options.out / MODEL).resolve():
         raise InputError(f"{options.model}: --out {options.out} would write over it; give --out another place")
     _room(options.out)
-    with Progress(f"discovering what {model.name} misses") as progress:
+    with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
             progress.note(gap)
@@ -99,7 +103,7 @@ def _discover(options: argparse.Namespace) -> int:
             progress.note(gap)
         recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
-            found = discover(data, library, executor, options.out / "work", _Clock(progress))
+            found = discover(data, library, executor, options.out / WORK, _Clock(progress))
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
@@ -172,6 +176,15 @@ def _results(options: argparse.Namespace, new: Adoption, extras: Extras) -> list
     for name, text in files.items():
         _write(options.out / name, text)
     return [options.out / name for name in files]
+
+
+@contextmanager
+def _resumable(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"call it again to go on: what is done is kept in {folder / WORK}", file=sys.stderr)
+        raise
 
 
 def _write(path: Path, text: str) -> None:

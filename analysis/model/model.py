@@ -184,6 +184,8 @@ def check_bounds(parameter: Parameter, place: str) -> None:
     """Raises ModelError for a value that is not finite, outside its bounds, or not positive although it has a prior."""
     lower = -math.inf if parameter.min is None else parameter.min
     upper = math.inf if parameter.max is None else parameter.max
+    if lower > upper:
+        raise ModelError(f"{place}: min {lower:g} is above max {upper:g} {parameter.unit}; swap them")
     if not math.isfinite(parameter.value) or not lower <= parameter.value <= upper:
         raise ModelError(f"{place}: value {parameter.value:g} is outside [{lower:g}, {upper:g}] {parameter.unit}")
     if parameter.prior is not None and not (parameter.prior > 0 and parameter.value > 0):

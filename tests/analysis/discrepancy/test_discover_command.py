@@ -150,6 +150,9 @@ def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -
     with pytest.raises(InputError, match="uds1 was made from this recording, so it is no evidence"):
         run(found.out / "model.toml", found.training, "--held-out", found.held, "--out", tmp_path / "again")
     true.write_text(dump_model(dataclasses.replace(model, provenance=())))
+    (tmp_path / "again").mkdir(exist_ok=True)
+    for name in ("model.toml", "experiment.toml"):  # left by an earlier call, and not of this one
+        (tmp_path / "again" / name).write_text("schema = 1\n")
     code, told = run(true, found.training, "--held-out", found.held, "--out", tmp_path / "again", "--json")
     assert code == 0
     document = json.loads(told)
@@ -158,6 +161,22 @@ def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -
     entries = {entry["name"]: entry["no_place"] for entry in document["entries"]}
     assert entries["full_open_gain"] == "uds1 has full_open_gain in it already"
     assert not (tmp_path / "again" / "model.toml").exists()
+    assert not (tmp_path / "again" / "experiment.toml").exists()
+
+
+def test_a_fault_in_a_held_out_recording_is_told_and_nothing_is_added(tmp_path: Path) -> None:
+    """The wound: it raised what is asked for until nothing was missing."""
+    values = {name: p.value for name, p in UDS1.parameters.items()}
+    healthy, faulty = (frames(UDS1, values, 10, speed=SPEED, dose=OTHER, zero={"y_p_du": off}) for off in (0.0, 4e4))
+    held = write_recording(tmp_path / "h", [a if a.t < 90.0 else b for a, b in zip(healthy, faulty, strict=True)])
+    training = recording(tmp_path / "t", {}, 9)
+    code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--apply")
+    assert code == 1
+    assert printed.startswith("something set in at ")
+    assert " of the held-out recordings, as faults do (" in printed
+    onset = json.loads((tmp_path / "out" / "discovery.json").read_bytes())["onset"]["data"]
+    assert onset["t_s"] == pytest.approx(90.0, abs=10.0)
+    assert not (tmp_path / "out" / "model.toml").exists()
 
 
 def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path) -> None:
@@ -181,6 +200,29 @@ def refused(*arguments: object) -> str:
         main([*map(str, arguments)])
     assert "\n" not in str(error.value)
     return str(error.value)
+
+
+def test_what_is_wrong_with_the_bundles_recordings_is_said_before_a_minute_is_spent(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "own.toml"
+    shipped = Path(load_library()["pump_slip"].place.split(":")[0]).read_text()
+    entry = shipped[shipped.index('[[effect]]\nname = "leak_laminar"') :].split("\n[[effect]]")[0]
+    own.write_text("schema = 1\n" + entry.replace('"leak_laminar"', '"mine"').replace('"q_pump"', '"q_pumpe"'))
+    said = refused(
+        "uds1", made.training, "--held-out", made.held, "--out", tmp_path / "o", "--library", own, "--tune", made.held
+    )
+    assert said.startswith(f"{made.held}: this recording was used to calibrate the model or to discover its effects")
+    assert not (tmp_path / "o" / "work").exists()
+    noted = capsys.readouterr().err
+    assert f"{own}: effect mine: " in noted
+    assert "; the entry is left away" in noted
+
+
+def test_the_model_is_not_written_over(found: Found) -> None:
+    said = refused(found.out / "model.toml", found.training, "--held-out", found.held, "--out", found.out)
+    assert said.endswith(f"--out {found.out} would write over it; give --out another place")
+    assert (found.out / "model.toml").exists()
 
 
 def test_evidence_needs_another_recording(made: Made, tmp_path: Path) -> None:
@@ -243,6 +285,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_else(made: Made
     ("options", "said"),
     [
         ((), "give recordings to fit, and others with --held-out"),
+        (("--undo", "--apply"), "--undo takes MODEL and --out only"),
         (("--held-out", "b", "--evaluate", "c", "--truth", "d", "e"), "give as many --truth as --evaluate"),
     ],
 )
