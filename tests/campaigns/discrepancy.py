@@ -29,6 +29,7 @@ from analysis.discrepancy.add.held_out import shown
 from analysis.discrepancy.data import Data, load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
 from analysis.discrepancy.find.onset import onset
 from analysis.discrepancy.name.experiment import propose
 from analysis.model import load_model
@@ -106,8 +107,16 @@ def _judged(case: Case, found: Discovery) -> dict[str, Any]:
         "threshold": found.outcome.threshold,
         "dispersion": [found.outcome.nominal.dispersion, found.outcome.chosen.dispersion],
         "members": list(found.before.members),
+        "changed": _changed(found),
         "singles": [[a.effects[0], a.evidence - found.outcome.nominal.evidence] for a in found.outcome.singles[:5]],
     }
+
+
+def _changed(found: Discovery) -> list[str]:
+    """The equations that the chosen effects change."""
+    model = found.study.model
+    texts = [rewritten(model, found.study.library[names[0]]).equations for names in found.verdict.sets]
+    return sorted({name for new in texts for name, e in model.equations.items() if new[name].text != e.text})
 
 
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:

@@ -98,6 +98,7 @@ def rows(results: Sequence[Result]) -> dict[str, Judged]:
     several = [r for r in seen if r["verdict"] == "one of"]
     telling = [r for r in several if not unique(r)]
     located = [r for r in [*seen, *of["outside"]] if r["members"]]
+    telling_where = [r for r in [*of["hidden"], *of["outside"]] if spoke(r) or r["members"]]
     strong = _regimes(r for r in seen if not r.get("refused"))
     gaps = [(b - a) / (b - f) for _, b, a, f in strong if b > GAP * f]
     return {
@@ -115,6 +116,9 @@ def rows(results: Sequence[Result]) -> dict[str, Judged]:
             located, lambda r: bool({*r["members"]} & where(r))
         ),
         "... and it is the first one": _count(located, lambda r: r["members"][0] in where(r)),
+        "told to the user: the right equation, the name's or that of the located class": _count(
+            telling_where, lambda r: bool({*(r["changed"] if spoke(r) else r["members"])} & where(r))
+        ),
         "two hidden, both visible: both found": _count(pairs, named_right),
         "two hidden, both visible: at least one found": _count(
             pairs, lambda r: spoke(r) and any(_has(names, one) for names in r["sets"] for one in entries(r))

@@ -32,7 +32,7 @@ DRAWS = 400
 SAME = 6.0
 """Evidence that differs by less, twice in nats, is the same."""
 
-ALIKE, NEARLY = 0.75, 0.75
+ALIKE, NEARLY = 0.75, 0.7
 """An equation that explains so much of what another's input does, with so much of its evidence, is of its class."""
 
 LITTLE = 4.0
