@@ -202,7 +202,7 @@ def test_tuning_takes_another_recording_of_the_vehicle(
 
 def test_tuning_refuses_the_recording_of_the_calibration(made: Made, tmp_path: Path) -> None:
     out = tmp_path / "tuning.json"
-    with pytest.raises(InputError, match=r"holds-3: this recording is used for calibration; tune on fault-free"):
+    with pytest.raises(InputError, match=r"holds-3: this recording is used to make the model; tune on fault-free"):
         tune([str(made.calibrated), str(made.first), "--out", str(out)])
     assert not out.exists()
 
