@@ -1,5 +1,6 @@
 """The stories in docs: their commands run, and print what the pages say they print."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -59,3 +60,17 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
 def test_air_in_the_hose_or_a_hose_that_stiffens(tmp_path: Path) -> None:
     told("air-or-stiff-hose", tmp_path, unsure=1)
     assert added(tmp_path / "out" / "air" / "found" / "model.toml") >= {"entrained_air_V_a"}
+
+
+def test_a_hose_that_creeps(tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(DOCS)
+    told("creeping-hose", tmp_path, unsure=1)
+    found = tmp_path / "out" / "creep" / "found"
+    assert added(found / "model.toml") == {"creeping_hose_C", "creeping_hose_tau"}
+    [idle] = [
+        regime
+        for regime in json.loads((found / "discovery.json").read_text())["regimes"]
+        if (regime["output"], regime["mode"]) == ("y_p_ap", "idle")
+    ]
+    assert idle["rms_before"] > 1.5 * idle["expected"]
+    assert idle["rms_after"] < idle["expected"]
