@@ -6,10 +6,11 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 
 from analysis.calibration.provenance import recordings_of
-from analysis.discrepancy.add.adopt import undone
+from analysis.discrepancy.add.adopt import undone, within_bounds
 from analysis.discrepancy.add.bundle_effect import BundleEffect, Trial, bundle_effect, trial
 from analysis.discrepancy.add.drift import drifts
 from analysis.discrepancy.add.gate import Adoption, adoption
@@ -20,12 +21,13 @@ from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.effects.library import load_library
 from analysis.discrepancy.effects.rewrite import applicable
-from analysis.discrepancy.find.onset import onset
-from analysis.discrepancy.name.experiment import Plan, propose
+from analysis.discrepancy.name.attempt import Attempt
+from analysis.discrepancy.name.experiment import MANY, Plan, propose
+from analysis.discrepancy.name.gauge import Gauge, gauge
 from analysis.discrepancy.name.work import workers
 from analysis.discrepancy.show.document import encoded
 from analysis.discrepancy.show.extras import Extras
-from analysis.discrepancy.show.report import write
+from analysis.discrepancy.show.report import DOCUMENT, write
 from analysis.discrepancy.show.sentences import sentences
 from analysis.discrepancy.show.told import document_of, origin_of
 from analysis.model import Model, dump_model
@@ -75,6 +77,8 @@ def main(argv: list[str]) -> int:
         return _undo(options.model, options.recording, options.out)
     if not options.recording or not options.held_out:
         parser.error("give recordings to fit, and others with --held-out")
+    if options.evaluate and not options.tune:
+        parser.error("--evaluate judges bundles, and those are tuned: give fault-free recordings with --tune")
     if options.truth and len(options.truth) != len(options.evaluate):
         parser.error("give as many --truth as --evaluate, in the same order")
     return _discover(options)
@@ -84,17 +88,19 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
     if recordings:
         raise InputError("--undo takes a model only; leave the recordings away")
     before = undone(sound_model(model))
+    _not_over(model, out)
     _room(out)
-    _write(out / MODEL, dump_model(before))
+    with _writing(out / MODEL):
+        (out / MODEL).write_text(dump_model(before))
     print(f"wrote {out / MODEL}: {before.name} as it was before its last discovery")
     return 0
 
 
 def _discover(options: argparse.Namespace) -> int:
     model, library = sound_model(options.model), load_library(options.library)
-    if Path(options.model).resolve() == (options.out / MODEL).resolve():
-        raise InputError(f"{options.model}: --out {options.out} would write over it; give --out another place")
+    _not_over(options.model, options.out)
     _room(options.out)
+    ours = (options.out / DOCUMENT).exists()
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
@@ -107,12 +113,14 @@ def _discover(options: argparse.Namespace) -> int:
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
-        set_in = onset(model, found.before, "training") or onset(model, found.held, "held-out")
+        plans = _plans(found, progress)
+        set_in = found.onset([log.id for log in data.training], [log.id for log in data.held])
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
             bundle=_bundles(recordings, found, new, progress),
-            plans=_plans(found, progress),
+            plans=plans,
+            gauge=_gauge(found, plans),
             onset=set_in,
             refused=new.reasons,
             applied=options.apply and new.model is not None and not new.reasons and set_in is None,
@@ -120,7 +128,7 @@ def _discover(options: argparse.Namespace) -> int:
         document = document_of(found, runs, origin_of(data), extras)
         progress.say("report")
         written = write(options.out, found, document, runs)
-        written += _results(options, new, extras)
+        written += _results(options, new, extras, ours)
     if options.json:
         print(encoded(document).decode())
     else:
@@ -131,8 +139,19 @@ def _discover(options: argparse.Namespace) -> int:
 
 def _plans(found: Discovery, progress: Progress) -> list[Plan]:
     """Experiments that would tell the first effect with rivals from them."""
-    place = next((place for place in found.outcome.places if len(place.attempts) > 1), None)
-    return propose(found.study, found.baseline, place.attempts, progress.note) if place is not None else []
+    return propose(found.study, found.baseline, _rivals(found), progress.note) if _rivals(found) else []
+
+
+def _gauge(found: Discovery, plans: Sequence[Plan]) -> Gauge | None:
+    """The reading that tells what no experiment does."""
+    rivals = _rivals(found)
+    pairs = plans[0].untold if plans else [*combinations((rival.effects[-1] for rival in rivals[:MANY]), 2)]
+    return gauge(found.study, rivals, pairs)
+
+
+def _rivals(found: Discovery) -> tuple[Attempt, ...]:
+    """Of the first effect that has some."""
+    return next((place.attempts for place in found.outcome.places if len(place.attempts) > 1), ())
 
 
 def _without_place(model: Model, library: Mapping[str, Effect], own: Path | None) -> Iterator[str]:
@@ -157,24 +176,27 @@ def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress
     if recordings is None or new.model is None:
         return None
     progress.say("bundles before and after")
-    before = found.study.model.with_parameters(found.outcome.nominal.values, new.model.provenance[-1])
+    model = found.study.model
+    before = model.with_parameters(within_bounds(model, found.outcome.nominal.values), new.model.provenance[-1])
     return bundle_effect(before, new.model, recordings, progress)
 
 
-def _results(options: argparse.Namespace, new: Adoption, extras: Extras) -> list[Path]:
+def _results(options: argparse.Namespace, new: Adoption, extras: Extras, ours: bool) -> list[Path]:
     """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help.
 
-    What an earlier call has left goes, as it is not of this one.
+    In a folder of `ours` what an earlier call has left goes, as it is not of this one.
     """
     files = {}
     if extras.applied and new.model is not None:
         files[MODEL] = dump_model(new.model)
     if extras.plans and extras.plans[0].told:
         files[EXPERIMENT] = extras.plans[0].experiment.cycle()
-    for name in {MODEL, EXPERIMENT} - {*files}:
-        (options.out / name).unlink(missing_ok=True)
+    for name in ({MODEL, EXPERIMENT} if ours else set()) - {*files}:
+        with _writing(options.out / name):
+            (options.out / name).unlink(missing_ok=True)
     for name, text in files.items():
-        _write(options.out / name, text)
+        with _writing(options.out / name):
+            (options.out / name).write_text(text)
     return [options.out / name for name in files]
 
 
@@ -187,11 +209,17 @@ def _resumable(folder: Path) -> Iterator[None]:
         raise
 
 
-def _write(path: Path, text: str) -> None:
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
     try:
-        path.write_text(text)
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; give --out another place") from error
+
+
+def _not_over(model: str, folder: Path) -> None:
+    if Path(model).resolve() == (folder / MODEL).resolve():
+        raise InputError(f"{model}: --out {folder} would write over it; give --out another place")
 
 
 def _room(folder: Path) -> None:

@@ -1,6 +1,6 @@
 """The whole search: is anything missing, where, what is it, and how sure is that."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +11,10 @@ from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.effects.library import SHIPPED
 from analysis.discrepancy.effects.rewrite import applicable, rewritten
 from analysis.discrepancy.find.locate import Location
+from analysis.discrepancy.find.onset import Onset, onset
 from analysis.discrepancy.name.attempt import Baseline, Begin, Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import Outcome, Say, contest, scale
-from analysis.discrepancy.name.sensitivity import LEAST, Direction, chance
+from analysis.discrepancy.name.contest import Outcome, Say, asked, contest
+from analysis.discrepancy.name.sensitivity import Direction, chance
 from analysis.discrepancy.name.work import Crew
 
 Kind = Literal["nothing missing", "named", "one of", "unnamed"]
@@ -58,6 +59,12 @@ class Discovery:
     unfit: Mapping[str, str]
     halted: Mapping[str, str]
 
+    def onset(self, training: Sequence[str], held: Sequence[str]) -> Onset | None:
+        """Whether something set in while it was recorded, as faults do; the names are those of the recordings."""
+        model = self.study.model
+        places = ((self.before, training), (self.after, training), (self.held, held))
+        return next((found for place, names in places if (found := onset(model, place, names)) is not None), None)
+
 
 def discover(data: Data, library: Mapping[str, Effect], executor: Executor, folder: Path | None, say: Say) -> Discovery:
     """The search in the recordings of `data` for effects of the library; `folder` keeps what is done.
@@ -83,12 +90,12 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     def unbent() -> Begin | None:
         return Begin(nominal.unknowns, before.x) if before.members else None
 
-    outcome = contest(crew, [*fit], nominal, LEAST, unbent, say)
+    outcome = contest(crew, [*fit], nominal, 0.0, unbent, say)
     directions = tuple(crew.directions([*fit]))
-    threshold = chance(directions, *judge.left(outcome.chosen))
-    outcome = replace(outcome, threshold=threshold)
-    if outcome.places and outcome.places[0].gain <= threshold * scale(outcome.chosen):
-        outcome = replace(outcome, chosen=nominal, places=())
+    law = chance(directions, *judge.left(outcome.chosen))
+    if any(place.gain < law for place in outcome.places):
+        outcome = contest(crew, [*fit], nominal, law, unbent, say)
+    outcome = replace(outcome, threshold=asked(outcome.chosen, law))
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
     held = judge.locate(outcome.chosen, held=True)
     judged = {attempt.effects for attempt in outcome.singles}

@@ -30,7 +30,6 @@ from analysis.discrepancy.data import Data, load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.effects.library import load_library
 from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.discrepancy.find.onset import onset
 from analysis.discrepancy.name.experiment import propose
 from analysis.model import load_model
 from service.core.manifest import MODES
@@ -88,6 +87,16 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
     return result
 
 
+def tried(case: Case) -> dict[str, Any]:
+    """The same, or what went wrong: that is a result too."""
+    try:
+        return run(case)
+    except Exception as error:  # noqa: BLE001  (whatever it is, the page counts it against the workflow)
+        nothing = {"sets": [], "members": [], "changed": [], "gain": 0.0, "remainder": 0.0, "seconds": 0.0}
+        what = {"case": case.name, "kind": case.kind, "effects": dict(case.effects), "cpu_s": 1e9}
+        return {**what, **nothing, "verdict": f"{type(error).__name__}: {error}"}
+
+
 def record_case(
     case: Case, cycle: Cycle, name: str, seed: int, effects: Any, root: Path, s: float = DURATION_S
 ) -> Path:
@@ -98,9 +107,8 @@ def record_case(
 
 
 def _judged(case: Case, found: Discovery) -> dict[str, Any]:
-    place = onset(found.study.model, found.before, "training") or onset(found.study.model, found.held, "held-out")
     return {
-        "verdict": "fault" if place else found.verdict.kind,
+        "verdict": "fault" if found.onset(["training"], ["validation"]) else found.verdict.kind,
         "sets": [list(names) for names in found.verdict.sets],
         "gain": found.verdict.gain,
         "remainder": found.verdict.remainder,
@@ -190,7 +198,7 @@ def shard(all_of_them: Sequence[Case], text: str) -> list[Case]:
 def results(wanted: Sequence[Case], processes: int) -> Iterator[dict[str, Any]]:
     """Those of the cases as they come."""
     with multiprocessing.Pool(processes, maxtasksperchild=40) as pool:
-        yield from pool.imap_unordered(run, wanted, chunksize=1)
+        yield from pool.imap_unordered(tried, wanted, chunksize=1)
 
 
 def main() -> None:

@@ -19,7 +19,8 @@ from discrepancy_cases import Case, cases
 from analysis.discrepancy.data import load
 from analysis.discrepancy.effects.library import load_library
 from analysis.discrepancy.name.attempt import Judge, Study, baseline_of
-from analysis.discrepancy.name.sensitivity import LEAST, alike, smallest_sizes
+from analysis.discrepancy.name.contest import LEAST
+from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from analysis.model import load_model
 from testbench.cycles import CYCLES
 

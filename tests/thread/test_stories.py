@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,10 +52,19 @@ def shipped() -> Model:
     return load_model("uds4")
 
 
+def discovered(folder: Path) -> dict[str, Any]:
+    """What `discover` wrote for programs."""
+    found: dict[str, Any] = json.loads((folder / "discovery.json").read_text())
+    return found
+
+
 def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
     told("full-lift", tmp_path)
     assert added(tmp_path / "out" / "story" / "found" / "model.toml") == {"full_open_gain_g"}
     assert load_model(str(tmp_path / "out" / "story" / "before" / "model.toml")).equations == shipped().equations
+    bundles = discovered(tmp_path / "out" / "story" / "found")["bundle"]["data"]
+    for name in ("truck-drive-s11-fA_ori", "truck-drive-s12-fq_pump"):
+        assert [bundles[which]["verdicts"][name]["named"] for which in ("before", "after")] == [False, True]
 
 
 def test_air_in_the_hose_or_a_hose_that_stiffens(tmp_path: Path) -> None:
@@ -67,10 +77,6 @@ def test_a_hose_that_creeps(tmp_path: Path) -> None:
     told("creeping-hose", tmp_path, unsure=1)
     found = tmp_path / "out" / "creep" / "found"
     assert added(found / "model.toml") == {"creeping_hose_C", "creeping_hose_tau"}
-    [idle] = [
-        regime
-        for regime in json.loads((found / "discovery.json").read_text())["regimes"]
-        if (regime["output"], regime["mode"]) == ("y_p_ap", "idle")
-    ]
+    [idle] = [r for r in discovered(found)["regimes"] if (r["output"], r["mode"]) == ("y_p_ap", "idle")]
     assert idle["rms_before"] > 1.5 * idle["expected"]
     assert idle["rms_after"] < idle["expected"]

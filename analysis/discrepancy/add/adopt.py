@@ -44,7 +44,7 @@ def adopted(model: Model, effects: Sequence[Effect], values: Mapping[str, float]
     missing = [name for name in new.calibrated if name not in values]
     if missing:
         raise ModelError(f"{model.name}: parameter.{missing[0]}: was not fitted; give values of {', '.join(missing)}")
-    inside = {name: _inside(new.parameters[name], value) for name, value in values.items() if name in new.parameters}
+    inside = within_bounds(new, values)
     entry = {"command": DISCOVER, "effects": [effect.name for effect in effects], **facts}
     new = new.with_parameters({**values, **inside}, _plain({**entry, "was": _was(model, new, inside)}))
     return parse_model(dump_model(new), model.name)
@@ -67,6 +67,11 @@ def undone(model: Model) -> Model:
     if was is None:
         raise ModelError(f"{place}.was: is missing; give the model file as `faultline discover` wrote it")
     return parse_model(dump_model(_restored(model, was)), model.name)
+
+
+def within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """The values of the model's parameters, at the bound where rounding has carried one beyond it."""
+    return {name: _inside(model.parameters[name], value) for name, value in values.items() if name in model.parameters}
 
 
 def _inside(parameter: Parameter, value: float) -> float:

@@ -8,15 +8,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from analysis.calibration.problem import DELAY_S, LAG_S
-from analysis.calibration.validate import STEADY
 from analysis.discrepancy.add.adopt import adopted
-from analysis.discrepancy.add.held_out import REAL, Shown
+from analysis.discrepancy.add.held_out import Shown
 from analysis.discrepancy.data import Data
 from analysis.discrepancy.discover import Discovery
 from analysis.model import Model
+from service.core.manifest import MODES
+from service.core.modes import EDGE
 
 WORSE = 1.05
-"""A free run's error, steady, may grow by this factor; more, and the effect is not added."""
+"""A free run's error in a mode may grow by this factor, and to what noise lets expect; more, and nothing is added."""
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: a sensor's lag or a command's delay beyond them does another thing's work."""
@@ -60,11 +61,10 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         yield f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name"
     known = found.study.model.known
     for gap in shown.gaps:
-        if gap.mode == STEADY and gap.after.rms > max(WORSE * gap.before.rms, REAL * gap.expected):
-            unit = known[gap.output].unit
+        if gap.mode != MODES[EDGE] and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
             yield (
-                f"the held-out free run of {gap.output} grows worse, from {gap.before.rms:.0f} to "
-                f"{gap.after.rms:.0f} {unit}"
+                f"the held-out free run of {gap.output} grows worse ({gap.mode}), from {gap.before.rms:.0f} to "
+                f"{gap.after.rms:.0f} {known[gap.output].unit}"
             )
     for name, inside in zip(chosen.unknowns.parameters, chosen.inside.tolist(), strict=False):
         if not inside:

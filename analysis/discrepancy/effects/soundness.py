@@ -103,7 +103,8 @@ def _same(one: sp.Expr, other: sp.Expr, model: Model) -> bool:
     for _ in range(PROBES):
         point = {symbol: _somewhere(symbol.name, model, random) for symbol in symbols}
         size = sum(abs(_number(term, point)) for term in sp.Add.make_args(other))
-        if not abs(_number(difference, point)) <= EQUAL * size:
+        off = _number(difference, point)
+        if not off.is_finite or abs(off) > EQUAL * size:  # 1/g where g is null is no number
             return False
     return True
 

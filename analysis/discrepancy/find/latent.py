@@ -35,7 +35,7 @@ SIGMAS = np.geomspace(1e-4, 10.0, 41)
 class Misfit:
     """The whitened misfit of `problem` at `x` without what another x would take of it.
 
-    `left` (N + n) is it, with the priors' n rows at the end; `dof` is how large its square is if nothing is missing.
+    `left` (N + n) is it, with the priors' n rows at the end.
     """
 
     def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh]) -> None:
@@ -44,7 +44,6 @@ class Misfit:
         J = np.concatenate([white(-part[:, free]) for white, part in zip(weights, problem.slopes(x), strict=True)])
         self._weights = weights
         self._Q = np.linalg.qr(np.concatenate([J, np.eye(J.shape[1])]))[0]
-        self.dof = len(e)
         self.left = self._projected(np.concatenate([e, -x[free]]))
 
     @property

@@ -5,7 +5,7 @@ are explained (`latent`). Equations whose inputs do the same are one class: the 
 Within the class the equation comes first whose missing part is told best by its own quantities (`operating_space`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,9 +51,8 @@ class Suspect:
 
     `evidence` is twice the gain of the log marginal likelihood, `probability` that of as much for any equation when
     nothing is missing, `prior` what was expected of the input (see `unknown_input`). The input: `value` and standard
-    deviation `sd` (cells,) at `t` [s], added to the equation's right hand side, as an amount of `variable` in `unit`;
-    as a fraction it is value / `size`. `explained` is the part of the misfit's square, above what is expected, that it
-    takes away.
+    deviation `sd` (cells,) at `t` [s] of the recording with the number `log`, added to the equation's right hand side,
+    as an amount of `variable` in `unit`; as a fraction it is value / `size`.
     """
 
     equation: str
@@ -62,12 +61,12 @@ class Suspect:
     probability: float
     prior: str
     t: Array
+    log: npt.NDArray[np.int64]
     value: Array
     sd: Array
     variable: str
     unit: str
     size: float
-    explained: float
 
     @property
     def significant(self) -> bool:
@@ -82,8 +81,9 @@ class Location:
     `suspects` are all equations by evidence; `members` is the class of the best, the most plausible first, empty if
     nothing is missing. `inseparable` are the equations that no recording would tell from the first member if anything
     may be missing, and `sensors` the variables of which each, if measured, would. `findings` say for every member where
-    in the operating space; `further` is the equation, if any, that has significant evidence even when the first
-    member's input is taken for unknown. `x` is the fit made again without the effect.
+    in the operating space, and `courses` (cells, parts) what it follows there, in the cells of its input. `further` is
+    the equation, if any, that has significant evidence even when the first member's input is taken for unknown. `x` is
+    the fit made again without the effect.
     """
 
     suspects: tuple[Suspect, ...]
@@ -91,6 +91,7 @@ class Location:
     inseparable: tuple[str, ...]
     sensors: tuple[str, ...]
     findings: tuple[Finding, ...]
+    courses: Mapping[str, Array]
     further: tuple[Suspect, ...]
     x: Array
 
@@ -122,7 +123,7 @@ def locate(problem: Problem, x: Array, weights: Sequence[Weigh]) -> Location:
     search = _Search(problem, x, weights)
     best = search.best
     if not search.suspects[best].significant:
-        return Location(search.sorted(), (), (), (), (), (), x)
+        return Location(search.sorted(), (), (), (), (), {}, (), x)
     nearer = search.made_again()
     if np.abs(x).max() > ABSURD:  # the effect has bent the fit; from there the way back may be too long
         other = _Search(problem, _as_expected(problem, x), weights, search.square).made_again()
@@ -136,7 +137,14 @@ def locate(problem: Problem, x: Array, weights: Sequence[Weigh]) -> Location:
     alike = inseparable(problem.system.model, first)
     sensors = splitting_sensors(problem.system.model, first, alike) if alike else ()
     return Location(
-        search.sorted(), members, alike, sensors, tuple(findings), search.further(findings[0], members), search.x
+        suspects=search.sorted(),
+        members=members,
+        inseparable=alike,
+        sensors=sensors,
+        findings=tuple(findings),
+        courses={finding.equation: search.courses(finding) for finding in findings},
+        further=search.further(findings[0], members),
+        x=search.x,
     )
 
 
@@ -180,8 +188,6 @@ class _Search:
         if evidence > LITTLE:
             chance = tail(null_law(response.gram, list(self._roots.values()), DRAWS), evidence)
         scale = term.size / abs(term.factor)
-        removed = 2.0 * a @ response.pull - a @ response.gram @ a + gained
-        excess = max(self._gained + self.misfit.square - self.misfit.dof, np.sqrt(8.0 * self.misfit.dof))
         return Suspect(
             equation=name,
             description=self._model.equations[name].description,
@@ -189,12 +195,12 @@ class _Search:
             probability=min(1.0, len(self._model.equations) * chance),
             prior=prior,
             t=self._cells.t,
+            log=self._cells.log,
             value=scale * a,
             sd=scale * np.sqrt(np.diag(latent.covariance)),
             variable=term.variable,
             unit=term.unit,
             size=scale,
-            explained=float(np.clip(removed / excess, 0.0, 1.0)),
         )
 
     def made_again(self) -> "_Search":
@@ -230,6 +236,10 @@ class _Search:
         pull = self.misfit.pull(response.parts, signature)
         a = Latent(response.gram, pull, self._roots[self.suspects[name].prior]).mean
         return float((2.0 * a @ pull - a @ response.gram @ a) / (signature @ signature))
+
+    def courses(self, finding: Finding) -> Array:
+        """What the finding's parts follow (cells, parts), in the cells of the unknown input."""
+        return self._cells.means(np.column_stack([part.feature.direction for part in finding.parts]))
 
     def further(self, told: Finding, members: Sequence[str]) -> tuple[Suspect, ...]:
         """The best equation outside of the class that has significant evidence beside what the first one misses.

@@ -1,9 +1,11 @@
 """A fault or a model error: physics that a model lacks is there from the start, a fault sets in.
 
-What an equation misses, as it was smoothed over time, is described by one step or by a straight line. Where the step
-is much the better of the two, something happened at that time.
+What an equation misses, as it was smoothed over time, is described by one step, and by what physics does: a straight
+line, something that settles, the quantities that it was found to follow. Where the step is much the better account,
+something happened at that time.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,24 +23,24 @@ EXPLAINED = 0.6
 """Of the curve's square around its mean: a step that explains less is none."""
 
 BETTER = 0.5
-"""Of what a straight line leaves: a wear that grows is no fault that set in."""
-
+"""Of what physics would leave: a wear that grows is no fault that set in."""
 
 CLEAR = 30.0
 """Evidence [nats] that something is missing; with less there is no curve to look at."""
 
 
+SETTLING_S = (20.0, 40.0, 80.0, 160.0)
+"""What settles, with these time constants: a warm-up, a clock that is found."""
+
+
 @dataclass(frozen=True)
 class Onset:
-    """When something set in, `t_s` [s] of log time, in which `equation`, with the `faults` that enter there.
-
-    `where` names the recordings.
-    """
+    """When something set in, `t_s` [s] of log time of a `recording`, in which `equation`, with the `faults` there."""
 
     t_s: float
     equation: str
     faults: tuple[str, ...]
-    where: str
+    recording: str
 
     def what(self, model: Model) -> str:
         """What happened, for people."""
@@ -46,7 +48,7 @@ class Onset:
             f"{model.faults[name].component}: {model.faults[name].description}" for name in self.faults
         )
         return (
-            f"something set in at {self.t_s:.0f} s of the {self.where} recordings, as faults do ({self.equation}"
+            f"something set in at {self.t_s:.0f} s of {self.recording}, as faults do ({self.equation}"
             f"{f', where these enter: {faults}' if faults else ''})"
         )
 
@@ -58,32 +60,39 @@ class Onset:
         )
 
 
-def onset(model: Model, location: Location, where: str) -> Onset | None:
+def onset(model: Model, location: Location, recordings: Sequence[str]) -> Onset | None:
     """Whether what is missing set in while it was recorded; None where it did not, or nothing is missing.
 
-    `where` names the recordings of the location.
+    `recordings` are the names of those of the location.
     """
     if not location.members or 0.5 * location.suspects[0].evidence < CLEAR:
         return None
     suspect = max((s for s in location.suspects if s.equation in location.members), key=lambda s: s.evidence)
-    t, value, weight = suspect.t, suspect.value, 1.0 / suspect.sd**2
-    order = np.argsort(t, kind="stable")
-    t, value, weight = t[order], value[order], weight[order]
-    whole = _left(value, weight, np.ones((len(t), 1)))
-    line = _left(value, weight, np.column_stack([np.ones(len(t)), t - t.mean()]))
-    inside = t[(t > t[0] + AWAY_S) & (t < t[-1] - AWAY_S)]
+    courses = location.courses[suspect.equation]
+    for log, recording in enumerate(recordings):
+        here = np.asarray(suspect.log == log)
+        t_s = _step(suspect.t[here], suspect.value[here], 1.0 / suspect.sd[here] ** 2, courses[here])
+        if t_s is not None:
+            own = [model.equations[name] for name in location.members if name in model.equations]  # not an effect's
+            return Onset(t_s, location.members[0], tuple(e.fault.name for e in own if e.fault), recording)
+    return None
+
+
+def _step(t: Array, value: Array, weight: Array, courses: Array) -> float | None:
+    """When [s] the values (cells,) take a step; None if that is no good account of them.
+
+    `courses` (cells, n) are those of the quantities that they follow.
+    """
+    inside = t[(t > t.min() + AWAY_S) & (t < t.max() - AWAY_S)] if len(t) else t
+    always = np.ones((len(t), 1))
+    whole = _left(value, weight, always)
     if not len(inside) or whole <= 0.0:
         return None
-    left = [_left(value, weight, np.column_stack([t < at, t >= at]).astype(np.float64)) for at in inside]
-    best = int(np.argmin(left))
-    if left[best] > (1.0 - EXPLAINED) * whole or left[best] > BETTER * line:
-        return None
-    faults = (
-        tuple(fault.name for name in location.members if (fault := model.equations[name].fault) is not None)
-        if all(name in model.equations for name in location.members)
-        else ()
-    )
-    return Onset(float(inside[best]), location.members[0], faults, where)
+    physics = [t[:, None] - t.mean(), courses, *(np.exp(-(t[:, None] - t.min()) / tau) for tau in SETTLING_S)]
+    otherwise = min(_left(value, weight, np.hstack([always, course])) for course in physics)
+    left = {at: _left(value, weight, np.hstack([always, (t >= at)[:, None]])) for at in inside}
+    best = min(left, key=lambda at: left[at])
+    return float(best) if left[best] <= min((1.0 - EXPLAINED) * whole, BETTER * otherwise) else None
 
 
 def _left(value: Array, weight: Array, features: Array) -> float:

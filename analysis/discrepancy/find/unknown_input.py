@@ -34,10 +34,14 @@ SWITCHING = {"level": 0.1, "mode": 1.0, "stretch": 0.1, "drift": 0.1}
 
 @dataclass(frozen=True)
 class Cells:
-    """`number` (K,) is each instant's cell by section; of each cell: `t` [s] its middle, its section, stretch, mode."""
+    """`number` (K,) is each instant's cell by section.
+
+    Of each cell: `t` [s] its middle, the number of its recording or `log`, its section, stretch and mode.
+    """
 
     number: tuple[Ints, ...]
     t: Array
+    log: Ints
     section: Ints
     stretch: Ints
     mode: Ints
@@ -47,9 +51,16 @@ class Cells:
         """A column of ones and zeros for every cell, (K, cells) by section."""
         return [np.asarray(number[:, None] == np.arange(number[-1] + 1), dtype=np.float64) for number in self.number]
 
+    def means(self, value: Array) -> Array:
+        """The means (cells, ...) of a course (K, ...), all sections one after the other."""
+        by_section = np.split(value, np.cumsum([len(number) for number in self.number])[:-1])
+        sums = [mark.T @ part for mark, part in zip(self.marks, by_section, strict=True)]
+        counts = np.concatenate([np.bincount(number) for number in self.number])
+        return np.asarray((np.concatenate(sums).T / counts).T)
+
     @property
     def roots(self) -> dict[str, Array]:
-        """A root of each prior's covariance, by its name in `PRIORS`; its variance is about one."""
+        """A root of each prior's covariance, by its name in `PRIORS`; its variance is one to two."""
         same = self.section[:, None] == self.section
         drift = same * _matern(self.t, DRIFT_S)
         parts = {
@@ -67,7 +78,8 @@ def cells_of(runs: DisturbedRuns) -> Cells:
     """The cells of all sections."""
     span = sum(float(section.t[-1]) for section in runs.sections)
     length = max(CELL_S, span / MOST_CELLS)
-    number, t, mode, place, stretches = [], [], [], [], []
+    number, t, mode, place, stretches, log = [], [], [], [], [], []
+    beginnings = np.cumsum([section.number == 0 for section in runs.sections]) - 1
     for k, section in enumerate(runs.sections):
         stretch = _stretches(section, [runs.system.inputs.index(name) for name in runs.commands])
         cell = _cut(stretch, round(length / section.drive.step_s))
@@ -78,7 +90,8 @@ def cells_of(runs: DisturbedRuns) -> Cells:
         mode.append(mode_of(runs.system.model, runs.system, section)[middle])
         stretches.append(stretch[middle])
         place.append(np.full(len(middle), k))
-    return Cells(tuple(number), *(np.concatenate(part) for part in (t, place, stretches, mode)))
+        log.append(np.full(len(middle), beginnings[k]))
+    return Cells(tuple(number), *(np.concatenate(part) for part in (t, log, place, stretches, mode)))
 
 
 def _stretches(section: Section, columns: Sequence[int]) -> Ints:

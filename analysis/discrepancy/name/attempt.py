@@ -192,14 +192,14 @@ class Judge:
         apart = block_diag(*zeros)
         others = np.hstack([np.delete(shared, what, axis=1), apart])
         does = shared[:, what]
-        visible = remaining(does, others)
-        power = np.sum(does * visible, axis=0)
-        return Direction(effect, visible, power, lower, upper, unknowns.spreads[what])
+        return Direction(effect, does, remaining(does, others), lower, upper, unknowns.spreads[what])
 
     def locate(self, attempt: Attempt, *, held: bool = False) -> Location:
         """Where the model of an attempt misses something still, in the training or in the `held` out recordings."""
         problem = self._with(attempt.effects)[held]
-        x = carried(attempt.x, attempt.unknowns, problem.unknowns) if held else attempt.x
+        x = carried(attempt.x, attempt.unknowns, problem.unknowns)
+        if held:
+            x[problem.unknowns.of_zeros] = 0.0
         return locate(problem, x, self._likelihoods[held].weights)
 
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
@@ -252,7 +252,7 @@ def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
         if name in place:
             found[k] = x[place[name]]
     found[new.of_zeros.stop :] = x[old.of_zeros.stop :]
-    if old.logs == new.logs:  # other logs have zero errors of their own
+    if old.logs == new.logs:  # with another number of logs they are others, with zero errors of their own
         found[new.of_zeros] = x[old.of_zeros]
     return found
 

@@ -16,6 +16,10 @@ from analysis.discrepancy.name.work import Crew, Order
 AT_MOST = 3
 """Effects at once: what more are needed, the library lacks."""
 
+LEAST = 10.0
+"""Evidence [nats] below which nothing is said, whatever chance may bring: with less, dozens of entries can be told
+apart no more than the noise allows, and the right one may be out of the contest."""
+
 UNLIKELY = 5.0
 """Evidence [nats] by which a rival must be worse to be out: odds of 150 to 1."""
 
@@ -35,15 +39,15 @@ FIELD, MOST = 8, 16
 """So many are fitted to the end, and besides those that come near the best, in `NEAR` of its gain, but not more than
 `MOST`: far from the optimum all promise a lot."""
 
-NEAR = 0.4
-UNSETTLED, LAPS = 1.0, 6
-"""Evidence [nats] in sight from which a search goes on for another lap, and how many it gets at most."""
+NEAR, CLOSE = 0.4, 10.0
+"""Within this part of the best one's gain, or within so much [nats] of it: a small gain is no order, as entries pay for
+their freedom yet."""
 
 HOPE = 2.0
 """Times what the next step of a glance promises may be won on the rest of its way."""
 
-CLOSE = 10.0
-"""Or within so much [nats] of it: a small gain is no order, as entries pay for their freedom yet."""
+UNSETTLED, LAPS = 1.0, 6
+"""Evidence [nats] in sight from which a search goes on for another lap, and how many it gets at most."""
 
 Say = Callable[[str, int, int], None]
 
@@ -68,7 +72,7 @@ class Place:
 class Outcome:
     """The `nominal` attempt, all `singles` by evidence, the one that is `chosen`, and what its effects are.
 
-    `threshold` [nats] is what chance does not reach.
+    `threshold` [nats] is what was asked for.
     """
 
     nominal: Attempt
@@ -87,30 +91,35 @@ def contest(
     crew: Crew,
     effects: Sequence[str],
     nominal: Attempt,
-    threshold: float,
+    law: float,
     unbent: Callable[[], Begin | None] | None,
     say: Say,
 ) -> Outcome:
-    """The contest of `effects` for a place in the model.
+    """The contest of `effects` for a place in the model, for each of which chance brings `law` [nats] at most.
 
     `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
     Without it they begin at the nominal attempt only.
     """
     singles = _round(crew, nominal, effects, WORTH, unbent, say)
     chosen, places = nominal, list[Place]()
-    if singles and singles[0].evidence - nominal.evidence > threshold * scale(singles[0]):
+    if singles and singles[0].evidence - nominal.evidence > asked(singles[0], law):
         chosen = singles[0]
         places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
         for _ in range(2 * AT_MOST):  # each round adds one and may drop another: it must end
             if len(chosen.effects) >= AT_MOST:
                 break
-            needed = max(threshold * scale(chosen), SHARE * places[0].gain)
+            needed = max(asked(chosen, law), SHARE * places[0].gain)
             field = _round(crew, chosen, [name for name in effects if name not in chosen.effects], needed, None, say)
             if not field or field[0].evidence - chosen.evidence < needed:
                 break
             places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
             chosen, places = _reconsidered(crew, field[0], places, needed, say)
-    return Outcome(nominal, tuple(singles), chosen, tuple(places), threshold)
+    return Outcome(nominal, tuple(singles), chosen, tuple(places), asked(chosen, law))
+
+
+def asked(best: Attempt, law: float) -> float:
+    """Evidence [nats] from which an effect is named: `law` is what chance brings with the noise that is left."""
+    return max(LEAST * scale(best), law)
 
 
 def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[Attempt, ...]:
@@ -210,23 +219,32 @@ def _field(found: Sequence[Glance], base: Attempt) -> list[list[Glance]]:
 
 
 def _reconsidered(
-    crew: Crew, chosen: Attempt, places: Sequence[Place], needed: float, say: Say
+    crew: Crew, chosen: Attempt, places: Sequence[Place], needed: float, say: Say, holds: bool = True
 ) -> tuple[Attempt, list[Place]]:
-    """With the newest effect in, the rivals of the others again, and whether each is still needed."""
+    """The rivals of all places again, with all other effects in, and whether each is still needed.
+
+    Of the newest place that `holds`, as long as the others stay what they were.
+    """
     found: list[Place] = []
-    for k, place in enumerate(places[:-1]):
+    for k, place in enumerate(places):
+        if k == len(places) - 1 and holds:
+            found.append(place)
+            break
         rest = [name for name in chosen.effects if name != place.rivals[0]]
         begin = Begin(chosen.unknowns, chosen.x)
         orders = [Order((*rest, name), begin) for name in place.rivals if name not in rest]
         attempts = crew.attempts([*orders, Order(tuple(rest), begin)], lambda n, of: say("backward", n, of))
         without = next((attempt for attempt in attempts if len(attempt.effects) == len(rest)), None)
-        tried = sorted((a for a in attempts if a is not without), key=lambda attempt: -attempt.evidence)
+        rivals_of = {a.effects[-1]: a for a in attempts if a is not without}
+        settled = _settled(crew, rivals_of, lambda n, of: say("backward, to the very end", n, of))
+        tried = sorted(settled.values(), key=lambda attempt: -attempt.evidence)
         if without is None or not tried:  # one of the two cannot be run from here: the place stays as it was
             found.append(place)
             continue
         gain = tried[0].evidence - without.evidence
         if gain < needed:
-            return without, [*found, *places[k + 1 :]]
+            return _reconsidered(crew, without, [*found, *places[k + 1 :]], needed, say, holds=False)
+        holds = holds and tried[0].effects[-1] == place.rivals[0]
         chosen = tried[0]
         found.append(Place(rivals(tried, without), gain))
-    return chosen, [*found, places[-1]]
+    return chosen, found

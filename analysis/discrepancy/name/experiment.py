@@ -22,10 +22,11 @@ from analysis.calibration.sections import Section, cut, fitting
 from analysis.discrepancy.data import STEP_S
 from analysis.discrepancy.effects.compiled import model_with, system_with
 from analysis.discrepancy.effects.library import EXPERIMENTS
+from analysis.discrepancy.find.quantities import mode_of
 from analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
 from analysis.discrepancy.name.likelihood import Likelihood, bins_of
 from analysis.graph.bank import PERIOD_S
-from analysis.model import Equation, Known, Model, OperatingModes, Unknown
+from analysis.model import Equation, Known, Model, Unknown
 from analysis.model.expression import parse_expression
 from analysis.model.tables import Table
 from analysis.recordings.track import Track
@@ -89,14 +90,18 @@ class Control:
 
 @dataclass(frozen=True)
 class Plan:
-    """An experiment with the evidence [nats] to expect for each pair: the first is what is there, the second is not."""
+    """An experiment with the evidence [nats] to expect for each pair: the first is what is there, the second is not.
+
+    `beyond` are further rivals, too many to plan for.
+    """
 
     experiment: Experiment
     expected: Mapping[tuple[str, str], float]
+    beyond: tuple[str, ...] = ()
 
     @property
     def left(self) -> float:
-        """How many rivals of what is there will not be told from it, to be expected."""
+        """About how many rivals will not be told from what is there: each counts less, the more evidence it brings."""
         return sum(exp(-nats / RESOLVES) for nats in self.expected.values()) / len({true for true, _ in self.expected})
 
     @property
@@ -148,7 +153,8 @@ def propose(
     plans = []
     for experiment in all_of_them:
         try:
-            plans.append(_plan(study, baseline, experiment, fitted))
+            expected = _expected(study, baseline, experiment, fitted)
+            plans.append(Plan(experiment, expected, tuple(rival.effects[-1] for rival in rivals[MANY:])))
         except InputError as error:
             note(f"no plan for {experiment.name}: {error}")
     return sorted(plans, key=lambda plan: plan.left)
@@ -241,13 +247,16 @@ def _start(system: System, values: Mapping[str, float]) -> Array:
     return np.array(found)
 
 
-def _plan(study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequence[_Rival]) -> Plan:
+def _expected(
+    study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequence[_Rival]
+) -> dict[tuple[str, str], float]:
+    """The evidence to expect for each pair [nats]."""
     expected = {}
     for true in rivals:
         tracks = true.measured(experiment, study.training[0])
         sections = cut(study.model, true.system, tracks, experiment.name, STEP_S)
         sections = [
-            dataclasses.replace(section, noise=_noise(study.model.modes, true.system, section, study.training))
+            dataclasses.replace(section, noise=_noise(study.model, true.system, section, study.training))
             for section in sections
         ]
         problem = _problem(true, sections)
@@ -258,7 +267,7 @@ def _plan(study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequ
             if other is not true:
                 e, wider = _prediction(likelihood, other, sections)
                 expected[true.name, other.name] = divergence(e - mean, covariance, wider)
-    return Plan(experiment, expected)
+    return expected
 
 
 def _problem(rival: _Rival, sections: Sequence[Section]) -> Problem:
@@ -288,17 +297,9 @@ def _punctual(attempt: Attempt) -> Array:
     return x
 
 
-def _noise(modes: OperatingModes | None, system: System, planned: Section, recorded: Sequence[Section]) -> Array:
+def _noise(model: Model, system: System, planned: Section, recorded: Sequence[Section]) -> Array:
     """The inputs' noise, which a plan has none of, as it was recorded on average in the same mode."""
     noise = np.concatenate([section.noise for section in recorded])
-    mode = np.concatenate([_mode(modes, system, section) for section in recorded])
-    level = [noise[mode == k].mean(axis=0) if (mode == k).any() else noise.mean(axis=0) for k in range(3)]
-    return np.asarray(np.array(level)[_mode(modes, system, planned)])
-
-
-def _mode(modes: OperatingModes | None, system: System, section: Section) -> npt.NDArray[np.int64]:
-    """Idle, partial or maximum (0, 1, 2) at the instants of a section."""
-    if modes is None or modes.signal not in system.inputs:
-        return np.ones(len(section.noise), dtype=np.int64)
-    limits = [-np.inf if modes.idle_below is None else modes.idle_below, modes.maximum_above or np.inf]
-    return np.digitize(section.drive.inputs[:, system.inputs.index(modes.signal)], limits)
+    mode = np.concatenate([mode_of(model, system, section) for section in recorded])
+    level = {k: noise[mode == k].mean(axis=0) for k in np.unique(mode)}
+    return np.array([level.get(k, noise.mean(axis=0)) for k in mode_of(model, system, planned)])

@@ -15,30 +15,31 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 ALIKE = 0.98
-"""Cosine between what remains of two directions: effects that look the same in these recordings."""
+"""Cosine between two directions, in the metric of what remains: effects that look the same in these recordings."""
 
 DRAWS = 2000
 QUANTILE = 0.99
-LEAST = 10.0
-"""Evidence [nats] below which nothing is said, whatever the law: with less, dozens of entries can be told apart no more
-than the noise allows, and the right one may be out of the contest."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """Of one effect: `visible` (M, S) is what remains of what its strengths do, at their spreads.
+    """Of one effect: `does` (M, S) is what its strengths do, at their spreads, and `visible` (M, S) what remains of it.
 
-    `power` (S,) is the square of what a strength does times what remains of it: twice the evidence that one spread of
-    it is expected to bring, but for what its freedom costs. `lower` and `upper` (S,) are the strengths' bounds, in
-    spreads from null; `spreads` (S,) are in their units.
+    `power` (S,) is the product of the two: the precision of a strength by the data alone, in spreads. `lower` and
+    `upper` (S,) are the strengths' bounds, in spreads from null; `spreads` (S,) are in their units.
     """
 
     effect: str
+    does: Array
     visible: Array
-    power: Array
     lower: Array
     upper: Array
     spreads: Array
+
+    @property
+    def power(self) -> Array:
+        """Of each strength."""
+        return np.asarray(np.sum(self.does * self.visible, axis=0))
 
 
 def remaining(direction: Array, others: Array) -> Array:
@@ -51,22 +52,24 @@ def remaining(direction: Array, others: Array) -> Array:
 
 
 def smallest(direction: Direction, threshold: float) -> float:
-    """The strength, in its unit, from which an effect's expected evidence is above the threshold [nats].
+    """The strength, in its unit, from which an effect's evidence is above the threshold [nats] without any noise.
 
-    Infinite where that is beyond its bounds: these recordings cannot show the effect.
+    With noise it is about as often above as below. Infinite where that is beyond its bounds: these recordings cannot
+    show the effect.
     """
-    power = float(direction.power[0])
-    needed = np.sqrt(2.0 * (threshold + 0.5 * np.log1p(power)) / max(power, 1e-300))
+    power = max(float(direction.power[0]), 1e-150)
+    needed = np.sqrt(2.0 * (threshold + 0.5 * np.log1p(power)) * (1.0 + power)) / power
     reach = max(direction.upper[0], -direction.lower[0])
     return float(needed * direction.spreads[0]) if needed <= reach else np.inf
 
 
 def alike(directions: Sequence[Direction]) -> dict[str, tuple[str, ...]]:
     """For every effect those that look the same in these recordings."""
-    unit = [d.visible / np.maximum(np.linalg.norm(d.visible, axis=0), 1e-300) for d in directions]
+    root = [np.sqrt(np.maximum(d.power, 1e-300)) for d in directions]
+    unit = [(d.does / r, d.visible / r) for d, r in zip(directions, root, strict=True)]
     found = {}
-    for d, a in zip(directions, unit, strict=True):
-        cosines = {other.effect: float(np.abs(a.T @ b).max()) for other, b in zip(directions, unit, strict=True)}
+    for d, (a, _) in zip(directions, unit, strict=True):
+        cosines = {other.effect: float(np.abs(a.T @ b).max()) for other, (_, b) in zip(directions, unit, strict=True)}
         found[d.effect] = tuple(name for name, c in cosines.items() if name != d.effect and c > ALIKE)
     return found
 
@@ -84,7 +87,7 @@ def chance(directions: Sequence[Direction], left: Array, block: npt.NDArray[np.i
         pulled = np.zeros((int(block.max()) + 1, d.visible.shape[1]))
         np.add.at(pulled, block, d.visible * left[:, None])
         best = np.maximum(best, _evidence(d, signs @ pulled))
-    return max(float(np.quantile(best, QUANTILE)), LEAST)
+    return float(np.quantile(best, QUANTILE))
 
 
 def _evidence(d: Direction, g: Array) -> Array:

@@ -1,22 +1,27 @@
 """Attempts on all cores or on a Dask cluster, each kept on disk as soon as it is there.
 
 What was interrupted goes on where it stopped: an attempt is kept under what it depends on, so the same call finds it,
-and another recording, model or library entry does not.
+and another recording, model, library entry or version of this program does not.
 """
 
 import hashlib
 import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
 from analysis.discrepancy.name.kept import keep, kept
 from analysis.discrepancy.name.sensitivity import Direction
 from service.core.errors import InputError
+
+Result = TypeVar("Result")
 
 _judges: dict[str, Judge] = {}
 """In a worker: the judge that it made last, by the key of what it was made from."""
@@ -44,6 +49,7 @@ class Crew:
         self._weights = repr((baseline.x.tolist(), baseline.levels.tolist()))  # evidences hold for one baseline only
         self._payload = pickle.dumps((study, baseline))
         self._key = hashlib.sha256(self._payload).hexdigest()  # a study's own says nothing of its library
+        self._code = _code()
         self.failures: dict[tuple[str, ...], str] = {}
         """Why models with these effects could not be run, from one beginning at least."""
 
@@ -60,9 +66,20 @@ class Crew:
         return [found for found in self._all(orders, say) if isinstance(found, Glance)]
 
     def directions(self, effects: Sequence[str]) -> list[Direction]:
-        """What each effect would do to the data."""
-        waiting = [self._executor.submit(_direction, self._key, self._payload, effect) for effect in effects]
-        return [future.result() for future in waiting]
+        """What each effect would do to the data, but for those with which the model cannot be run.
+
+        Raises:
+            InputError: a worker died.
+        """
+        waiting = {e: self._executor.submit(_direction, self._key, self._payload, e) for e in effects}
+        found = []
+        for effect, future in waiting.items():
+            result = _of(future)
+            if isinstance(result, str):
+                self.failures[(effect,)] = result
+            else:
+                found.append(result)
+        return found
 
     def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt | Glance | None]:
         found = [self._kept(order) for order in orders]
@@ -74,12 +91,7 @@ class Crew:
         say(len(orders) - len(waiting), len(orders))
         for number, future in enumerate(as_completed(waiting), len(orders) - len(waiting) + 1):
             k = waiting[future]
-            try:
-                result = future.result()
-            except BrokenExecutor as error:
-                raise InputError(
-                    "a worker died, of too little memory perhaps; call again, what is done is kept"
-                ) from error
+            result = _of(future)
             if isinstance(result, str):
                 self.failures[orders[k].effects] = result
             else:
@@ -102,7 +114,7 @@ class Crew:
         entries = [repr(self._study.library[name]) for name in order.effects]
         begin = order.begin
         given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(begin.x.tolist())]
-        text = "\n".join([*given, *entries])
+        text = "\n".join([self._code, *given, *entries])
         digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}".encode()).hexdigest()[:16]
         return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
 
@@ -118,8 +130,28 @@ def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | str:
         return str(error)
 
 
-def _direction(key: str, payload: bytes, effect: str) -> Direction:
-    return _judge(key, payload).direction(effect)
+def _direction(key: str, payload: bytes, effect: str) -> Direction | str:
+    judge = _judge(key, payload)
+    try:
+        return judge.direction(effect)
+    except InputError as error:
+        return str(error)
+
+
+def _of(future: Future[Result]) -> Result:
+    """What a worker has made."""
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        raise InputError("a worker died, of too little memory perhaps; call again, what is done is kept") from error
+
+
+@cache
+def _code() -> str:
+    """A hash of the code: what another version has kept is not what this one would come to."""
+    root = Path(__file__).parents[3]
+    files = sorted([*(root / "analysis").rglob("*.py"), *(root / "service").rglob("*.py")])
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _judge(key: str, payload: bytes) -> Judge:
@@ -142,11 +174,12 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
             raise InputError(f"--processes {cores}: nobody would work; give at least 1")
         for name in THREADS:  # matrices are small: two processes are faster than two threads
             os.environ.setdefault(name, "1")
-        with ProcessPoolExecutor(cores) as executor:
+        afresh = get_context("spawn")  # numpy has taken its threads when it was imported: a fork would keep them
+        with ProcessPoolExecutor(cores, mp_context=afresh) as executor:
             yield executor
         return
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
     except ImportError as error:
         raise InputError("--scheduler needs dask: pip install 'faultline[scale]'") from error
     try:
@@ -154,4 +187,7 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
     except (OSError, ValueError) as error:
         raise InputError(f"{scheduler}: no Dask scheduler answers ({error}); check address and port") from error
     with client:
-        yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        try:
+            yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        except KilledWorker as error:
+            raise InputError(f"{scheduler}: a worker died ({error}); call again, what is done is kept") from error

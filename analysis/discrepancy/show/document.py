@@ -228,6 +228,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     structure: Section | None = None
     bundle: Section | None = None
     experiment: Section | None = None
+    gauge: Section | None = None
     onset: Section | None = None
     refused: tuple[str, ...] = ()
     applied: bool = False

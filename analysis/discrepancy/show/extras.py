@@ -10,7 +10,9 @@ from analysis.discrepancy.add.drift import Drifts
 from analysis.discrepancy.add.structure_change import StructureChange
 from analysis.discrepancy.find.onset import Onset
 from analysis.discrepancy.name.experiment import Plan
+from analysis.discrepancy.name.gauge import Gauge
 from analysis.discrepancy.show import document as told
+from analysis.discrepancy.show.sizes import readable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,7 @@ class Extras:
     structure: StructureChange | None = None
     bundle: BundleEffect | None = None
     plans: Sequence[Plan] = ()
+    gauge: Gauge | None = None
     onset: Onset | None = None
     refused: Sequence[str] = ()
     applied: bool = False
@@ -65,6 +68,8 @@ def experiment_told(plan: Plan) -> told.Section:
             sentence += f", but it will not tell whether it is {untold}"
     else:
         sentence = f"no shipped experiment is expected to tell the candidates apart; the best is to {record}"
+    if plan.beyond:
+        sentence += f"; it was not planned for {', '.join(plan.beyond)}"
     data = {
         "name": experiment.name,
         "duration_s": experiment.duration_s,
@@ -72,6 +77,17 @@ def experiment_told(plan: Plan) -> told.Section:
         "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
     }
     return told.Section(sentences=(sentence,), data=data)
+
+
+def gauge_told(gauge: Gauge) -> told.Section:
+    """What a gauge would read, by rival."""
+    values = "; ".join(
+        f"{readable(mean, gauge.unit)} +- {readable(sd, gauge.unit)} if it is {name}"
+        for name, (mean, sd) in gauge.expected.items()
+    )
+    where = f"{gauge.description.split(',')[0]} ({gauge.variable})" if gauge.description else gauge.variable
+    sentence = f"read {where} with a gauge of the workshop, in mode {gauge.mode} on average: {values}"
+    return told.Section(sentences=(sentence,), data=msgspec.to_builtins(asdict(gauge)))
 
 
 def bundle_told(effect: BundleEffect) -> told.Section:

@@ -24,7 +24,7 @@ CAPTIONS = {
     ),
     "evidence": (
         "How much more likely all recordings are with an entry of the library in the model, its own freedom and that "
-        "of all parameters taken into account. Beyond the dashed line is more than chance."
+        "of all parameters taken into account. Dashed: what is asked for before anything is named."
     ),
 }
 

@@ -2,25 +2,15 @@
 
 from pathlib import Path
 
-from analysis.discrepancy.add.held_out import Shown, shown
+from analysis.discrepancy.add.held_out import Shown
 from analysis.discrepancy.discover import Discovery
 from analysis.discrepancy.show.abscissa import abscissa_of
-from analysis.discrepancy.show.document import Document, Origin, encoded
-from analysis.discrepancy.show.extras import Extras
+from analysis.discrepancy.show.document import Document, encoded
 from analysis.discrepancy.show.page import page
 from analysis.discrepancy.show.summary import summary
-from analysis.discrepancy.show.told import document_of
 from service.core.errors import InputError
 
-
-def described(found: Discovery, origin: Origin, extras: Extras | None = None) -> tuple[Document, Shown]:
-    """The document of a discovery, and the free runs that it tells of.
-
-    Raises:
-        InputError: a model cannot be run over the held-out recordings.
-    """
-    runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
-    return document_of(found, runs, origin, extras), runs
+DOCUMENT = "discovery.json"
 
 
 def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> list[Path]:
@@ -33,7 +23,7 @@ def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> li
 
     drawn = pictures(document, runs, found.study.model, abscissa_of(found))
     files = {
-        "discovery.json": encoded(document),
+        DOCUMENT: encoded(document),
         "summary.md": summary(document).encode(),
         "report.html": page(document, drawn).encode(),
         **{f"{name}.png": png for name, png in drawn.items()},

@@ -2,7 +2,7 @@
 
 from analysis.calibration.validate import STEADY
 from analysis.discrepancy.show.document import Document, Regime
-from analysis.discrepancy.show.verdicts import confidence, next_steps
+from analysis.discrepancy.show.verdicts import confidence, halted, next_steps
 
 BAR = 1e5
 
@@ -27,7 +27,7 @@ def sentences(d: Document) -> list[str]:
     if d.bundle:
         lines += [f"bundle: {sentence}" for sentence in d.bundle.sentences[:3]]
     lines += [f"next: {step}" for step in next_steps(d)]
-    lines += [f"note: {sentence}" for sentence in d.origin.missing[:2]]
+    lines += [f"note: {sentence}" for sentence in (*d.origin.missing[:2], *halted(d)[:2])]
     return [*lines[: MOST - 1], "..."] if len(lines) > MOST else lines
 
 

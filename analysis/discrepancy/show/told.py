@@ -10,7 +10,7 @@ from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.find.locate import Location, Suspect
 from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from analysis.discrepancy.show import document as told
-from analysis.discrepancy.show.extras import Extras, bundle_told, drifts_told, experiment_told, section
+from analysis.discrepancy.show.extras import Extras, bundle_told, drifts_told, experiment_told, gauge_told, section
 from analysis.discrepancy.show.sizes import sizes
 from analysis.discrepancy.show.verdicts import sentence_of
 from analysis.model import Model
@@ -68,6 +68,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
         bundle=bundle_told(extras.bundle) if extras.bundle else None,
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
+        gauge=gauge_told(extras.gauge) if extras.gauge else None,
         onset=section([extras.onset.advice()], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
         applied=extras.applied,
@@ -81,9 +82,7 @@ def _verdict(found: Discovery, extras: Extras) -> told.Verdict:
         told.Place(candidates=tuple(_candidate(library[name]) for name in names), gain=gain)
         for names, gain in zip(verdict.sets, gains, strict=True)
     )
-    where = (
-        found.before.sentences[0] if found.before.members else f"in the held-out recordings, {found.held.sentences[0]}"
-    )
+    where = _where(found.before) if found.before.members else f"in the held-out recordings, {_where(found.held)}"
     set_in = extras.onset.what(found.study.model) if extras.onset else None
     return told.Verdict(
         kind=verdict.kind,
@@ -93,6 +92,13 @@ def _verdict(found: Discovery, extras: Extras) -> told.Verdict:
         remainder=verdict.remainder,
         threshold=found.outcome.threshold,
     )
+
+
+def _where(location: Location) -> str:
+    """The best account, and how many other places may have it."""
+    others = len(location.members) - 1
+    besides = f"; or it is in one of {others} other equations, as far as these data tell" if others > 0 else ""
+    return f"{location.sentences[0]}{besides}"
 
 
 def _candidate(effect: Effect) -> told.Candidate:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analysis.discrepancy.add.drift import MOVED
-from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.discover import REMAINDER, Kind
 from analysis.discrepancy.effects.library import EXPERIMENTS
 from analysis.discrepancy.show.document import Candidate, Document, Entry, Place
 
@@ -46,7 +46,13 @@ def confidence(d: Document) -> list[str]:
     if v.kind == "nothing missing":
         tried = sum(entry.no_place is None for entry in d.entries)
         brought = "none brought any evidence" if best is None else f"the best brought {best:.1f} nats of evidence"
-        return [f"{tried} effects were looked for; {brought}, {_asked(v.threshold)}"]
+        found = [f"{tried} effects were looked for; {brought}, {_asked(v.threshold)}"]
+        if v.remainder > 0.0:
+            found.append(
+                f"an unknown input has {v.remainder:.0f} nats of evidence, more than chance; from {REMAINDER:.0f} on "
+                "something is said to be missing"
+            )
+        return found
     lines = []
     if v.places:
         e, what = d.evidence, "evidence" if d.named else "the nearest effects bring"
@@ -77,7 +83,8 @@ def meaning(d: Document) -> list[str]:
             "see it."
         ]
     if kind == "nothing missing":
-        return ["Tests made from this model see nothing but noise on a healthy vehicle, as far as these recordings go."]
+        seen = "little more than noise" if d.verdict.remainder > 0.0 else "nothing but noise"
+        return [f"Tests made from this model see {seen} on a healthy vehicle, as far as these recordings go."]
     found = [
         "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
         "tolerate it, and small faults stay unseen, or they raise false alarms."
@@ -116,13 +123,15 @@ def next_steps(d: Document) -> list[str]:
         return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
     if kind == "one of":
         taken = [f"`model.toml` has {_names(d)[0]}, the most probable: which it is stays open"] if d.applied else []
+        read = d.gauge.sentences if d.gauge else ()
         if d.experiment:
-            return [*d.experiment.sentences, *taken]
+            return [*d.experiment.sentences, *read, *taken]
         named = experiments(d)
         return [
             f"record what tells them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"
             if named
             else "no experiment is known that tells them",
+            *read,
             *taken,
         ]
     steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
@@ -157,11 +166,7 @@ def limits(d: Document) -> list[str]:
     groups = alike_groups(d.entries)
     if groups:
         found.append(f"look the same in these recordings: {'; '.join(_listed(group) for group in groups)}")
-    found += [
-        f"{entry.name} may be it all the same: its model could not be run from everywhere ({entry.halted})"
-        for entry in d.entries
-        if entry.halted is not None
-    ]
+    found += halted(d)
     absent = [entry.name for entry in d.entries if entry.no_place is not None]
     if absent:
         found.append(f"have no place in this model: {_listed(absent)}")
@@ -177,6 +182,15 @@ def limits(d: Document) -> list[str]:
     if d.simulated:
         found.append("these data are simulated: no figure here is of a real vehicle")
     return found
+
+
+def halted(d: Document) -> list[str]:
+    """Entries that were not judged, though they have a place in the model."""
+    return [
+        f"{entry.name} may be it all the same: its model could not be run from everywhere ({entry.halted})"
+        for entry in d.entries
+        if entry.halted is not None
+    ]
 
 
 def alike_groups(entries: Sequence[Entry]) -> list[list[str]]:

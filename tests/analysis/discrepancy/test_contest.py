@@ -1,14 +1,16 @@
 """The search over a small library: nothing, one, two, what looks alike, what is in no entry."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
 import pytest
 from made_study import LIBRARY, Inline, study
 
-from analysis.discrepancy.name.attempt import Begin, Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import Outcome, contest
-from analysis.discrepancy.name.sensitivity import LEAST, alike, chance, smallest_sizes
-from analysis.discrepancy.name.work import Crew
+from analysis.discrepancy.name.attempt import Attempt, Begin, Glance, Judge, Study, baseline_of
+from analysis.discrepancy.name.contest import LEAST, Outcome, contest
+from analysis.discrepancy.name.sensitivity import alike, chance, smallest_sizes
+from analysis.discrepancy.name.work import Crew, Order
 
 ENTRIES = ("full_open_gain", "stiff_hose", "offset_p_du", "offset_p_ap", "lag_p_du")
 
@@ -24,7 +26,7 @@ def searched(sizes: Mapping[str, float], entries: tuple[str, ...] = ENTRIES, see
         location = judge.locate(nominal)
         return Begin(nominal.unknowns, location.x) if location.members else None
 
-    return found, contest(crew, [*found.library], nominal, LEAST, unbent, lambda *_: None)
+    return found, contest(crew, [*found.library], nominal, 0.0, unbent, lambda *_: None)
 
 
 def test_where_nothing_is_missing_nothing_is_named() -> None:
@@ -73,9 +75,62 @@ def test_what_can_be_seen_is_known_beforehand() -> None:
     found = study(few, {})
     judge = Judge(found, baseline_of(found))
     directions = [judge.direction(name) for name in found.library]
-    assert LEAST <= chance(directions, *judge.left(judge.attempt(()))) < 3 * LEAST
+    assert 0.0 <= chance(directions, *judge.left(judge.attempt(()))) < LEAST
     sizes = smallest_sizes(directions, LEAST)
     _, below = searched({"full_open_gain": 0.3 * sizes["full_open_gain"]}, few)
     assert below.places == ()
     _, above = searched({"full_open_gain": 3.0 * sizes["full_open_gain"]}, few)
     assert [place.rivals[0] for place in above.places] == ["full_open_gain"]
+
+
+class Scripted:
+    """A crew whose attempts have the evidence that a table says, by the letters of their effects."""
+
+    def __init__(self, evidence: Mapping[str, float], dispersion: float = 1.0) -> None:
+        self._evidence, self._dispersion = {frozenset(key): nats for key, nats in evidence.items()}, dispersion
+
+    def attempt(self, effects: Sequence[str]) -> Attempt:
+        nats, unknowns = self._evidence[frozenset(effects)], None
+        made: dict[str, Any] = {"unknowns": unknowns, "x": np.zeros(1), "curvature": np.eye(1), "promised": 0.0}
+        return Attempt(
+            effects=tuple(effects),
+            inside=np.ones(1, dtype=bool),
+            cost=-nats,
+            training=nats,
+            predicted=0.0,
+            blocks=np.zeros(4),
+            dispersion=self._dispersion,
+            **made,
+        )
+
+    def attempts(self, orders: Sequence[Order], _: Callable[[int, int], None]) -> list[Attempt]:
+        return [self.attempt(order.effects) for order in orders]
+
+    def glances(self, orders: Sequence[Order], _: Callable[[int, int], None]) -> list[Glance]:
+        found = self.attempts(orders, _)
+        return [Glance(a.effects, a.unknowns, a.x, a.cost, a.promised) for a in found]
+
+
+def scripted(evidence: Mapping[str, float], law: float = 0.0, dispersion: float = 1.0) -> dict[str, float]:
+    """The gain of every effect that is chosen."""
+    crew: Any = Scripted(evidence, dispersion)
+    names = sorted({letter for key in evidence for letter in key})
+    outcome = contest(crew, names, crew.attempt(""), law, None, lambda *_: None)
+    gains = {place.rivals[0]: place.gain for place in outcome.places}
+    assert {*gains} == {*outcome.chosen.effects}
+    return gains
+
+
+def test_an_effect_that_stood_in_for_two_is_dropped_and_the_others_are_weighed_without_it() -> None:
+    evidence = {"": 0.0, "a": 100.0, "b": 50.0, "c": 60.0, "ab": 170.0, "ac": 165.0, "bc": 300.0, "abc": 301.0}
+    assert scripted(evidence) == {"b": 240.0, "c": 250.0}
+
+
+@pytest.mark.parametrize(("law", "dispersion"), [(25.0, 1.0), (0.0, 2.5)])
+def test_every_effect_needs_more_than_chance_brings_with_the_noise_that_is_left(law: float, dispersion: float) -> None:
+    evidence = {"": 0.0, "a": 100.0, "b": 20.0, "ab": 120.0}
+    assert scripted(evidence) == {"a": 100.0, "b": 20.0}
+    assert scripted(evidence, law, dispersion) == {"a": 100.0}
+    assert scripted({"": 0.0, "a": 20.0}, law, dispersion) == {}
+    assert scripted({"": 0.0, "a": LEAST + 0.1}) == {"a": LEAST + 0.1}
+    assert scripted({"": 0.0, "a": LEAST - 0.1}) == {}

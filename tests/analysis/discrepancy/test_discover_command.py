@@ -143,15 +143,20 @@ def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, caps
     assert said.endswith("; give --out another place")
 
 
+def has_it(found: Found, folder: Path) -> Path:
+    """A model that has the effect, and does not say from what."""
+    true = folder / "true.toml"
+    true.write_text(dump_model(dataclasses.replace(load_model(found.out / "model.toml"), provenance=())))
+    return true
+
+
 def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -> None:
     """Without --apply no model is written. A model that was made from the held-out recording would be refused."""
-    true = tmp_path / "true.toml"
-    model = load_model(found.out / "model.toml")
+    true = has_it(found, tmp_path)
     with pytest.raises(InputError, match="uds1 was made from this recording, so it is no evidence"):
         run(found.out / "model.toml", found.training, "--held-out", found.held, "--out", tmp_path / "again")
-    true.write_text(dump_model(dataclasses.replace(model, provenance=())))
     (tmp_path / "again").mkdir(exist_ok=True)
-    for name in ("model.toml", "experiment.toml"):  # left by an earlier call, and not of this one
+    for name in ("discovery.json", "model.toml", "experiment.toml"):  # left by an earlier call, and not of this one
         (tmp_path / "again" / name).write_text("schema = 1\n")
     code, told = run(true, found.training, "--held-out", found.held, "--out", tmp_path / "again", "--json")
     assert code == 0
@@ -173,7 +178,7 @@ def test_a_fault_in_a_held_out_recording_is_told_and_nothing_is_added(tmp_path: 
     code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--apply")
     assert code == 1
     assert printed.startswith("something set in at ")
-    assert " of the held-out recordings, as faults do (" in printed
+    assert " s of h, as faults do (" in printed
     onset = json.loads((tmp_path / "out" / "discovery.json").read_bytes())["onset"]["data"]
     assert onset["t_s"] == pytest.approx(90.0, abs=10.0)
     assert not (tmp_path / "out" / "model.toml").exists()
@@ -281,12 +286,34 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_else(made: Made
     assert refused(made.model, "--undo").startswith("uds1: provenance: is empty")
 
 
+def test_what_is_in_the_way_of_a_result_is_said(found: Found, tmp_path: Path) -> None:
+    """A folder where the experiment of an earlier call would go: it cannot be removed."""
+    (tmp_path / "discovery.json").write_text("of an earlier call")
+    (tmp_path / "experiment.toml" / "mine").mkdir(parents=True)
+    said = refused(has_it(found, tmp_path), found.training, "--held-out", found.held, "--out", tmp_path)
+    assert said.startswith(f"{tmp_path / 'experiment.toml'}: cannot be written: ")
+
+
+def test_a_model_that_is_not_ours_is_left_alone(found: Found, tmp_path: Path) -> None:
+    mine = tmp_path / "model.toml"
+    mine.write_text("mine")
+    code, _ = run(has_it(found, tmp_path), found.training, "--held-out", found.held, "--out", tmp_path)
+    assert code == 0
+    assert mine.read_text() == "mine"
+
+
+def test_undo_does_not_write_over_the_model(found: Found) -> None:
+    said = refused(found.out / "model.toml", "--undo", "--out", found.out)
+    assert said == f"{found.out / 'model.toml'}: --out {found.out} would write over it; give --out another place"
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         ((), "give recordings to fit, and others with --held-out"),
         (("--undo", "--apply"), "--undo takes MODEL and --out only"),
-        (("--held-out", "b", "--evaluate", "c", "--truth", "d", "e"), "give as many --truth as --evaluate"),
+        (("--held-out", "b", "--evaluate", "c"), "--evaluate judges bundles, and those are tuned"),
+        (("--held-out", "b", "--tune", "t", "--evaluate", "c", "--truth", "d", "e"), "give as many --truth as --"),
     ],
 )
 def test_what_is_left_out_is_said(options: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,20 +13,22 @@ from made_discovery import ENTRIES, GAIN, discovery
 
 from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
 from analysis.discrepancy.add.drift import drifts
-from analysis.discrepancy.add.held_out import Shown
+from analysis.discrepancy.add.held_out import Shown, shown
 from analysis.discrepancy.add.structure_change import structure_change
-from analysis.discrepancy.discover import Kind
+from analysis.discrepancy.discover import Discovery, Kind
 from analysis.discrepancy.effects.compiled import model_with
 from analysis.discrepancy.find.onset import Onset
 from analysis.discrepancy.name.experiment import Experiment, Plan
+from analysis.discrepancy.name.gauge import Gauge
 from analysis.discrepancy.show.abscissa import abscissa_of
 from analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
 from analysis.discrepancy.show.extras import Extras
 from analysis.discrepancy.show.page import page
-from analysis.discrepancy.show.report import described, write
+from analysis.discrepancy.show.report import write
 from analysis.discrepancy.show.sentences import MOST, sentences
 from analysis.discrepancy.show.sizes import readable, sizes
 from analysis.discrepancy.show.summary import summary
+from analysis.discrepancy.show.told import document_of
 from analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
 from service.core.errors import InputError
 
@@ -34,6 +36,12 @@ ORIGIN = Origin(
     training=("t-1",), held_out=("v-1",), sources=("simulated by the rig",), vehicle="truck-1", missing=("too short",)
 )
 KINDS: tuple[Kind, ...] = ("nothing missing", "named", "one of", "unnamed")
+
+
+def described(found: Discovery, origin: Origin, extras: Extras | None = None) -> tuple[Document, Shown]:
+    """The document, and the free runs that it tells of."""
+    runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
+    return document_of(found, runs, origin, extras), runs
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +118,14 @@ def test_entries_that_have_no_place_say_why(document: Document) -> None:
     assert any("have no place in this model" in limit for limit in limits(other))
 
 
+def test_an_entry_whose_model_could_not_be_run_is_not_silently_out(document: Document) -> None:
+    entry = msgspec.structs.replace(document.entries[-1], gain=None, halted="u4.toml: does not converge at 3 s")
+    other = msgspec.structs.replace(document, entries=(*document.entries[:-1], entry))
+    said = f"{entry.name} may be it all the same: its model could not be run from everywhere"
+    for text in (summary(other), "\n".join(sentences(other)), page(other, {})):
+        assert re.search(f"{said}.*does not converge at 3 s", text, flags=re.IGNORECASE), text
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_verdict_is_told_in_every_form(document: Document, kind: Kind) -> None:
     d = as_kind(document, kind)
@@ -149,13 +165,13 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     found = discovery()
     steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),))
     plan = Plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
-    onset = Onset(100.0, "e04", (), "training")
+    onset = Onset(100.0, "e04", (), "t-1")
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
     assert d.experiment is not None
     assert plan.told == {("a", "b"): 12.0}
     assert d.experiment.data["left"] == plan.left < 0.1
     assert d.refused == ("it grew worse",)
-    assert d.verdict.sentence.startswith("something set in at 100 s of the training recordings, as faults do (e04)")
+    assert d.verdict.sentence.startswith("something set in at 100 s of t-1, as faults do (e04)")
     assert "faultline diagnose" in next_steps(d)[0]
     asked = msgspec.structs.replace(as_kind(d, "one of"), onset=None)
     assert next_steps(asked) == [
@@ -170,6 +186,19 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 1.0}))]))
     assert weak.experiment is not None
     assert "no shipped experiment" in weak.experiment.sentences[0]
+
+
+def test_a_reading_that_would_tell_is_told(document: Document) -> None:
+    reading = Gauge(
+        "p_ap", "pressure after the pump, absolute", "Pa", "maximum", {"a": (1e6, 2e3), "b": (1.02e6, 3e3)}, ()
+    )
+    d, _ = described(discovery(), ORIGIN, Extras(gauge=reading))
+    [step] = [step for step in next_steps(as_kind(d, "one of")) if step.startswith("read ")]
+    assert step == (
+        "read pressure after the pump (p_ap) with a gauge of the workshop, in mode maximum on average: "
+        "10 bar +- 0.02 bar if it is a; 10.2 bar +- 0.03 bar if it is b"
+    )
+    assert "gauge of the workshop" in page(as_kind(d, "one of"), {})
 
 
 def _expected(nats: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], float]:

@@ -20,7 +20,7 @@ from analysis.discrepancy.name.attempt import Judge, baseline_of
 from analysis.discrepancy.name.contest import Outcome, Place
 from analysis.simulation import system_of
 
-NOWHERE = Location((), (), (), (), (), (), np.zeros(0))
+NOWHERE = Location((), (), (), (), (), {}, (), np.zeros(0))
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +54,11 @@ def changed(found: Discovery, kind: Kind = "named", **fields: Any) -> Discovery:
     return dataclasses.replace(found, outcome=outcome, verdict=dataclasses.replace(found.verdict, kind=kind))
 
 
-def with_after(runs: Shown, by_output: Mapping[str, Mapping[str, Any]]) -> Shown:
-    """With other errors of the steady free run afterwards."""
+def with_after(runs: Shown, by_output: Mapping[str, Mapping[str, Any]], where: str = STEADY) -> Shown:
+    """With other errors of the free run afterwards, in a mode or in all that are steady."""
     agreement = {
         output: {
-            mode: dataclasses.replace(a, **by_output.get(output, {})) if mode == STEADY else a
+            mode: dataclasses.replace(a, **by_output.get(output, {})) if mode == where else a
             for mode, a in by_mode.items()
         }
         for output, by_mode in runs.after.agreement.items()
@@ -83,14 +83,21 @@ def test_where_nothing_was_chosen_there_is_neither_model_nor_reason(data: Data, 
     assert (new.model, new.reasons) == (None, ())
 
 
-def test_a_worse_free_run_is_refused(data: Data, found: Discovery, runs: Shown) -> None:
-    was: Agreement = runs.before.agreement["y_p_du"][STEADY]
-    worse = {"y_p_du": {"rms": 1.01 * WORSE * was.rms}}
-    [reason] = adoption(data, found, with_after(runs, worse)).reasons
-    assert (
-        reason == f"the held-out free run of y_p_du grows worse, from {was.rms:.0f} to {1.01 * WORSE * was.rms:.0f} Pa"
+@pytest.mark.parametrize("mode", [STEADY, "idle", "partial", "maximum"])
+def test_a_worse_free_run_is_refused_also_in_one_mode(data: Data, found: Discovery, runs: Shown, mode: str) -> None:
+    was: Agreement = runs.before.agreement["y_p_du"][mode]
+    limit = max(WORSE * was.rms, was.expected)
+    worse = {"y_p_du": {"rms": 1.01 * limit, "expected": was.expected}}
+    [reason] = adoption(data, found, with_after(runs, worse, mode)).reasons
+    assert reason == (
+        f"the held-out free run of y_p_du grows worse ({mode}), from {was.rms:.0f} to {1.01 * limit:.0f} Pa"
     )
-    assert adoption(data, found, with_after(runs, {"y_p_du": {"rms": 0.99 * WORSE * was.rms}})).reasons == ()
+    good = {"y_p_du": {"rms": 0.99 * limit, "expected": was.expected}}
+    assert adoption(data, found, with_after(runs, good, mode)).reasons == ()
+
+
+def test_where_a_dose_steps_no_free_run_is_judged(data: Data, found: Discovery, runs: Shown) -> None:
+    assert adoption(data, found, with_after(runs, {"y_p_du": {"rms": 9e9}}, "edge")).reasons == ()
 
 
 def test_worse_than_before_but_as_good_as_noise_lets_it_be_is_no_reason(

@@ -4,16 +4,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.discrepancy.name.sensitivity import LEAST, Direction, alike, chance, remaining, smallest, smallest_sizes
+from analysis.discrepancy.name.sensitivity import Direction, alike, chance, remaining, smallest, smallest_sizes
 
 Array = npt.NDArray[np.float64]
-M, BLOCK = 800, 8
+M, BLOCK, ENOUGH = 800, 8, 10.0
 
 
 def direction(name: str, visible: Array, low: float = -1e3, high: float = 1e3, spread: float = 1.0) -> Direction:
     count = visible.shape[1]
-    power = np.sum(visible**2, axis=0)
-    return Direction(name, visible, power, np.full(count, low), np.full(count, high), np.full(count, spread))
+    return Direction(name, visible, visible, np.full(count, low), np.full(count, high), np.full(count, spread))
 
 
 def test_what_others_can_do_does_not_remain() -> None:
@@ -33,7 +32,7 @@ def test_what_others_do_only_weakly_is_left_in_part() -> None:
     assert remaining(d, np.zeros((40, 0))) == pytest.approx(d)
 
 
-@pytest.mark.parametrize("power", [10.0, 300.0])
+@pytest.mark.parametrize("power", [2.0, 10.0, 300.0])
 def test_a_size_is_visible_when_its_evidence_is_expected_above_the_threshold(power: float) -> None:
     rng = np.random.default_rng(3)
     v = rng.standard_normal((50, 1))
@@ -46,13 +45,24 @@ def test_a_size_is_visible_when_its_evidence_is_expected_above_the_threshold(pow
 
 def test_what_is_beyond_the_bounds_cannot_be_seen() -> None:
     v = np.full((4, 1), 0.5)
-    needed = smallest(direction("a", v), LEAST)
+    needed = smallest(direction("a", v), ENOUGH)
     assert np.isfinite(needed)
-    assert smallest(direction("a", v, 0.0, 1.01 * needed), LEAST) == needed
-    assert smallest(direction("a", v, 0.0, 0.99 * needed), LEAST) == np.inf
-    assert smallest(direction("a", v, -1.01 * needed, 0.0), LEAST) == needed
+    assert smallest(direction("a", v, 0.0, 1.01 * needed), ENOUGH) == needed
+    assert smallest(direction("a", v, 0.0, 0.99 * needed), ENOUGH) == np.inf
+    assert smallest(direction("a", v, -1.01 * needed, 0.0), ENOUGH) == needed
     blind = direction("blind", np.zeros((4, 1)))
-    assert smallest_sizes([direction("a", v), blind], LEAST) == {"a": needed, "blind": np.inf}
+    assert smallest_sizes([direction("a", v), blind], ENOUGH) == {"a": needed, "blind": np.inf}
+
+
+def test_alike_is_in_the_metric_of_what_remains() -> None:
+    """What shares only a part that others can do as well is not alike, and what differs only in that is."""
+    others = 1e3 * np.eye(4)[:, :1]
+    one, same, other = np.array([[5.0, -5.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]).T[:, :, None]
+    made = [
+        Direction(name, d, remaining(d, others), *(np.full(1, x) for x in (-9.0, 9.0, 1.0)))
+        for name, d in (("one", one), ("same", same), ("other", other))
+    ]
+    assert alike(made) == {"one": ("same",), "same": ("one",), "other": ()}
 
 
 def test_alike_is_what_has_the_same_direction_either_way() -> None:
@@ -93,14 +103,15 @@ def test_the_law_of_chance_is_that_of_the_noise_that_there_is(low: float, within
         return 3.0 * (rng.standard_normal(M) + within * rng.standard_normal(M // BLOCK)[block])
 
     direct = law(visible, np.array([noise() for _ in range(4000)]), low, np.inf)
-    assert direct > 2 * LEAST
+    assert direct > 2 * ENOUGH
     directions = [direction(str(k), visible[:, k : k + 1], low, np.inf) for k in range(12)]
     told = [chance(directions, noise(), block) for _ in range(5)]
     assert np.mean(told) == pytest.approx(direct, rel=0.2)
 
 
-def test_chance_is_never_below_the_least_and_the_same_each_time() -> None:
+def test_chance_brings_more_with_more_noise_and_the_same_each_time() -> None:
     rng = np.random.default_rng(5)
     d, left, block = direction("a", rng.standard_normal((M, 2))), rng.standard_normal(M), np.arange(M) // BLOCK
-    assert chance([d], 0.1 * left, block) == chance([], left, block) == LEAST
-    assert chance([d], 3.0 * left, block) == chance([d], 3.0 * left, block) > LEAST
+    assert chance([], left, block) == 0.0
+    assert chance([d], 0.1 * left, block) < 1.0 < ENOUGH < chance([d], 3.0 * left, block)
+    assert chance([d], 3.0 * left, block) == chance([d], 3.0 * left, block)

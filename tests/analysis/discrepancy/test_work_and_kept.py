@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 from made_study import Inline, study
+from made_threads import threads
 
 from analysis.discrepancy.name import work
 from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
@@ -200,3 +201,33 @@ def test_an_address_where_nobody_answers_is_said(monkeypatch: pytest.MonkeyPatch
             with pytest.raises(InputError, match=said) as error, workers(address):
                 raise AssertionError
             assert "\n" not in str(error.value)
+
+
+def test_what_another_version_has_kept_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    attempts(Inline(), tmp_path)
+    monkeypatch.setattr(work, "_code", lambda: "another version")
+    counting = Counting()
+    attempts(counting, tmp_path)
+    assert counting.calls == len(ENTRIES)
+
+
+def test_directions_leave_away_what_cannot_be_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    direction = Judge.direction
+
+    def some(self: Judge, effect: str) -> Any:
+        if effect == ENTRIES[0]:
+            raise InputError("it does not converge")
+        return direction(self, effect)
+
+    monkeypatch.setattr(Judge, "direction", some)
+    found, baseline, _ = made()
+    crew = Crew(Inline(), found, baseline, None)
+    assert [d.effect for d in crew.directions(ENTRIES)] == [ENTRIES[1]]
+    assert crew.failures == {(ENTRIES[0],): "it does not converge"}
+
+
+def test_a_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in work.THREADS:
+        monkeypatch.delenv(name, raising=False)
+    with workers(None, 1) as executor:
+        assert executor.submit(threads).result() == 1

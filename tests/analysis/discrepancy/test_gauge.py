@@ -1,0 +1,47 @@
+"""A reading that tells rivals apart: what differs by more than is uncertain, and nothing where nothing does."""
+
+import pytest
+from made_study import study
+
+from analysis.discrepancy.name.attempt import Attempt, Judge, Study, baseline_of
+from analysis.discrepancy.name.gauge import DECIDES, gauge, readings
+
+SENSORS = ("offset_p_du", "offset_p_ap")
+OFFSET = 4e4
+
+
+@pytest.fixture(scope="module")
+def rivals() -> tuple[Study, list[Attempt]]:
+    """Two sensors of one pressure, of which one shows too much."""
+    found = study(SENSORS, {"offset_p_du": OFFSET})
+    judge = Judge(found, baseline_of(found))
+    return found, [judge.attempt((name,)) for name in SENSORS]
+
+
+def test_a_gauge_tells_which_of_two_sensors_is_off(rivals: tuple[Study, list[Attempt]]) -> None:
+    found, attempts = rivals
+    reading = gauge(found, attempts, [SENSORS])
+    assert reading is not None
+    assert reading.variable in ("p_ap", "p_du")
+    assert (reading.unit, reading.told) == ("Pa", (SENSORS,))
+    (one, sd), (other, _) = (reading.expected[name] for name in SENSORS)
+    assert abs(one - other) == pytest.approx(OFFSET, rel=0.2)
+    assert abs(one - other) > DECIDES * sd > 0.0
+
+
+def test_what_is_as_uncertain_as_it_differs_is_no_reading(rivals: tuple[Study, list[Attempt]]) -> None:
+    found, attempts = rivals
+    assert gauge(found, attempts, [(SENSORS[0], SENSORS[0])]) is None
+    assert gauge(found, attempts, []) is None
+
+
+def test_flows_are_as_uncertain_as_their_scale(rivals: tuple[Study, list[Attempt]]) -> None:
+    """All flows may be larger by the same factor: no pressure tells, only the datasheet does."""
+    found, [attempt, _] = rivals
+    told = readings(found, attempt)
+    for (name, mode), (mean, sd) in told.items():
+        if found.model.unknown[name].unit == "m3/s" and mode == "maximum":
+            assert sd > 0.03 * abs(mean), name
+        if name == "p_du":
+            assert sd < 0.02 * abs(mean), mode
+    assert told == readings(found, attempt)
