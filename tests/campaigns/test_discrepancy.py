@@ -1,9 +1,11 @@
 """A fixed sample of the discrepancy campaign: what is hidden is named, what no entry describes is not."""
 
+from dataclasses import replace
+
 import pytest
-from discrepancy import run
+from discrepancy import run, tried
 from discrepancy_cases import Case, sample
-from discrepancy_page import named_right, where, wrong
+from discrepancy_page import MARKS, named_right, rows, where, wrong
 
 DURATION_S = 300.0
 
@@ -21,3 +23,13 @@ def test_a_case_of_the_campaign(case: Case) -> None:
         assert not wrong(result), told
     if case.kind == "outside":
         assert {*result["members"]} & where(result), told
+
+
+def test_an_error_is_no_right_answer() -> None:
+    """Nothing named because nothing ran is not silence where nothing is hidden."""
+    [broken] = [tried(replace(case, vehicle="no such")) for case in sample() if case.kind == "outside"][:1]
+    counted = rows([broken, {**broken, "kind": "nothing"}])
+    error = "any: ended with an error, no verdict"
+    assert (counted[error], MARKS[error]) == ((2, 2), "none")
+    assert counted["in no library: not given a name"] == (0, 1)
+    assert counted["in no library: noticed"] == (0, 1)

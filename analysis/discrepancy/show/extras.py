@@ -85,8 +85,9 @@ def gauge_told(gauge: Gauge) -> told.Section:
         f"{readable(mean, gauge.unit)} +- {readable(sd, gauge.unit)} if it is {name}"
         for name, (mean, sd) in gauge.expected.items()
     )
-    where = f"{gauge.description.split(',')[0]} ({gauge.variable})" if gauge.description else gauge.variable
-    sentence = f"read {where} with a gauge of the workshop, in mode {gauge.mode} on average: {values}"
+    where = f"{gauge.description} ({gauge.variable})" if gauge.description else gauge.variable
+    absolute = "absolute, " if gauge.unit == "Pa" else ""  # a gauge shows what is above the atmosphere's
+    sentence = f"read {where} with a gauge of the workshop, {absolute}in mode {gauge.mode} on average: {values}"
     return told.Section(sentences=(sentence,), data=msgspec.to_builtins(asdict(gauge)))
 
 

@@ -189,13 +189,11 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
 
 
 def test_a_reading_that_would_tell_is_told(document: Document) -> None:
-    reading = Gauge(
-        "p_ap", "pressure after the pump, absolute", "Pa", "maximum", {"a": (1e6, 2e3), "b": (1.02e6, 3e3)}, ()
-    )
+    reading = Gauge("p_ap", "pressure after the pump", "Pa", "maximum", {"a": (1e6, 2e3), "b": (1.02e6, 3e3)}, ())
     d, _ = described(discovery(), ORIGIN, Extras(gauge=reading))
     [step] = [step for step in next_steps(as_kind(d, "one of")) if step.startswith("read ")]
     assert step == (
-        "read pressure after the pump (p_ap) with a gauge of the workshop, in mode maximum on average: "
+        "read pressure after the pump (p_ap) with a gauge of the workshop, absolute, in mode maximum on average: "
         "10 bar +- 0.02 bar if it is a; 10.2 bar +- 0.03 bar if it is b"
     )
     assert "gauge of the workshop" in page(as_kind(d, "one of"), {})
