@@ -147,7 +147,8 @@ class Surroundings:
         self._dosed += h * max(plant.q_dose, 0.0)
         plant.viscosity = 1.0 + size["viscosity_drift"] * (1.0 - math.exp(-max(t, 0.0) / WARM_UP_TIME))
         level = size["falling_level"] * MBAR * (1.0 - math.exp(-max(t, 0.0) / LEVEL_TIME))
-        plant.p_tank = ATMOSPHERE - level - size["blocked_vent"] * MBAR * self._dosed / (0.1 * LITRE)
+        plant.p_return = ATMOSPHERE - size["blocked_vent"] * MBAR * self._dosed / (0.1 * LITRE)
+        plant.p_tank = plant.p_return - level  # the return ends in the gas above the reductant
         swing = 1.0 + 0.5 * math.sin(2 * math.pi * t / EXHAUST_SWING)
         plant.p_nozzle = ATMOSPHERE + size["back_pressure"] * BAR * swing
         plant.inlet_spring = size["inlet_spring"] * BAR

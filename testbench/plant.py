@@ -60,9 +60,9 @@ class Plant:
     """The circuit's state; starts at rest at atmospheric pressure. Flows [m^3/s] are those of the last step.
 
     What may be replaced at any time takes effect at the next step: the five restrictions (`tank_filter` ...),
-    `pump_loss`, and what surrounds the circuit: `viscosity` (a factor of all laminar parts), `p_tank` and `p_nozzle`
-    (absolute pressure [Pa] in the tank and behind the dosing valve), `inlet_spring` [Pa] (what it takes to open the
-    dosing unit's inlet valve).
+    `pump_loss`, and what surrounds the circuit: `viscosity` (a factor of all laminar parts), `p_tank`, `p_return` and
+    `p_nozzle` (absolute pressure [Pa] at the suction pipe's foot, behind the return orifice and behind the dosing
+    valve), `inlet_spring` [Pa] (what it takes to open the dosing unit's inlet valve).
     """
 
     def __init__(self, parameters: PlantParameters, pump: PumpParameters, branches: Sequence[Branch] = ()) -> None:
@@ -73,7 +73,7 @@ class Plant:
         self.dosing_valve = parameters.dosing_valve
         self.pump_loss = 0.0  # fraction of the displaced flow that is lost
         self.viscosity = 1.0
-        self.p_tank = self.p_nozzle = ATMOSPHERE
+        self.p_tank = self.p_return = self.p_nozzle = ATMOSPHERE
         self.inlet_spring = 0.0
         self.branches = list(branches)
         self.p_tp = self.p_bp = self.p_ap = self.p_du = ATMOSPHERE
@@ -118,7 +118,8 @@ class Plant:
     def _pressure(self, h: float, opening: float) -> None:
         """p_ap and p_du, fed by `q_pump`."""
         c_ap, c_du = self._parameters.hose.compliance(self.p_ap) / h, self._parameters.compliance_du / h
-        viscosity, spring, p_nozzle = self.viscosity, self.inlet_spring, self.p_nozzle
+        viscosity, spring = self.viscosity, self.inlet_spring
+        p_return, p_nozzle = self.p_return, self.p_nozzle
         laminar, Kd = viscosity * self.du_filter.R, self.du_filter.K
         Ro, Ko = viscosity * self.return_orifice.R, self.return_orifice.K
         Rv, Kv = viscosity * self.dosing_valve.R, self.dosing_valve.K
@@ -136,11 +137,11 @@ class Plant:
             ed, eo, ev = Kd * qd * abs(qd), Ko * qo * abs(qo), Kv * qv * abs(qv)
             a, b = c_ap + gd + g_branches, c_du + gd + go + opening * gv
             u = fed - gd * ed
-            v = held + gd * ed + go * (ATMOSPHERE - eo) + opening * gv * (p_nozzle - ev)
+            v = held + gd * ed + go * (p_return - eo) + opening * gv * (p_nozzle - ev)
             determinant = a * b - gd * gd
             x, y = (u * b + gd * v) / determinant, (a * v + gd * u) / determinant
             last_d, last_o, last_v = qd, qo, qv
-            qd, qo, qv = gd * (x - y + ed), go * (y - ATMOSPHERE + eo), gv * (y - p_nozzle + ev)
+            qd, qo, qv = gd * (x - y + ed), go * (y - p_return + eo), gv * (y - p_nozzle + ev)
             if abs(qd - last_d) + abs(qo - last_o) + abs(qv - last_v) < FLOW_TOLERANCE:
                 break
         else:

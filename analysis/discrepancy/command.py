@@ -3,9 +3,9 @@
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -51,6 +51,10 @@ where it looks like a fault, and where --apply is refused.
 MODEL, EXPERIMENT, WORK = "model.toml", "experiment.toml", "work"
 
 
+SEARCHES = ("apply", "held_out", "library", "without", "tune", "evaluate", "truth", "scheduler", "processes", "json")
+"""Options that mean nothing to --undo."""
+
+
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
@@ -62,6 +66,14 @@ def main(argv: list[str]) -> int:
     add("--held-out", type=Path, nargs="+", default=[], help="others, on which the evidence is checked")
     add("--out", type=Path, default=Path("discovery"), metavar="DIR", help="folder to write (default: discovery)")
     add("--library", type=Path, metavar="FILE", help="effects of your own, besides the shipped ones")
+    add(
+        "--without",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME",
+        help="effects that it is not, as a gauge has shown",
+    )
     add("--apply", action="store_true", help="write the model with what was found, unless there is a reason against")
     add("--undo", action="store_true", help="take the last discovery out of MODEL again; writes DIR/model.toml")
     add("--tune", type=Path, nargs="+", default=[], help="fault-free recordings to tune both models' bundles on")
@@ -72,13 +84,16 @@ def main(argv: list[str]) -> int:
     add("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
     if options.undo:
-        if options.apply or options.held_out or options.tune:
-            parser.error("--undo takes MODEL and --out only")
+        given = [name for name in SEARCHES if getattr(options, name)]
+        if given:
+            parser.error(f"--undo takes MODEL and --out only; leave out --{given[0].replace('_', '-')}")
         return _undo(options.model, options.recording, options.out)
     if not options.recording or not options.held_out:
         parser.error("give recordings to fit, and others with --held-out")
     if options.evaluate and not options.tune:
         parser.error("--evaluate judges bundles, and those are tuned: give fault-free recordings with --tune")
+    if options.scheduler and options.processes:
+        parser.error("--processes are of this machine; the cluster at --scheduler has its own")
     if options.truth and len(options.truth) != len(options.evaluate):
         parser.error("give as many --truth as --evaluate, in the same order")
     return _discover(options)
@@ -97,7 +112,7 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
 
 
 def _discover(options: argparse.Namespace) -> int:
-    model, library = sound_model(options.model), load_library(options.library)
+    model, library = sound_model(options.model), _library(options.library, options.without)
     _not_over(options.model, options.out)
     _room(options.out)
     ours = (options.out / DOCUMENT).exists()
@@ -109,23 +124,24 @@ def _discover(options: argparse.Namespace) -> int:
             progress.note(gap)
         recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
-            found = discover(data, library, executor, options.out / WORK, _Clock(progress))
+            found = discover(data, library, executor, options.out / WORK, _Clock(progress.say))
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
-        plans = _plans(found, progress)
         set_in = found.onset([log.id for log in data.training], [log.id for log in data.held])
+        rivals = found.rivals if set_in is None else ()
+        plans = propose(found.study, found.baseline, rivals, progress.note) if rivals else []
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
             bundle=_bundles(recordings, found, new, progress),
             plans=plans,
-            gauge=_gauge(found, plans),
+            gauge=_gauge(found, rivals, plans),
             onset=set_in,
             refused=new.reasons,
             applied=options.apply and new.model is not None and not new.reasons and set_in is None,
         )
-        document = document_of(found, runs, origin_of(data), extras)
+        document = document_of(found, runs, origin_of(data, options.without), extras)
         progress.say("report")
         written = write(options.out, found, document, runs)
         written += _results(options, new, extras, ours)
@@ -137,21 +153,19 @@ def _discover(options: argparse.Namespace) -> int:
     return 0 if good and not (options.apply and new.reasons) else 1
 
 
-def _plans(found: Discovery, progress: Progress) -> list[Plan]:
-    """Experiments that would tell the first effect with rivals from them."""
-    return propose(found.study, found.baseline, _rivals(found), progress.note) if _rivals(found) else []
+def _library(path: Path | None, without: Sequence[str]) -> dict[str, Effect]:
+    """The shipped effects and those in the file, but for what the user knows that it is not."""
+    library = load_library(path)
+    for name in without:
+        if name not in library:
+            raise InputError(f"--without {name}: the library has no such effect; `discovery.json` lists them")
+    return {name: effect for name, effect in library.items() if name not in without}
 
 
-def _gauge(found: Discovery, plans: Sequence[Plan]) -> Gauge | None:
+def _gauge(found: Discovery, rivals: Sequence[Attempt], plans: Sequence[Plan]) -> Gauge | None:
     """The reading that tells what no experiment does."""
-    rivals = _rivals(found)
     pairs = plans[0].untold if plans else [*combinations((rival.effects[-1] for rival in rivals[:MANY]), 2)]
     return gauge(found.study, rivals, pairs)
-
-
-def _rivals(found: Discovery) -> tuple[Attempt, ...]:
-    """Of the first effect that has some."""
-    return next((place.attempts for place in found.outcome.places if len(place.attempts) > 1), ())
 
 
 def _without_place(model: Model, library: Mapping[str, Effect], own: Path | None) -> Iterator[str]:
@@ -169,11 +183,14 @@ def _trial(options: argparse.Namespace, data: Data, progress: Progress) -> Trial
     seen = [*recordings_of(data.model), *(log.sha256 for log in (*data.training, *data.held))]
     truths = options.truth or [None] * len(options.evaluate)
     used = dict.fromkeys(seen, "calibrate the model or to discover its effects")
-    return trial(used, options.tune, list(zip(options.evaluate, truths, strict=True)), progress.note)
+    return trial(used, options.tune, list(zip(options.evaluate, truths, strict=True)), progress.note, data.vehicle)
 
 
 def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:
-    if recordings is None or new.model is None:
+    if recordings is None:
+        return None
+    if new.model is None:
+        progress.note("nothing is added to the model, so there are no bundles to compare: --tune is not used")
         return None
     progress.say("bundles before and after")
     model = found.study.model
@@ -205,7 +222,8 @@ def _resumable(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f"call it again to go on: what is done is kept in {folder / WORK}", file=sys.stderr)
+        if (folder / WORK).exists():
+            print(f"call it again to go on: the fits that are done are kept in {folder / WORK}", file=sys.stderr)
         raise
 
 
@@ -234,15 +252,19 @@ def _room(folder: Path) -> None:
 class _Clock:
     """What is going on, how far it is and how long it will take."""
 
-    progress: Progress
+    say: Callable[[str], None]
+    clock: Callable[[], float] = time.monotonic
     title: str = ""
-    since: float = field(default_factory=time.monotonic)
+    since: float = 0.0
+    first: int = 0
+    last: int = 0
 
     def __call__(self, title: str, done: int, of: int) -> None:
-        """`done` of `of` steps of what `title` says."""
-        now = time.monotonic()
-        if title != self.title:
-            self.title, self.since = title, now
-        left = (now - self.since) / done * (of - done) if done else None
+        """`done` of `of` steps of what `title` says; those that were there at its first call took no time now."""
+        now = self.clock()
+        if title != self.title or done < self.last:
+            self.title, self.since, self.first = title, now, done
+        self.last = done
+        left = (now - self.since) / (done - self.first) * (of - done) if done > self.first else None
         told = f", {left:.0f} s left" if left is not None and done < of else ""
-        self.progress.say(f"{title}: {done} of {of}{told}" if of > 1 else title)
+        self.say(f"{title}: {done} of {of}{told}" if of > 1 else title)

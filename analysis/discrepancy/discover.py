@@ -12,7 +12,7 @@ from analysis.discrepancy.effects.library import SHIPPED
 from analysis.discrepancy.effects.rewrite import applicable, rewritten
 from analysis.discrepancy.find.locate import Location
 from analysis.discrepancy.find.onset import Onset, onset
-from analysis.discrepancy.name.attempt import Baseline, Begin, Judge, Study, baseline_of
+from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Judge, Study, baseline_of
 from analysis.discrepancy.name.contest import Outcome, Say, asked, contest
 from analysis.discrepancy.name.sensitivity import Direction, chance
 from analysis.discrepancy.name.work import Crew
@@ -44,8 +44,9 @@ class Discovery:
     """All that a search came to.
 
     `before` is where the model as it was misses something, `after` where that with the chosen effects does, `held`
-    where that does in the held-out recordings. `unfit` are entries that have no place in this model, with the reason;
-    `halted` those whose model could not be run from some beginning, and that came to nothing from the others.
+    where that does in the held-out recordings, `unforetold` where those depart from what the training tells of them.
+    `unfit` are entries that have no place in this model, with the reason; `halted` those whose model could not be run
+    from some beginning, and that came to nothing from the others.
     """
 
     study: Study
@@ -54,15 +55,28 @@ class Discovery:
     before: Location
     after: Location
     held: Location
+    unforetold: Location
     verdict: Verdict
     directions: tuple[Direction, ...]
     unfit: Mapping[str, str]
     halted: Mapping[str, str]
 
+    @property
+    def rivals(self) -> tuple[Attempt, ...]:
+        """The attempts of the first effect that has several names; none where the verdict is another one."""
+        if self.verdict.kind != "one of":
+            return ()
+        return next(place.attempts for place in self.outcome.places if len(place.attempts) > 1)
+
+    @property
+    def left(self) -> Location:
+        """Where the chosen effects leave the most unexplained: in the training recordings, or in those held out."""
+        return max((self.after, self.held), key=_evidence)
+
     def onset(self, training: Sequence[str], held: Sequence[str]) -> Onset | None:
         """Whether something set in while it was recorded, as faults do; the names are those of the recordings."""
         model = self.study.model
-        places = ((self.before, training), (self.after, training), (self.held, held))
+        places = ((self.before, training), (self.after, training), (self.unforetold, held), (self.held, held))
         return next((found for place, names in places if (found := onset(model, place, names)) is not None), None)
 
 
@@ -97,16 +111,16 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
         outcome = contest(crew, [*fit], nominal, law, unbent, say)
     outcome = replace(outcome, threshold=asked(outcome.chosen, law))
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
-    held = judge.locate(outcome.chosen, held=True)
+    held, unforetold = judge.locate(outcome.chosen, held=True), judge.unforetold(outcome.chosen)
     judged = {attempt.effects for attempt in outcome.singles}
     halted = {effects[0]: why for effects, why in crew.failures.items() if len(effects) == 1 and effects not in judged}
     verdict = verdict_of(outcome, after, held)
-    return Discovery(study, baseline, outcome, before, after, held, verdict, directions, unfit, halted)
+    return Discovery(study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted)
 
 
 def verdict_of(outcome: Outcome, *left: Location) -> Verdict:
     """What to say of an outcome, with what is `left` unexplained in the training and the held-out recordings."""
-    remainder = max(0.5 * location.suspects[0].evidence if location.members else 0.0 for location in left)
+    remainder = max(map(_evidence, left))
     sets = tuple(place.rivals for place in outcome.places)
     if not sets:
         return Verdict("unnamed" if remainder > REMAINDER else "nothing missing", (), 0.0, remainder)
@@ -114,3 +128,8 @@ def verdict_of(outcome: Outcome, *left: Location) -> Verdict:
         return Verdict("unnamed", sets, outcome.gain, remainder)
     kind: Kind = "named" if all(len(names) == 1 for names in sets) else "one of"
     return Verdict(kind, sets, outcome.gain, remainder)
+
+
+def _evidence(location: Location) -> float:
+    """Of the unknown input that is missed most [nats]."""
+    return 0.5 * location.suspects[0].evidence if location.members else 0.0

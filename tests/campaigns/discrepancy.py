@@ -129,8 +129,7 @@ def _changed(found: Discovery) -> list[str]:
 
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:
     """Whether the proposed experiment tells which it is."""
-    place = next(place for place in found.outcome.places if len(place.attempts) > 1)
-    plans = propose(found.study, found.baseline, place.attempts)
+    plans = propose(found.study, found.baseline, found.rivals)
     if not plans or not plans[0].told:
         return {"proposed": None}
     best = plans[0]

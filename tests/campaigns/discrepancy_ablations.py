@@ -18,10 +18,10 @@ from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
-from discrepancy import DURATION_S, Inline, done, record_case
+from discrepancy import DURATION_S, FROZEN, Inline, done, record_case
 from discrepancy_ablations_page import ABLATIONS
 from discrepancy_cases import Case, cases
-from results_page import head_commit
+from results_page import digest, head_commit
 
 from analysis.calibration.sections import Section
 from analysis.calibration.validate import STEADY
@@ -177,12 +177,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
-    commit = head_commit()
+    commit, code = head_commit(), digest(*FROZEN)
     there = {line["case"] for line in done(ABLATIONS)}
     with Pool(options.processes) as pool:
         for result in pool.imap_unordered(run, [case for case in wanted() if case.name not in there]):
             with ABLATIONS.open("a") as file:
-                file.write(json.dumps({**result, "commit": commit}) + "\n")
+                file.write(json.dumps({**result, "commit": commit, "code": code}) + "\n")
             print(result["case"], result["named"], flush=True)
 
 

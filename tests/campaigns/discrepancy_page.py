@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,10 @@ from typing import Any
 import numpy as np
 from discrepancy_cases import OUTSIDE, TRUTHS
 from results_page import exact_share, provenance
+
+from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.rewrite import rewritten
+from analysis.model import load_model
 
 Result = Mapping[str, Any]
 Names = Sequence[str]
@@ -78,10 +83,26 @@ def where(r: Result) -> set[str]:
     return {e for name in r["effects"] for e in (TRUTHS[name].equations if name in TRUTHS else OUTSIDE[name])}
 
 
+@cache
+def _changed(name: str) -> frozenset[str]:
+    """The equations of the model that an entry changes."""
+    model = load_model("uds4")
+    new = rewritten(model, load_library()[name]).equations
+    return frozenset(e for e, equation in model.equations.items() if new[e].text != equation.text)
+
+
+def told_where(r: Result) -> set[str]:
+    """The equations that the user is told of: those of all candidates, or the located class where there are none."""
+    names = [name for names in r["sets"] for name in names]
+    return {e for name in names for e in _changed(name)} if spoke(r) else {*r["members"]}
+
+
 def resolved(r: Result) -> bool:
-    """Whether the proposed experiment told the truth from all that are not its declared equivalents."""
+    """Whether the proposed experiment left the right name alone."""
     asked = r.get("experiment", {})
-    return bool(asked.get("proposed")) and unique({**r, "verdict": asked["verdict"], "sets": asked["sets"]})
+    if not asked.get("proposed") or asked["verdict"] != "named":
+        return False
+    return unique({**r, "verdict": asked["verdict"], "sets": asked["sets"]})
 
 
 Judged = tuple[int, int]
@@ -128,8 +149,8 @@ def rows(results: Sequence[Result]) -> dict[str, Judged]:
             located, lambda r: bool({*r["members"]} & where(r))
         ),
         "... and it is the first one": _count(located, lambda r: r["members"][0] in where(r)),
-        "told to the user: the right equation, the name's or that of the located class": _count(
-            telling_where, lambda r: bool({*(r["changed"] if spoke(r) else r["members"])} & where(r))
+        "told to the user: the right equation, of the names' or in the located class": _count(
+            telling_where, lambda r: bool(told_where(r) & where(r))
         ),
         "two hidden, both visible: both found": _count(pairs, named_right),
         "two hidden, both visible: at least one found": _count(
@@ -162,6 +183,7 @@ MARKS = {
     "nothing hidden: something named": "at most 1 %",
     "in no library: not given a name": "at least 90 %",
     "located without any library: the right equation in the class": "at least 90 %",
+    "told to the user: the right equation, of the names' or in the located class": "at least 90 %",
     "two hidden, both visible: both found": "at least 60 %",
     "two hidden, both visible: at least one found": "at least 90 %",
     "one of several: the experiment resolves it": "at least 80 %",
@@ -180,7 +202,7 @@ HEAD = (
     "effects above the smallest size that such recordings can show, *equivalents* what looks the same in them, both "
     "declared beforehand from sensitivities (`tests/campaigns/discrepancy_declared.json`). A named set without a truth "
     "in it is wrong, also beside a right one. What is not named, or refused by `--apply`, closes nothing. How it is "
-    "counted was changed in three places after set B had been seen (`docs/decisions/008-evidence-not-rmse.md`). In "
+    "counted was changed in five places after set B had been seen (`docs/decisions/008-evidence-not-rmse.md`). In "
     "brackets: exact 95 % intervals (Clopper and Pearson)."
 )
 

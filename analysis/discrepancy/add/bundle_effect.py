@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import mean
 from tempfile import TemporaryDirectory
 
+from analysis.calibration.provenance import check_vehicle
 from analysis.evaluation.judge import Verdict, judge
 from analysis.evaluation.story import tell
 from analysis.evaluation.truth import Truth, load_truth
@@ -116,22 +117,27 @@ def trial(
     tuning: Sequence[Path],
     evaluation: Sequence[tuple[Path, Path | None]],
     note: Callable[[str], None],
+    vehicle: str | None = None,
 ) -> Trial:
-    """The recordings read; `used` says what those with these SHA-256 were used for.
+    """The recordings read; `used` says what those with these SHA-256 were used for, `vehicle` whose model it is.
 
     A recording without a truth is taken as fault-free.
 
     Raises:
-        InputError: a recording or truth cannot be read, or a recording was used before, for tuning, or twice.
+        InputError: a recording or truth cannot be read, a recording was used before, for tuning, or twice, one to tune
+            on is of another vehicle, or one to evaluate on has another DBC than those.
     """
     taken, first, judged = dict(used), None, list[tuple[Log, Truth | None]]()
     for path in tuning:
         log = _unused(path, taken, "tune", note)
+        check_vehicle(log, path, vehicle, "the model")
         first = first or log
     if first is None or first.dbc_path is None:
         raise InputError("no recording to tune on; give fault-free recordings that neither fit nor choice has seen")
     for path, told in evaluation:
         log = _unused(path, taken, "evaluate", note)
+        if first.recording is not None:
+            log.check_dbc(first.recording.can.dbc_sha256)
         judged.append((log, None if told is None else load_truth(told, log.id)))
     return Trial(tuple(tuning), first.dbc_path, tuple(judged))
 
@@ -140,7 +146,7 @@ def bundle_effect(before: Model, after: Model, recordings: Trial, progress: Prog
     """Makes both models' bundles and judges them. A model that has no bundle says why.
 
     Raises:
-        InputError: a recording is too short, or of another DBC.
+        InputError: a recording to evaluate on ends before its signals are there.
     """
     made = []
     for title, model in (("without the effect", before), ("with it", after)):
@@ -199,4 +205,6 @@ def _judged(bundle: Bundle, log: Log, truth: Truth | None) -> Judged:
 def _told(verdict: Verdict) -> str:
     if not verdict.detected:
         return "not detected"
-    return f"detected after {verdict.delay_s:g} s, isolated {{{', '.join(verdict.isolated)}}}"
+    others = [name for name in verdict.isolated if name not in verdict.first]
+    behind = f", behind it {', '.join(others)}" if others else ""
+    return f"detected after {verdict.delay_s:g} s, ranked first {', '.join(verdict.first)}{behind}"

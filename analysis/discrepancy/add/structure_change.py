@@ -46,11 +46,6 @@ class Diagnosed:
     told: tuple[Pair, ...]
     mixed_up: tuple[Pair, ...]
 
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing has changed."""
-        return not (self.gained or self.lost or self.told or self.mixed_up)
-
 
 @dataclass(frozen=True)
 class StructureChange:

@@ -44,8 +44,10 @@ EXPERIMENTS = {
     "steady_hold": "the pressure held at 10 bar without dosing",
     "warm_up": "half an hour from a cold start",
 }
-"""What `separated_by` may name, in words. Cycles in `experiments.toml` are those that can be planned with a model: a
-pump that is off leaves the range of pressures in which models hold, and half an hour is more than a plan takes."""
+"""What `separated_by` may name, in words. Cycles in `experiments.toml` are those that can be planned with a model."""
+
+UNPLANNED = ("pump_off_decay", "warm_up")
+"""A pump that is off leaves the range of pressures in which models hold, and half an hour is more than a plan takes."""
 
 
 def load_library(path: Path | None = None) -> dict[str, Effect]:

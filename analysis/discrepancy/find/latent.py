@@ -32,19 +32,28 @@ SIGMAS = np.geomspace(1e-4, 10.0, 41)
 """Where the intensity is looked for, relative to the size of the input."""
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of x from elsewhere: what is `free` (n,) is x + N(0, (root' root)^-1), the rest is as it is."""
+
+    free: npt.NDArray[np.bool_]
+    root: Array
+
+
 class Misfit:
     """The whitened misfit of `problem` at `x` without what another x would take of it.
 
-    `left` (N + n) is it, with the priors' n rows at the end.
+    `left` (N + n) is it, with the priors' n rows at the end; `known` stands for them, if it is there.
     """
 
-    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh]) -> None:
-        free = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND
+    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh], known: Known | None = None) -> None:
+        free = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND if known is None else known.free
+        root, behind = (np.eye(int(free.sum())), -x[free]) if known is None else (known.root, np.zeros(len(known.root)))
         e = np.concatenate([white(part) for white, part in zip(weights, problem.left(x), strict=True)])
         J = np.concatenate([white(-part[:, free]) for white, part in zip(weights, problem.slopes(x), strict=True)])
         self._weights = weights
-        self._Q = np.linalg.qr(np.concatenate([J, np.eye(J.shape[1])]))[0]
-        self.left = self._projected(np.concatenate([e, -x[free]]))
+        self._Q = np.linalg.qr(np.concatenate([J, root]))[0]
+        self.left = self._projected(np.concatenate([e, behind]))
 
     @property
     def square(self) -> float:

@@ -16,7 +16,7 @@ from analysis.calibration.problem import Problem
 from analysis.discrepancy.find.classes import inseparable, splitting_sensors
 from analysis.discrepancy.find.disturbed import disturbed_runs
 from analysis.discrepancy.find.features import Operation
-from analysis.discrepancy.find.latent import Latent, Misfit, Response, null_law, tail
+from analysis.discrepancy.find.latent import Known, Latent, Misfit, Response, null_law, tail
 from analysis.discrepancy.find.operating_space import PLAUSIBLE, Finding, columns_of, finding_of
 from analysis.discrepancy.find.refit import without
 from analysis.discrepancy.find.unknown_input import cells_of
@@ -112,20 +112,23 @@ class Location:
         return tuple(found)
 
 
-def locate(problem: Problem, x: Array, weights: Sequence[Weigh]) -> Location:
+def locate(problem: Problem, x: Array, weights: Sequence[Weigh], known: Known | None = None) -> Location:
     """Where the problem's model misses something, with its fit `x` and the weights that hold there.
 
-    If the effect has bent the fit out of all reason, weights that hold at the parameters as expected are better.
+    If the effect has bent the fit out of all reason, weights that hold at the parameters as expected are better. With
+    what is `known` of x from other recordings nothing is fitted again.
 
     Raises:
         InputError: the model cannot be run at `x`.
     """
-    search = _Search(problem, x, weights)
+    search = _Search(problem, x, weights, known=known)
     best = search.best
     if not search.suspects[best].significant:
         return Location(search.sorted(), (), (), (), (), {}, (), x)
-    nearer = search.made_again()
-    if np.abs(x).max() > ABSURD:  # the effect has bent the fit; from there the way back may be too long
+    nearer = search.made_again() if known is None else search
+    if (
+        known is None and np.abs(x).max() > ABSURD
+    ):  # the effect has bent the fit; from there the way back may be too long
         other = _Search(problem, _as_expected(problem, x), weights, search.square).made_again()
         nearer = max(nearer, other, key=lambda found: found.suspects[found.best].evidence)
     search, best = nearer, nearer.best
@@ -157,9 +160,16 @@ def _as_expected(problem: Problem, x: Array) -> Array:
 class _Search:
     """All equations' unknown inputs at `x`. `square` is the misfit's at the fit, to which gains refer."""
 
-    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh], square: float | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        x: Array,
+        weights: Sequence[Weigh],
+        square: float | None = None,
+        known: Known | None = None,
+    ) -> None:
         self.x, self._problem, self._weights, self._model = x, problem, weights, problem.system.model
-        self.misfit = Misfit(problem, x, weights)
+        self.misfit = Misfit(problem, x, weights, known)
         self.square = self.misfit.square if square is None else square
         self._gained = self.square - self.misfit.square
         runs = disturbed_runs(problem, x)

@@ -17,6 +17,7 @@ from analysis.calibration.problem import Problem, Unknowns
 from analysis.calibration.sections import Section, fitting
 from analysis.discrepancy.effects.compiled import system_with
 from analysis.discrepancy.effects.effect import Effect
+from analysis.discrepancy.find.latent import Known
 from analysis.discrepancy.find.locate import Location, locate
 from analysis.discrepancy.name.likelihood import Likelihood, bins_of, blocks, levels_of
 from analysis.discrepancy.name.search import Optimum, descend
@@ -202,6 +203,17 @@ class Judge:
             x[problem.unknowns.of_zeros] = 0.0
         return locate(problem, x, self._likelihoods[held].weights)
 
+    def unforetold(self, attempt: Attempt) -> Location:
+        """Where the held-out recordings depart from what the training foretells of them.
+
+        Parameters are as sure as the training made them: what a large fault does is not taken for other parameters.
+        """
+        problem = self._with(attempt.effects)[1]
+        x = carried(attempt.x, attempt.unknowns, problem.unknowns)
+        x[problem.unknowns.of_zeros] = 0.0
+        free, H = precision(problem, attempt.curvature, attempt.inside, attempt.unknowns)
+        return locate(problem, x, self._likelihoods[1].weights, Known(free, np.asarray(np.linalg.cholesky(H).T)))
+
     def _with(self, effects: Sequence[str]) -> tuple[Problem, Problem]:
         """The problems of the model with effects: the training's and the held-out's."""
         entries = [self._study.library[name] for name in effects]
@@ -281,18 +293,29 @@ def foretold(
 
     All whitened: the prediction's covariance is 1 + J H^-1 J'.
     """
-    own, other = problem.unknowns.of_zeros, known.of_zeros
     begin = carried(x, known, problem.unknowns)
-    begin[own] = 0.0
+    begin[problem.unknowns.of_zeros] = 0.0
+    free, H = precision(problem, curvature, inside, known)
+    return likelihood.left(problem, begin), likelihood.slopes(problem, begin)[:, free], H
+
+
+def precision(
+    problem: Problem, curvature: Array, inside: npt.NDArray[np.bool_], known: Unknowns
+) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Which unknowns (n,) of the problem are free (f), and how precisely (f, f) another fit tells them.
+
+    The zero errors of its own recordings are as uncertain as they are.
+    """
+    own, other, size = problem.unknowns.of_zeros, known.of_zeros, problem.unknowns.size
     place = np.flatnonzero(inside)
     between = np.linalg.inv(curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
-    kept = np.delete(np.arange(len(begin)), own)[np.delete(inside, other)]
-    covariance = np.zeros((len(begin), len(begin)))
+    kept = np.delete(np.arange(size), own)[np.delete(inside, other)]
+    covariance = np.zeros((size, size))
     covariance[np.ix_(kept, kept)] = between
     covariance[own, own] = np.eye(own.stop - own.start)
-    free = np.sort(np.concatenate([kept, np.arange(own.start, own.stop)]))
-    e, J = likelihood.left(problem, begin), likelihood.slopes(problem, begin)[:, free]
-    return e, J, np.linalg.inv(covariance[np.ix_(free, free)])
+    free = np.zeros(size, dtype=np.bool_)
+    free[kept] = free[own] = True
+    return free, np.linalg.inv(covariance[np.ix_(free, free)])
 
 
 def _within(place: npt.NDArray[np.int64], part: slice) -> npt.NDArray[np.bool_]:

@@ -189,13 +189,14 @@ class Section(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Origin(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the recordings are from; `missing` says in sentences what they lack."""
+    """Where the recordings are from; `missing` says in sentences what they lack, `without` what was not looked for."""
 
     training: tuple[str, ...]
     held_out: tuple[str, ...]
     sources: tuple[str, ...]
     vehicle: str | None = None
     missing: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
 
     @property
     def simulated(self) -> bool:

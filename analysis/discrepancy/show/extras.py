@@ -67,13 +67,14 @@ def experiment_told(plan: Plan) -> told.Section:
         if untold:
             sentence += f", but it will not tell whether it is {untold}"
     else:
-        sentence = f"no shipped experiment is expected to tell the candidates apart; the best is to {record}"
+        sentence = "no experiment that can be planned is expected to tell the candidates apart"
     if plan.beyond:
         sentence += f"; it was not planned for {', '.join(plan.beyond)}"
     data = {
         "name": experiment.name,
         "duration_s": experiment.duration_s,
         "left": plan.left,
+        "tells": bool(plan.told),
         "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
     }
     return told.Section(sentences=(sentence,), data=data)

@@ -12,6 +12,9 @@ from service.core.errors import InputError
 
 DOCUMENT = "discovery.json"
 
+PICTURES = ("free-run", "regimes", "unknown-input", "evidence")
+"""All that there may be."""
+
 
 def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> list[Path]:
     """Writes `discovery.json`, `summary.md`, `report.html` and its pictures as PNG; the paths written.
@@ -30,6 +33,8 @@ def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> li
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        for name in PICTURES if (folder / DOCUMENT).exists() else ():  # of an earlier call, and not of this one
+            (folder / f"{name}.png").unlink(missing_ok=True)
         for name, content in files.items():
             (folder / name).write_bytes(content)
     except OSError as error:

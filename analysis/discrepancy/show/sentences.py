@@ -26,9 +26,12 @@ def sentences(d: Document) -> list[str]:
         lines += [f"structure: {sentence}" for sentence in d.structure.sentences[:3]]
     if d.bundle:
         lines += [f"bundle: {sentence}" for sentence in d.bundle.sentences[:3]]
-    lines += [f"next: {step}" for step in next_steps(d)]
-    lines += [f"note: {sentence}" for sentence in (*d.origin.missing[:2], *halted(d)[:2])]
-    return [*lines[: MOST - 1], "..."] if len(lines) > MOST else lines
+    last = [f"not added: {reason}" for reason in d.refused if d.named]
+    last += [f"next: {step}" for step in next_steps(d)]
+    last += [f"note: {sentence}" for sentence in (*d.origin.missing[:2], *halted(d)[:2])]
+    last += [f"note: left out of the search: {', '.join(d.origin.without)}"] if d.origin.without else []
+    room = max(MOST - len(last), 1)  # what to do is never cut away
+    return [*(lines if len(lines) <= room else [*lines[: room - 1], "..."]), *last]
 
 
 def gap_lines(d: Document) -> list[str]:

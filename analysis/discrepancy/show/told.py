@@ -1,6 +1,9 @@
 """A discovery told: the document made of what a search came to, with what else was found out."""
 
+from collections.abc import Sequence
 from math import isfinite
+
+from msgspec import structs
 
 from analysis.discrepancy.add.held_out import Gap, Shown
 from analysis.discrepancy.add.whiteness import Whiteness
@@ -16,14 +19,15 @@ from analysis.discrepancy.show.verdicts import sentence_of
 from analysis.model import Model
 
 
-def origin_of(data: Data) -> told.Origin:
-    """Of the recordings of a study."""
+def origin_of(data: Data, without: Sequence[str] = ()) -> told.Origin:
+    """Of the recordings of a study, in which effects were looked for, `without` some."""
     return told.Origin(
         training=tuple(log.id for log in data.training),
         held_out=tuple(log.id for log in data.held),
         sources=tuple(data.sources),
         vehicle=data.vehicle,
         missing=tuple(data.gaps()),
+        without=tuple(without),
     )
 
 
@@ -59,7 +63,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
             for size in sizes(outcome.chosen, library)
         ),
         located=_located(found.study.model, found.before, first),
-        left=_located(found.study.model, found.after, first),
+        left=_left(found, first),
         regimes=tuple(_regime(gap, found.study.model.known[gap.output].unit) for gap in shown.gaps),
         zeros=_zeros(found, shown, origin),
         entries=_entries(found),
@@ -126,6 +130,15 @@ def _located(model: Model, location: Location, equation: str) -> told.Located:
         ),
         course=None if course is None else _course(course),
     )
+
+
+def _left(found: Discovery, equation: str) -> told.Located:
+    """Where something is left with the effects in; of a held-out recording it is said that it is of one."""
+    located = _located(found.study.model, found.left, equation)
+    if found.left is found.after:
+        return located
+    said = tuple(f"in the held-out recordings, {sentence}" for sentence in located.sentences)
+    return structs.replace(located, sentences=said, course=None)  # pictures are of the training recordings
 
 
 def _course(suspect: Suspect) -> told.Course:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from analysis.discrepancy.add.drift import MOVED
 from analysis.discrepancy.discover import REMAINDER, Kind
-from analysis.discrepancy.effects.library import EXPERIMENTS
+from analysis.discrepancy.effects.library import EXPERIMENTS, UNPLANNED
 from analysis.discrepancy.show.document import Candidate, Document, Entry, Place
 
 MANY = 6
@@ -12,6 +12,11 @@ MANY = 6
 
 HARDLY = 0.1
 """Of the evidence: less from the held-out recordings, and they were of another operation."""
+
+TUNE_AND_EXPORT = (
+    "`faultline tune {model} RECORDING... --out tuning.json` with other fault-free recordings, then "
+    "`faultline export {model} --tuning tuning.json --dbc RECORDING/uds.dbc --out bundle`"
+)
 
 FAR = 3.0
 """Standard deviations from which a zero error is not what the datasheet says."""
@@ -114,26 +119,25 @@ def next_steps(d: Document) -> list[str]:
         return list(d.onset.sentences)
     kind = d.verdict.kind
     if kind == "nothing missing":
-        return ["use the model as it is: `faultline tune`, `faultline export`"]
+        return [f"use the model as it is: {TUNE_AND_EXPORT.format(model='MODEL')}"]
     if kind == "named" and d.refused:
         return [f"do not add it as it is, {d.refused[0]}: try other forms of the same effect in a file for --library"]
     if kind == "named" and d.applied:
-        return ["tune and export the model that was written, `model.toml`, anew"]
+        return [f"make a bundle of the model that was written: {TUNE_AND_EXPORT.format(model='model.toml')}"]
     if kind == "named":
         return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
     if kind == "one of":
         taken = [f"`model.toml` has {_names(d)[0]}, the most probable: which it is stays open"] if d.applied else []
         read = d.gauge.sentences if d.gauge else ()
-        if d.experiment:
+        if d.experiment and d.experiment.data.get("tells"):
             return [*d.experiment.sentences, *read, *taken]
-        named = experiments(d)
-        return [
-            f"record what tells them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"
-            if named
-            else "no experiment is known that tells them",
-            *read,
-            *taken,
-        ]
+        named = [name for name in experiments(d) if d.experiment is None or name in UNPLANNED]
+        record = [f"record what may tell them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"]
+        planned = (
+            d.experiment.sentences if d.experiment else () if named else ("no experiment is known that tells them",)
+        )
+        known = ["once you know what it is not, call again with --without and its name"] if read else []
+        return [*planned, *(record if named else []), *read, *known, *taken]
     steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
     if d.located.sensors:
         steps.append(f"a sensor of {d.located.sensors[0]} would tell better where it is")
@@ -154,6 +158,8 @@ def experiments(d: Document) -> tuple[str, ...]:
 def limits(d: Document) -> list[str]:
     """What these recordings could not show, and what was taken for granted."""
     found = [*d.origin.missing]
+    if d.origin.without:
+        found.append(f"left out of the search, as was asked for: {_listed(d.origin.without)}")
     held = d.evidence.held_out_after - d.evidence.held_out_before
     if d.verdict.places and held < HARDLY * d.verdict.gain:
         found.append(

@@ -84,7 +84,9 @@ def test_both_are_judged_on_the_same_recordings_by_their_truths(corrected: Bundl
     assert (after.detected, after.contained, after.false_alarms) == (True, True, 0)
     last = corrected.sentences()[-1]
     assert last.startswith("golden, fA_du: ")
-    assert last.endswith(f"detected after {after.delay_s:g} s, isolated {{{', '.join(after.isolated)}}} with it")
+    told = last.rpartition(" without the effect, ")[2]
+    assert told.startswith(f"detected after {after.delay_s:g} s, ranked first {', '.join(after.first)}")
+    assert all(name in told for name in after.isolated)
     assert msgspec.json.decode(msgspec.json.encode(corrected), type=BundleEffect) == corrected
 
 

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import json
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -169,16 +170,19 @@ def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -
     assert not (tmp_path / "again" / "experiment.toml").exists()
 
 
-def test_a_fault_in_a_held_out_recording_is_told_and_nothing_is_added(tmp_path: Path) -> None:
-    """The wound: it raised what is asked for until nothing was missing."""
+@pytest.mark.parametrize("kind", ["held-out", "training"])
+def test_a_fault_in_a_recording_is_told_and_nothing_is_added(tmp_path: Path, kind: str) -> None:
+    """The wound: in a held-out one it raised what is asked for until nothing was missing."""
     values = {name: p.value for name, p in UDS1.parameters.items()}
     healthy, faulty = (frames(UDS1, values, 10, speed=SPEED, dose=OTHER, zero={"y_p_du": off}) for off in (0.0, 4e4))
-    held = write_recording(tmp_path / "h", [a if a.t < 90.0 else b for a, b in zip(healthy, faulty, strict=True)])
-    training = recording(tmp_path / "t", {}, 9)
+    bad = write_recording(tmp_path / "bad", [a if a.t < 90.0 else b for a, b in zip(healthy, faulty, strict=True)])
+    good = recording(tmp_path / "good", {}, 9)
+    training, held = (good, bad) if kind == "held-out" else (bad, good)
     code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--apply")
     assert code == 1
     assert printed.startswith("something set in at ")
-    assert " s of h, as faults do (" in printed
+    assert " s of bad, as faults do (" in printed
+    assert not (tmp_path / "out" / "experiment.toml").exists()
     onset = json.loads((tmp_path / "out" / "discovery.json").read_bytes())["onset"]["data"]
     assert onset["t_s"] == pytest.approx(90.0, abs=10.0)
     assert not (tmp_path / "out" / "model.toml").exists()
@@ -198,6 +202,40 @@ def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path) -> None
     assert "offset_p_ap" in printed
     assert told["experiment"]["data"]["name"] in {e.name for e in experiments()[1]}
     assert not (tmp_path / "out" / "model.toml").exists()
+    again = ("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--without", "offset_p_ap")
+    code, printed = run(*again)
+    assert code == 0
+    assert "(offset_p_du)" in printed.splitlines()[0]
+    assert "left out of the search: offset_p_ap" in printed
+    document = json.loads((tmp_path / "out" / "discovery.json").read_bytes())
+    assert "offset_p_ap" not in {entry["name"] for entry in document["entries"]}
+    assert refused(*again, "no_such").startswith("--without no_such: the library has no such effect")
+
+
+def test_what_the_recordings_lack_is_told(found: Found) -> None:
+    """Two holds at maximum dose, of which the seconds after the step do not count."""
+    missing = json.loads((found.out / "discovery.json").read_bytes())["origin"]["missing"]
+    assert any(
+        re.fullmatch(r"the training recordings have \d\d s of mode maximum; record a minute of it", m) for m in missing
+    )
+    assert not any("mode idle" in m and "training" in m for m in missing)
+    assert all(f"note: {m}" in found.printed for m in missing[:2])
+
+
+def test_the_time_left_counts_what_was_done_now() -> None:
+    """The wound: what an interrupted call had kept was taken for work of no time."""
+    said: list[str] = []
+    now = iter([0.0, 10.0, 20.0, 20.0, 30.0])
+    clock = command._Clock(said.append, lambda: next(now))
+    clock("fits", 30, 50)
+    clock("fits", 31, 50)
+    clock("fits", 32, 50)
+    clock("fits", 0, 4)  # the same step once more
+    clock("fits", 1, 4)
+    assert said == [
+        "fits: 30 of 50", "fits: 31 of 50, 190 s left", "fits: 32 of 50, 180 s left", "fits: 0 of 4",
+        "fits: 1 of 4, 30 s left",
+    ]  # fmt: skip
 
 
 def refused(*arguments: object) -> str:
@@ -312,6 +350,8 @@ def test_undo_does_not_write_over_the_model(found: Found) -> None:
     [
         ((), "give recordings to fit, and others with --held-out"),
         (("--undo", "--apply"), "--undo takes MODEL and --out only"),
+        (("--undo", "--without", "pump_slip"), "leave out --without"),
+        (("--held-out", "b", "--scheduler", "tcp://h:1", "--processes", "2"), "--processes are of this machine"),
         (("--held-out", "b", "--evaluate", "c"), "--evaluate judges bundles, and those are tuned"),
         (("--held-out", "b", "--tune", "t", "--evaluate", "c", "--truth", "d", "e"), "give as many --truth as --"),
     ],

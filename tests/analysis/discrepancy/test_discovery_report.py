@@ -15,7 +15,7 @@ from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
 from analysis.discrepancy.add.drift import drifts
 from analysis.discrepancy.add.held_out import Shown, shown
 from analysis.discrepancy.add.structure_change import structure_change
-from analysis.discrepancy.discover import Discovery, Kind
+from analysis.discrepancy.discover import Discovery, Kind, verdict_of
 from analysis.discrepancy.effects.compiled import model_with
 from analysis.discrepancy.find.onset import Onset
 from analysis.discrepancy.name.experiment import Experiment, Plan
@@ -144,13 +144,28 @@ def test_every_verdict_is_told_in_every_form(document: Document, kind: Kind) -> 
 def test_what_is_next_depends_on_the_verdict(document: Document) -> None:
     assert "--apply" in next_steps(as_kind(document, "named"))[0]
     assert next_steps(as_kind(document, "one of")) == [
-        "record what tells them apart: the dose in ten steps from almost nothing to maximum"
+        "record what may tell them apart: the dose in ten steps from almost nothing to maximum"
     ]
     assert "--library" in next_steps(as_kind(document, "unnamed"))[0]
     assert "q_dos" in next_steps(as_kind(document, "unnamed"))[1]
     refused = msgspec.structs.replace(as_kind(document, "named"), refused=("its gain has run into its bound",))
     assert "its gain has run into its bound" in next_steps(refused)[0]
     assert "its gain has run into its bound" in summary(refused)
+    several = msgspec.structs.replace(refused, verdict=as_kind(document, "one of").verdict)
+    assert "not added: its gain has run into its bound" in sentences(several)
+
+
+def test_what_cannot_be_planned_is_advised_where_no_plan_tells(document: Document) -> None:
+    """Gains of two sensors: the pump's decay tells them, which no model here can plan."""
+    weak = Section(sentences=("nothing that can be planned",), data={"tells": False})
+    d = as_kind(document, "one of")
+    place = d.verdict.places[0]
+    slow = tuple(msgspec.structs.replace(c, separated_by=("pump_off_decay", "speed_ramp")) for c in place.candidates)
+    verdict = msgspec.structs.replace(d.verdict, places=(msgspec.structs.replace(place, candidates=slow),))
+    assert next_steps(msgspec.structs.replace(d, verdict=verdict, experiment=weak)) == [
+        "nothing that can be planned",
+        "record what may tell them apart: the pump switched off at a high pressure, and the pressure's fall to the end",
+    ]
 
 
 def test_an_unnamed_effect_is_not_called_by_the_nearest_name(document: Document) -> None:
@@ -159,6 +174,19 @@ def test_an_unnamed_effect_is_not_called_by_the_nearest_name(document: Document)
     assert any(line.startswith("  nearest, and not its name: full_open_gain") for line in sentences(d))
     assert "class=chosen" in page(document, {})
     assert "class=chosen" not in page(d, {})
+
+
+def test_what_is_left_in_the_held_out_recordings_has_a_place_too() -> None:
+    found = discovery()
+    assert found.left is found.after
+    other = dataclasses.replace(found, held=found.before)
+    assert other.left is found.before
+    assert verdict_of(found.outcome, found.after, found.before).kind == "unnamed"
+    assert verdict_of(found.outcome, found.after, found.held).kind == "named"
+    d, _ = described(other, ORIGIN, Extras())
+    assert d.left.equations == found.before.members
+    assert all(sentence.startswith("in the held-out recordings, ") for sentence in d.left.sentences)
+    assert other.rivals == ()
 
 
 def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
@@ -185,7 +213,8 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
         "but it will not tell whether it is b or c")  # fmt: skip
     weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 1.0}))]))
     assert weak.experiment is not None
-    assert "no shipped experiment" in weak.experiment.sentences[0]
+    [step, *_] = next_steps(as_kind(weak, "one of"))
+    assert step == "no experiment that can be planned is expected to tell the candidates apart"
 
 
 def test_a_reading_that_would_tell_is_told(document: Document) -> None:
@@ -264,8 +293,11 @@ def test_held_out_recordings_that_hardly_show_it_are_said(document: Document) ->
 def test_long_reports_are_cut_for_the_terminal(document: Document) -> None:
     many = Section(sentences=tuple(f"sentence {k}" for k in range(60)))
     located = msgspec.structs.replace(document.located, sentences=many.sentences)
-    lines = sentences(msgspec.structs.replace(document, located=located))
-    assert (len(lines), lines[-1]) == (MOST, "...")
+    d = msgspec.structs.replace(document, located=located)
+    lines = sentences(d)
+    assert len(lines) == MOST
+    assert "..." in lines
+    assert f"next: {next_steps(d)[-1]}" in lines  # what to do is what the reader came for
 
 
 def test_sizes_are_wider_where_more_than_noise_is_left() -> None:

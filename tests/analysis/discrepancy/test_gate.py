@@ -32,7 +32,7 @@ def found() -> Discovery:
     gain = chosen.evidence - nominal.evidence
     outcome = Outcome(nominal, (chosen,), chosen, (Place((chosen,), gain),), 5.0)
     verdict = Verdict("named", (("full_open_gain",),), gain, 0.0)
-    return Discovery(made, baseline, outcome, NOWHERE, NOWHERE, NOWHERE, verdict, (), {}, {})
+    return Discovery(made, baseline, outcome, NOWHERE, NOWHERE, NOWHERE, NOWHERE, verdict, (), {}, {})
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,11 @@
 """A reading that tells rivals apart: what differs by more than is uncertain, and nothing where nothing does."""
 
+import math
+
 import pytest
 from made_study import study
 
+from analysis.discrepancy.name import gauge as module
 from analysis.discrepancy.name.attempt import Attempt, Judge, Study, baseline_of
 from analysis.discrepancy.name.gauge import DECIDES, gauge, readings
 
@@ -29,9 +32,17 @@ def test_a_gauge_tells_which_of_two_sensors_is_off(rivals: tuple[Study, list[Att
     assert abs(one - other) > DECIDES * sd > 0.0
 
 
-def test_what_is_as_uncertain_as_it_differs_is_no_reading(rivals: tuple[Study, list[Attempt]]) -> None:
+def test_what_is_as_uncertain_as_it_differs_is_no_reading(
+    rivals: tuple[Study, list[Attempt]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     found, attempts = rivals
-    assert gauge(found, attempts, [(SENSORS[0], SENSORS[0])]) is None
+    told = {attempt.effects[0]: readings(found, attempt) for attempt in attempts}
+    one, other = (told[name] for name in SENSORS)
+    apart = max(abs(one[key][0] - other[key][0]) / math.hypot(one[key][1], other[key][1]) for key in one)
+    monkeypatch.setattr(module, "DECIDES", 0.99 * apart)
+    assert gauge(found, attempts, [SENSORS]) is not None
+    monkeypatch.setattr(module, "DECIDES", 1.01 * apart)
+    assert gauge(found, attempts, [SENSORS]) is None
     assert gauge(found, attempts, []) is None
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from analysis.calibration.problem import unknowns_of
 from analysis.discrepancy.add.changed_tests import ChangedTest
-from analysis.discrepancy.add.structure_change import StructureChange, structure_change
+from analysis.discrepancy.add.structure_change import Diagnosed, StructureChange, structure_change
 from analysis.discrepancy.effects.library import load_library
 from analysis.discrepancy.effects.rewrite import rewritten
 from analysis.discrepancy.name.attempt import Attempt
@@ -18,6 +18,7 @@ from analysis.model import Model, load_model
 from analysis.simulation import system_of
 
 UDS4 = load_model("uds4")
+NOTHING = Diagnosed((), (), (), ())
 LIBRARY = load_library()
 WELL = 0.1
 """Standard deviation of what the data tell, of the prior's."""
@@ -52,7 +53,7 @@ def changed(effect: str) -> StructureChange:
 def test_what_only_scales_a_flow_changes_no_test() -> None:
     found = changed("full_open_gain")
     assert found.changed == ()
-    assert all(diagnosed.nothing for diagnosed in found.diagnosed.values())
+    assert all(diagnosed == NOTHING for diagnosed in found.diagnosed.values())
     assert found.sentences() == [
         "the model has 26 minimal over-determined sets and 21 tests, as before",
         "10 of 21 tests can be run as before",
@@ -66,7 +67,7 @@ def test_a_test_that_needs_a_sensors_pressure_cannot_use_one_that_lags() -> None
     assert (found.tests, found.run) == ((21, 21), (10, 7))
     assert [test.name for test in found.changed] == ["t06", "t09", "t10"]
     assert all(test.ran and not test.runs and not test.gained and not test.lost for test in found.changed)
-    assert found.diagnosed["mixed"].nothing
+    assert found.diagnosed["mixed"] == NOTHING
     assert ("fA_du", "fA_dos") in found.diagnosed["integral"].mixed_up
     assert found.diagnosed["integral"] == found.diagnosed["run"]
     assert found.sentences()[1:4] == [
@@ -90,8 +91,8 @@ def test_a_cake_that_grows_with_the_flow_brings_the_dosing_valve_into_tests() ->
 def test_an_equation_that_cannot_be_solved_leaves_the_structure_and_takes_the_tests() -> None:
     found = changed("du_inlet_spring")
     assert found.run == (10, 1)
-    assert found.diagnosed["mixed"].nothing
-    assert found.diagnosed["integral"].nothing
+    assert found.diagnosed["mixed"] == NOTHING
+    assert found.diagnosed["integral"] == NOTHING
     assert set(found.diagnosed["run"].lost) == {"fA_ori", "fA_dos", "fA_du", "fy_p_du"}
     sentences = found.sentences()
     assert any("e07 cannot be solved for q_filt_du with one solution only" in sentence for sentence in sentences)
