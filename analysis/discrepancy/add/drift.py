@@ -22,6 +22,7 @@ class Drift:
     """
 
     name: str
+    description: str
     unit: str
     datasheet: float
     without: float
@@ -38,11 +39,12 @@ class Drift:
     @property
     def sentence(self) -> str:
         """The two values, against the datasheet's."""
+        name = f"{self.name} ({self.description})"
         if self.scaled:
             without, with_it = (f"{value / self.datasheet:.3g}x" for value in (self.without, self.with_it))
-            return f"{self.name}: {without} the datasheet without the effect, {with_it} with it"
+            return f"{name}: {without} the datasheet without the effect, {with_it} with it"
         unit = "" if self.unit == "1" else f" {self.unit}"
-        told = f"{self.name}: {self.without:.3g}{unit} without the effect, {self.with_it:.3g}{unit} with it"
+        told = f"{name}: {self.without:.3g}{unit} without the effect, {self.with_it:.3g}{unit} with it"
         return f"{told}; the datasheet says {self.datasheet:.3g}{unit}"
 
 
@@ -87,6 +89,7 @@ def drifts(model: Model, nominal: Attempt, chosen: Attempt) -> Drifts:
         tuple(
             Drift(
                 name=name,
+                description=p.description,
                 unit=p.unit,
                 datasheet=p.value,
                 without=without[name],

@@ -223,11 +223,11 @@ def _reconsidered(
 ) -> tuple[Attempt, list[Place]]:
     """The rivals of all places again, with all other effects in, and whether each is still needed.
 
-    Of the newest place that `holds`, as long as the others stay what they were.
+    Of the newest place that `holds`, as long as the others stay what they were and it brings what it did.
     """
     found: list[Place] = []
     for k, place in enumerate(places):
-        if k == len(places) - 1 and holds:
+        if k == len(places) - 1 and holds and _brings(crew, chosen, place, say):
             found.append(place)
             break
         rest = [name for name in chosen.effects if name != place.rivals[0]]
@@ -248,3 +248,13 @@ def _reconsidered(
         chosen = tried[0]
         found.append(Place(rivals(tried, without), gain))
     return chosen, found
+
+
+def _brings(crew: Crew, chosen: Attempt, place: Place, say: Say) -> bool:
+    """Whether the newest effect has the gain of its place still: it may have been no more than the way to an optimum.
+
+    What was chosen without it stood at a worse one then, which this sees as it begins at the better one.
+    """
+    rest = Order(tuple(name for name in chosen.effects if name != place.rivals[0]), Begin(chosen.unknowns, chosen.x))
+    found = crew.attempts([rest], lambda n, of: say("backward", n, of))
+    return all(chosen.evidence - without.evidence > place.gain - UNSETTLED for without in found)

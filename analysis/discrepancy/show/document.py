@@ -173,6 +173,7 @@ class Drift(msgspec.Struct, frozen=True, kw_only=True):
     """A parameter as the datasheet has it and fitted; distances are in standard deviations of the prior."""
 
     name: str
+    description: str
     unit: str
     datasheet: float
     before: float

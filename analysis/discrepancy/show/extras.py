@@ -40,6 +40,7 @@ def drifts_told(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
     return tuple(
         told.Drift(
             name=d.name,
+            description=d.description,
             unit=d.unit,
             datasheet=d.datasheet,
             before=d.without,

@@ -42,19 +42,21 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
     grid = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
     section = shown.after.sections[0]
     begin = section.start_s + min(float(s.t[0]) for s in section.samples.values()) - 5.0
+    last = min(_end(shown.after), begin + SHOWN_S)
     _run(grid[0], shown, document, widest, model)
     for axes, name in zip(grid[1:-1], outputs, strict=True):
         _left(axes, shown, document, name, model)
     _inputs(grid[-1], shown.after, model)
     for axes in grid:
-        axes.set_xlim(begin, min(_end(shown.after), begin + SHOWN_S))
+        axes.set_xlim(begin, last)
         axes.grid(visible=True, alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
     note = (
-        "means of a second; grey: twice the error that the noise of sensors and inputs lets expect, in steady operation"
+        "left: means of a second; grey: twice the error that the noise of sensors and inputs lets expect, in steady "
+        "operation"
     )
-    grid[-2].annotate(note, (0.995, 0.04), xycoords="axes fraction", ha="right", fontsize=8, color=INK)
-    grid[-1].set_xlabel("log time [s]")
+    cut = f"; the first {SHOWN_S:.0f} s of {_end(shown.after) - begin:.0f} s" if _end(shown.after) > last else ""
+    grid[-1].set_xlabel(f"log time [s]{cut}\n{note}", fontsize=9)
     many = len(document.origin.held_out) > 1
     recording = f"{document.origin.held_out[0]}{', the first held-out recording' if many else ', held out'}"
     figure.suptitle(f"Free run on the inputs alone ({recording}{simulated(document)})", fontweight="bold")

@@ -189,7 +189,8 @@ def _whiteness(d: Document) -> str:
         rows.append([r.output, r.mode, *correlations, *chances])
     note = (
         "<p>Of means of a second, weighed as the evidence is: the correlation of neighbours, and the probability of "
-        "more correlation (Ljung and Box, ten lags) if only noise were left.</p>"
+        "more correlation (Ljung and Box, ten lags) if only noise were left. Minutes of data show where "
+        "a hundredth of a bar is left: how large it is, the errors above say.</p>"
     )
     return _table(head, rows) + note
 

@@ -121,15 +121,22 @@ def evidence(document: Document) -> bytes | None:
     fitted = [entry for entry in document.entries if entry.gain is not None]
     if not fitted:
         return None
-    shown, v = fitted[:MANY], document.verdict
+    v = document.verdict
+    chosen = {c.name: k for k, place in enumerate(v.places) for c in place.candidates} if v.kind != "unnamed" else {}
+    later = [entry for entry in document.entries if entry.gain is None and entry.name in chosen]
+    shown = [*fitted[:MANY], *later]
     figure = Figure(figsize=(11, 1.5 + 0.3 * len(shown)), layout="constrained")
     axes = figure.subplots()
-    chosen = {c.name: k for k, place in enumerate(v.places) for c in place.candidates} if v.kind != "unnamed" else {}
+    others = "the others" if len(v.places) > 2 else "the other"
     for row, entry in enumerate(shown):
-        gain, place = entry.gain or 0.0, chosen.get(entry.name, -1)
+        place = chosen.get(entry.name, -1)
+        beside = f"{v.places[place].gain:.0f} beside {others}" if place > 0 else ""
+        gain = v.places[place].gain if entry.gain is None else entry.gain
+        alone = "" if entry.gain is None else f"{gain:z.0f}"
         axes.barh(row, gain, color=(AFTER, ALSO)[min(place, 1)] if place >= 0 else QUIET, height=0.7)
-        besides = f", {v.places[place].gain:.0f} beside the other" if place > 0 else ""
-        axes.annotate(f" {gain:z.0f}{besides}", (max(gain, 0.0), row), va="center", fontsize=8.5, color=INK)
+        axes.annotate(
+            f" {', '.join(filter(None, (alone, beside)))}", (max(gain, 0.0), row), va="center", fontsize=8.5, color=INK
+        )
     axes.set_yticks(range(len(shown)), [entry.name for entry in shown], fontsize=9)
     for label, entry in zip(axes.get_yticklabels(), shown, strict=True):
         label.set_fontweight("bold" if entry.name in chosen else "normal")
@@ -157,7 +164,7 @@ def evidence(document: Document) -> bytes | None:
 def _amount(course: Course) -> tuple[float, str]:
     """Factor and unit in which an unknown input is drawn: a part of what it adds to, where that has a size."""
     if course.variable and course.size > 0.0:
-        return 100.0 / course.size, f"% of {course.variable}"
+        return 100.0 / course.size, f"% of the RMS {course.variable}"
     return UNITS.get(course.unit, (1.0, course.unit))
 
 

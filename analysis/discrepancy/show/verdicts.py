@@ -94,7 +94,9 @@ def meaning(d: Document) -> list[str]:
         "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
         "tolerate it, and small faults stay unseen, or they raise false alarms."
     ]
-    back = [drift.name for drift in d.drifts or () if abs(drift.distance_before) - abs(drift.distance_after) >= MOVED]
+    bent = [drift for drift in d.drifts or () if abs(drift.distance_before) - abs(drift.distance_after) >= MOVED]
+    bent.sort(key=lambda drift: abs(drift.distance_after) - abs(drift.distance_before))
+    back = [f"the {drift.description} ({drift.name})" for drift in bent]
     if back and kind != "unnamed":
         found.append(
             f"A fit without it has bent {_listed(back)} instead; with it they come back towards the datasheet, so that "
@@ -166,7 +168,8 @@ def limits(d: Document) -> list[str]:
             f"the held-out recordings hardly show it ({held:.0f} of {d.verdict.gain:.0f} nats): hold out one that has "
             "the operation in which it acts"
         )
-    unseen = [entry.name for entry in d.entries if entry.no_place is None and entry.smallest is None]
+    named = {candidate.name for place in d.verdict.places for candidate in place.candidates}
+    unseen = [e.name for e in d.entries if e.no_place is None and e.smallest is None and e.name not in named]
     if unseen:
         found.append(f"these recordings cannot show, at any possible size: {_listed(unseen)}")
     groups = alike_groups(d.entries)

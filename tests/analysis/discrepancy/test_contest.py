@@ -89,9 +89,9 @@ class Scripted:
     def __init__(self, evidence: Mapping[str, float], dispersion: float = 1.0) -> None:
         self._evidence, self._dispersion = {frozenset(key): nats for key, nats in evidence.items()}, dispersion
 
-    def attempt(self, effects: Sequence[str]) -> Attempt:
-        nats, unknowns = self._evidence[frozenset(effects)], None
-        made: dict[str, Any] = {"unknowns": unknowns, "x": np.zeros(1), "curvature": np.eye(1), "promised": 0.0}
+    def attempt(self, effects: Sequence[str], begin: float = 0.0) -> Attempt:
+        nats, unknowns = self.evidence(frozenset(effects), begin), None
+        made: dict[str, Any] = {"unknowns": unknowns, "x": np.array([nats]), "curvature": np.eye(1), "promised": 0.0}
         return Attempt(
             effects=tuple(effects),
             inside=np.ones(1, dtype=bool),
@@ -104,11 +104,31 @@ class Scripted:
         )
 
     def attempts(self, orders: Sequence[Order], _: Callable[[int, int], None]) -> list[Attempt]:
-        return [self.attempt(order.effects) for order in orders]
+        return [self.attempt(order.effects, float(order.begin.x[0])) for order in orders]
+
+    def evidence(self, effects: frozenset[str], _: float) -> float:
+        return self._evidence[effects]
 
     def glances(self, orders: Sequence[Order], _: Callable[[int, int], None]) -> list[Glance]:
         found = self.attempts(orders, _)
         return [Glance(a.effects, a.unknowns, a.x, a.cost, a.promised) for a in found]
+
+
+class Winding(Scripted):
+    """A crew that comes to the optimum of a and b only from where c took it."""
+
+    def evidence(self, effects: frozenset[str], begin: float) -> float:
+        there = begin >= self._evidence[frozenset("abc")] and effects >= {*"ab"}
+        return 300.0 if there else super().evidence(effects, begin)
+
+
+def test_an_effect_that_was_no_more_than_the_way_to_a_better_optimum_is_dropped() -> None:
+    """The wound: an effect of size zero was named, with the evidence of where it had led."""
+    evidence = {"": 0.0, "a": 100.0, "b": 50.0, "c": 60.0, "ab": 130.0, "ac": 110.0, "bc": 90.0, "abc": 150.0}
+    crew: Any = Winding(evidence)
+    outcome = contest(crew, ["a", "b", "c"], crew.attempt(""), 0.0, None, lambda *_: None)
+    assert {place.rivals[0]: place.gain for place in outcome.places} == {"a": 250.0, "b": 200.0}
+    assert {*outcome.chosen.effects} == {"a", "b"}
 
 
 def scripted(evidence: Mapping[str, float], law: float = 0.0, dispersion: float = 1.0) -> dict[str, float]:

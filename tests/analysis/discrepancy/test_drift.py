@@ -20,7 +20,9 @@ SHIFTED = dataclasses.replace(
     parameters={
         **UDS4.parameters,
         "C_v": dataclasses.replace(UDS4.parameters["C_v"], value=2e-9, prior=0.5),
-        "h": dataclasses.replace(UDS4.parameters["C_v"], unit="Pa", value=0.0, prior=None, spread=200.0, min=None),
+        "h": dataclasses.replace(
+            UDS4.parameters["C_v"], unit="Pa", description="spring", value=0.0, prior=None, spread=200.0, min=None
+        ),
     },
 )
 
@@ -59,8 +61,10 @@ def test_what_comes_back_is_said_first_and_with_its_values() -> None:
     assert [drift.name for drift in d.back] == ["C_v", "h"]
     assert [drift.name for drift in d.away] == ["A_dos"]
     assert d.sentences()[1:3] == [
-        "C_v: 2.4x the datasheet without the effect, 1.05x with it: moved back towards the datasheet",
-        "h: 400 Pa without the effect, 100 Pa with it; the datasheet says 0 Pa: moved back towards the datasheet",
+        "C_v (laminar leakage of the pump): 2.4x the datasheet without the effect, 1.05x with it: moved back towards "
+        "the datasheet",
+        "h (spring): 400 Pa without the effect, 100 Pa with it; the datasheet says 0 Pa: moved back towards the "
+        "datasheet",
     ]
     assert d.sentences()[3].endswith("with it: moved away from the datasheet")
     assert len(d.sentences()) == 4
@@ -92,4 +96,4 @@ def test_the_datasheet_is_the_model_that_is_given_not_the_one_that_was_fitted() 
     d = drifts(SHIFTED, attempt(calibrated, {}), attempt(calibrated, {"C_v": -np.log(2.0) / 0.5}))
     [back] = d.back
     assert [back.before, back.after] == pytest.approx([np.log(2.0) / 0.5, 0.0], abs=1e-9)
-    assert back.sentence == "C_v: 2x the datasheet without the effect, 1x with it"
+    assert back.sentence == "C_v (laminar leakage of the pump): 2x the datasheet without the effect, 1x with it"
