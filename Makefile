@@ -53,8 +53,8 @@ clean:
 	@touch $@
 
 .venv/.test: .venv/bin/pip pyproject.toml constraints.txt
-	@echo "setting up .venv (design libraries and test tools, a minute)"
-	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,dev]'
+	@echo "setting up .venv (design and training libraries and test tools, two minutes)"
+	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,train,dev]'
 	@touch .venv/.demo $@
 
 # The peer tool has an environment of its own: it may crash, and wants libraries that are none of ours.

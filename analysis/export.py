@@ -11,7 +11,10 @@ import msgspec
 import numpy as np
 
 from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import PERIOD_S, Bank, build_bank
+from analysis.graph.bank import GRAPH, PERIOD_S, Bank, build_bank
+from analysis.graph.networks import GRAPH as NETWORKS
+from analysis.graph.networks import load_networks
+from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.structure.lint import sound_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest
@@ -29,10 +32,9 @@ from service.bundle import (
 from service.core.consistency import FILE_NAME
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.core.generators import GeneratorBank
 from service.core.manifest import SCHEMA, Fault, File, Manifest, Origin
 
-GRAPH, GOLDEN = "ode.onnx", "golden.json"
+GOLDEN = "golden.json"
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
@@ -46,37 +48,40 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("model", help="the calibrated model file")
     parser.add_argument("--tuning", type=Path, required=True, help="the tuning file")
+    parser.add_argument("--networks", type=Path, metavar="DIR", help="the networks that were tuned with the model")
     parser.add_argument("--dbc", type=Path, required=True, help="the vehicle's DBC")
     parser.add_argument("--out", type=Path, required=True, help="the bundle folder to write")
     parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
     options = parser.parse_args(argv)
     tuning = load_tuning(options.tuning)
     bank = build_bank(sound_model(options.model))
+    runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
     if tuning.model_sha256 != model_digest(dump_model(bank.model)):
         raise InputError(
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
+    _check_networks(tuning, runnable, options.tuning)
     dbc = _dbc(options.dbc, bank)
     _check_room(options.out, options.force)
     _check_golden(tuning, bank, options.tuning)
     try:
-        files = bundle_files(bank, tuning, options.dbc.name, dbc, str(options.out))
+        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out))
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     bundle = _put(files, options.out)
     size = sum(file.size for file in bundle.manifest.files.values())
-    print(f"wrote {options.out}: {len(bank.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
+    print(f"wrote {options.out}: {len(runnable.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
     return 0
 
 
-def bundle_files(bank: Bank, tuning: Tuning, dbc_name: str, dbc: bytes, where: str) -> dict[str, bytes]:
+def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, where: str) -> dict[str, bytes]:
     """The files of the bundle by name; the same model, tuning and DBC give the same bytes.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    graph = bank.graph()
-    files = {dbc_name: dbc, GRAPH: graph, GOLDEN: _golden(bank, graph, tuning)}
+    bank = runnable.bank
+    files = {dbc_name: dbc, **runnable.graphs, GOLDEN: _golden(runnable, tuning)}
     manifest = Manifest(
         schema=SCHEMA,
         name=bank.model.name,
@@ -84,17 +89,18 @@ def bundle_files(bank: Bank, tuning: Tuning, dbc_name: str, dbc: bytes, where: s
         period_s=PERIOD_S,
         start_within_s=tuning.start_within_s,
         dbc=dbc_name,
-        graph=GRAPH,
+        graphs=runnable.files,
         golden=GOLDEN,
         files={name: File(sha256=hashlib.sha256(raw).hexdigest(), size=len(raw)) for name, raw in files.items()},
         origin=Origin(
             model=bank.model.name,
             model_sha256=tuning.model_sha256,
             calibrate=recordings_of(bank.model),
+            train=runnable.trained_on,
             tune=tuning.recordings,
         ),
         inputs=list(bank.inputs),
-        generators=list(bank.generators),
+        generators=list(runnable.generators),
         modes=tuning.modes,
         detectors=tuning.detectors,
         faults=[
@@ -110,7 +116,7 @@ def bundle_files(bank: Bank, tuning: Tuning, dbc_name: str, dbc: bytes, where: s
 def _dbc(path: Path, bank: Bank) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
-    if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, GOLDEN, MANIFEST, SEAL):
+    if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, GOLDEN, MANIFEST, SEAL):
         raise InputError(
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
@@ -123,9 +129,9 @@ def _dbc(path: Path, bank: Bank) -> bytes:
     return raw
 
 
-def _golden(bank: Bank, graph: bytes, tuning: Tuning) -> bytes:
-    generators = GeneratorBank(graph, bank.generators, bank.inputs)
-    usable = np.ones(len(bank.inputs), dtype=np.bool_)
+def _golden(runnable: Runnable, tuning: Tuning) -> bytes:
+    generators = runnable.fresh()
+    usable = np.ones(len(runnable.bank.inputs), dtype=np.bool_)
     r = [generators.step(np.array(z), usable).r.tolist() for z in tuning.golden_z]
     return msgspec.json.encode(Golden(z=tuning.golden_z, r=r))
 
@@ -144,6 +150,15 @@ def _put(files: dict[str, bytes], out: Path) -> Bundle:
             shutil.rmtree(out)
         new.rename(out)
     return bundle
+
+
+def _check_networks(tuning: Tuning, runnable: Runnable, where: Path) -> None:
+    given = runnable.networks.description.graph_sha256 if runnable.networks else None
+    if tuning.networks_sha256 != given:
+        had = "without networks" if tuning.networks_sha256 is None else "with networks that are not those of --networks"
+        raise InputError(
+            f"{where}: was made {had}; give both commands the same --networks, or run `faultline tune` again"
+        )
 
 
 def _check_golden(tuning: Tuning, bank: Bank, where: Path) -> None:

@@ -1,6 +1,6 @@
 """Reads a bundle folder, strictly: seal, manifest, hashes, content; nothing is parsed whose hash was not checked.
 
-A bundle is `manifest.json`, its seal `manifest.sha256`, and the files that the manifest lists: the graph, the DBC and
+A bundle is `manifest.json`, its seal `manifest.sha256`, and the files that the manifest lists: the graphs, the DBC and
 the golden vectors; nothing else. Errors name the path of the bad value (`generators[2].inputs[0]`).
 
 Seal and hashes protect against damage in copying and against mixing files of two bundles, not against an attacker: who
@@ -9,6 +9,7 @@ can change the manifest can seal it anew. That takes a signature, which a bundle
 
 import hashlib
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -28,10 +29,6 @@ T = TypeVar("T")
 MANIFEST = "manifest.json"
 SEAL = "manifest.sha256"
 MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
-
-TOLERANCE = 1e-6
-"""How far a replayed golden residual may be from the exported one, in parts of the spread that the sensor alone gives
-it: another processor rounds differently, no more."""
 
 GRAPH_ERRORS: tuple[type[Exception], ...] = (
     *(e for e in vars(onnxruntime_pybind11_state).values() if isinstance(e, type) and issubclass(e, Exception)),
@@ -57,13 +54,13 @@ class Bundle(NamedTuple):
     id: str
     where: str
     manifest: Manifest
-    graph: bytes
+    graphs: Mapping[str, bytes]
     table: DecodeTable
     golden: Golden
 
     def bank(self) -> GeneratorBank:
         """Fresh generators."""
-        return GeneratorBank(self.graph, self.manifest.generators, self.manifest.inputs)
+        return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs)
 
 
 def seal(raw: bytes) -> bytes:
@@ -83,10 +80,11 @@ def load_bundle(folder: Path) -> Bundle:
         place = error.filename or folder
         raise BundleError(f"{place}: cannot be read: {error.strerror}; check the folder's permissions") from error
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
-    graph = contents[manifest.graph]
-    _check_graph(graph, manifest, str(folder / manifest.graph))
+    graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
+    for name, content in graphs.items():
+        _check_graph(name, content, manifest, str(folder / name))
     golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
-    return Bundle(hashlib.sha256(raw).hexdigest(), str(folder), manifest, graph, table, golden)
+    return Bundle(hashlib.sha256(raw).hexdigest(), str(folder), manifest, graphs, table, golden)
 
 
 def decode_manifest(raw: bytes, where: str) -> Manifest:
@@ -106,9 +104,12 @@ def verify_golden(bundle: Bundle) -> None:
     """Runs the golden vectors through fresh generators.
 
     Raises:
-        BundleError: a residual differs by more than `TOLERANCE`: this machine does not compute what was exported.
+        BundleError: a residual differs by more than its graph's tolerance: this machine does not compute what was
+            exported.
     """
     bank = bundle.bank()
+    tolerances = {graph.file: graph.tolerance for graph in bundle.manifest.graphs}
+    tolerance = np.array([tolerances[generator.graph] for generator in bundle.manifest.generators])
     usable = np.ones(len(bundle.manifest.inputs), dtype=np.bool_)
     units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
     for tick, (z, expected) in enumerate(zip(bundle.golden.z, bundle.golden.r, strict=True)):
@@ -119,7 +120,7 @@ def verify_golden(bundle: Bundle) -> None:
                 f"{bundle.where}: golden vector {tick}: {_line(error)}; export the bundle again"
             ) from error
         difference = np.abs(residuals.r - np.array(expected))
-        agrees = difference <= TOLERANCE * residuals.sigma
+        agrees = difference <= tolerance * residuals.sigma
         if not agrees.all():
             row = int(np.argmin(agrees))
             generator = bundle.manifest.generators[row]
@@ -191,9 +192,10 @@ def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
         raise BundleError(str(error)) from error
 
 
-def _check_graph(raw: bytes, manifest: Manifest, where: str) -> None:
+def _check_graph(name: str, raw: bytes, manifest: Manifest, where: str) -> None:
     """Whether the graph's inputs and outputs are those that the manifest's lists imply: z (B, nz), x (B, nx), ..."""
-    nx, tests = sum(len(generator.states) for generator in manifest.generators), len(manifest.generators)
+    own = [generator for generator in manifest.generators if generator.graph == name]
+    nx, tests = sum(len(generator.states) for generator in own), len(own)
     inputs = {"z": len(manifest.inputs), "x": nx}
     outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
     options = ort.SessionOptions()

@@ -18,7 +18,7 @@ from service.core.errors import InputError
 
 GROUP = "faultline.commands"
 
-PLACES = {"service": "On the vehicle", "analysis": "Offline", "testbench": "The rig"}
+PLACES = {"service": "On the vehicle", "analysis": "Offline", "training": "Offline, with torch", "testbench": "The rig"}
 """Headings of the help, by the package that a command is in."""
 
 HEAD = """usage: faultline COMMAND ...

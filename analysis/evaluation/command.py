@@ -43,7 +43,8 @@ def main(argv: list[str]) -> int:
     bundle = load_bundle(options.bundle)
     log = open_known(options.recording, partial(print, file=sys.stderr))
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
-    if log.sha256 in [*bundle.manifest.origin.calibrate, *bundle.manifest.origin.tune]:
+    origin = bundle.manifest.origin
+    if log.sha256 in [*origin.calibrate, *origin.train, *origin.tune]:
         raise InputError(
             f"{options.recording}: the bundle was made from this recording; evaluate on one it has not seen"
         )
@@ -51,7 +52,7 @@ def main(argv: list[str]) -> int:
     live = _events(options.events, bundle, log) if options.events else None
     with Progress(f"evaluating {log.id}") as progress:
         story = tell(bundle, log)
-        tests = [generator.test for generator in bundle.manifest.generators]
+        tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
         events = story.events if live is None else live
         verdict = judge(truth, events, tests, story.origin_s, story.end_s)
         if live is not None:

@@ -19,6 +19,7 @@ from service.core.generators import Graph
 from service.core.manifest import Generator, Input, State
 
 PERIOD_S = 0.2
+GRAPH = "ode.onnx"
 MAXIMUM_AGE_S = 1.0  # five periods of the controller's values: a frame or two may be lost, a sensor may not
 
 Array = npt.NDArray[np.float64]
@@ -144,39 +145,51 @@ def bank_of(model: Model, tests: Sequence[Test]) -> Bank:
     Raises:
         InputError: the implicit step cannot solve one of them.
     """
-    names = list(model.known)
-    inputs = tuple(
+    networks = tuple(flow_network(model, test, list(model.known)) for test in tests)
+    sigma = np.array([model.known[test.predicts].noise for test in tests])
+    generators = tuple(_generator(model, test) for test in tests)
+    return Bank(model, tuple(tests), inputs_of(model), generators, networks, sigma)
+
+
+def inputs_of(model: Model) -> tuple[Input, ...]:
+    """The signals of the model as the vehicle takes them."""
+    return tuple(
         Input(signal=name, unit=k.unit, maximum_age_s=MAXIMUM_AGE_S, lower=k.min, upper=k.max)
         for name, k in model.known.items()
     )
-    networks = tuple(flow_network(model, test, names) for test in tests)
-    sigma = np.array([model.known[test.predicts].noise for test in tests])
-    generators = tuple(_generator(model, test) for test in tests)
-    return Bank(model, tuple(tests), inputs, generators, networks, sigma)
 
 
 def _generator(model: Model, test: Test) -> Generator:
     return Generator(
         name=f"{test.name}.ode",
         test=test.name,
+        graph=GRAPH,
         predicts=test.predicts,
         inputs=list(test.known),
-        states=[_state(model, test, name) for name in test.states],
+        states=[state_of(model, test, name) for name in test.states],
         faults=list(test.faults),
         warm_up_ticks=round(model.warm_up_s / PERIOD_S),
     )
 
 
-def _state(model: Model, test: Test, name: str) -> State:
-    """The first of the state's initial expressions that needs no signal from outside the test."""
-    numbers = {sp.Symbol(n): p.value for n, p in model.parameters.items()}
+def state_of(model: Model, test: Test, name: str) -> State:
+    """A state of the test by the first of its initial expressions that needs no signal from outside the test.
+
+    Raises:
+        InputError: there is none.
+    """
     for expression in model.unknown[name].initial:
-        signals = [symbol for symbol in expression.free_symbols if symbol.name in model.known]
-        if all(symbol.name in test.known for symbol in signals):
-            value = expression.subs(numbers)
-            gain = {symbol.name: float(value.coeff(symbol)) for symbol in sorted(signals, key=str)}
-            return State(name=name, offset=float(value.subs(dict.fromkeys(signals, 0))), gain=gain)
+        if all(symbol.name in test.known for symbol in expression.free_symbols if symbol.name in model.known):
+            return state_by(model, name, expression)
     raise InputError(
         f"{model.name}: unknown.{name}.initial: no expression uses only {', '.join(test.known)} ({test.name}); "
         "add one, a parameter alone will do"
     )
+
+
+def state_by(model: Model, name: str, expression: sp.Expr) -> State:
+    """A state as an affine expression of signals and parameters gives it."""
+    value = expression.subs({sp.Symbol(n): p.value for n, p in model.parameters.items()})
+    signals = sorted(value.free_symbols, key=str)
+    gain = {symbol.name: float(value.coeff(symbol)) for symbol in signals}
+    return State(name=name, offset=float(value.subs(dict.fromkeys(signals, 0))), gain=gain)

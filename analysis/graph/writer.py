@@ -4,6 +4,7 @@ The allow-list is what the vehicle accepts: no Loop, Scan, If, functions, extern
 """
 
 from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,8 @@ from service.core.generators import Graph
 OPSET = 21
 IR_VERSION = 10
 ALLOWED = frozenset(
-    {"Abs", "Add", "Concat", "Div", "Expand", "Identity", "MatMul", "Max", "Mul", "Reciprocal", "Relu", "Reshape"}
-    | {"Shape", "Slice", "Sqrt", "Sub"}
+    {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "MatMul", "Max", "Mul", "Reciprocal"}
+    | {"ReduceMean", "ReduceMin", "ReduceSum", "Relu", "Reshape", "Shape", "Slice", "Sqrt", "Sub"}
 )
 
 Array = npt.NDArray[np.float64]
@@ -52,11 +53,11 @@ class Writer:
             self._initializers.append(numpy_helper.from_array(array, name))
         return self._constants[key]
 
-    def __call__(self, operator: str, *values: str) -> str:
+    def __call__(self, operator: str, *values: str, **attributes: int) -> str:
         """A node."""
         assert operator in ALLOWED, operator
         name = f"v{len(self._nodes)}"
-        self._nodes.append(helper.make_node(operator, list(values), [name]))
+        self._nodes.append(helper.make_node(operator, list(values), [name], **cast(dict[str, Any], attributes)))
         return name
 
     def slice(self, value: str, axis: int, start: int, stop: int) -> str:
@@ -70,9 +71,27 @@ class Writer:
 
     def concat(self, values: Sequence[str], axis: int) -> str:
         """Tensors joined along an axis."""
-        name = f"v{len(self._nodes)}"
-        self._nodes.append(helper.make_node("Concat", list(values), [name], axis=axis))
-        return name
+        return self("Concat", *values, axis=axis)
+
+    def gather(self, value: str, places: npt.ArrayLike, axis: int) -> str:
+        """These places along an axis."""
+        return self("Gather", value, self.constant(places, np.int64), axis=axis)
+
+    def cast(self, value: str, dtype: type[np.generic]) -> str:
+        """The same numbers in another precision."""
+        return self("Cast", value, to=int(helper.np_dtype_to_tensor_dtype(np.dtype(dtype))))
+
+    def mean(self, value: str, axis: int) -> str:
+        """The mean along an axis, which is gone."""
+        return self("ReduceMean", value, self.constant([axis], np.int64), keepdims=0)
+
+    def total(self, value: str, axis: int) -> str:
+        """The sum along an axis, which is gone."""
+        return self("ReduceSum", value, self.constant([axis], np.int64), keepdims=0)
+
+    def least(self, value: str, axis: int) -> str:
+        """The least along an axis, which is gone."""
+        return self("ReduceMin", value, self.constant([axis], np.int64), keepdims=0)
 
     def model(self, name: str) -> bytes:
         """The finished model's bytes, checked by onnx and opened by onnxruntime; the same graph, the same bytes."""

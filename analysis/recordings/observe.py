@@ -1,12 +1,15 @@
 """A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from analysis.graph.bank import PERIOD_S, Bank
+from analysis.graph.runnable import Runnable
+from analysis.model import Model
 from analysis.recordings.modes import modes_of
 from service.core.decode import DecodeTable
-from service.core.generators import GeneratorBank
+from service.core.generators import Generators
+from service.core.manifest import Input
 from service.core.modes import ModeTracker
 from service.core.observer import Observer, Tick
 from service.core.sampling import Sampler
@@ -31,9 +34,15 @@ def open_known(path: Path, say: Callable[[str], None]) -> Log:
 
 def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:
     """Every tick of a log, up to its last frame."""
-    generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
-    modes = ModeTracker(modes_of(bank.model), bank.inputs)
-    observer = Observer(table, Sampler(bank.inputs), modes, generators, PERIOD_S, START_WITHIN_S)
+    return ticks_of(bank.model, bank.inputs, table, frames, Runnable(bank).fresh())
+
+
+def ticks_of(
+    model: Model, inputs: Sequence[Input], table: DecodeTable, frames: Iterable[Frame], generators: Generators
+) -> list[Tick]:
+    """The same with any generators."""
+    modes = ModeTracker(modes_of(model), inputs)
+    observer = Observer(table, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S)
     ticks: list[Tick] = []
     t_s = None
     for t_s, can_id, is_extended, data in frames:

@@ -7,11 +7,13 @@ import msgspec
 import numpy as np
 
 from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
-from analysis.graph.bank import Bank, build_bank
+from analysis.graph.bank import build_bank
+from analysis.graph.networks import load_networks
+from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
-from analysis.recordings.observe import START_WITHIN_S, observe, open_known
+from analysis.recordings.observe import START_WITHIN_S, open_known, ticks_of
 from analysis.structure.lint import sound_model
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
@@ -35,40 +37,50 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "recording", type=Path, nargs="+", help="instrumented, fault-free, none that the model was made from"
     )
+    parser.add_argument(
+        "--networks", type=Path, metavar="DIR", help="networks besides, as `faultline train` wrote them"
+    )
     parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
     parser.add_argument("--json", action="store_true", help="print the detectors as JSON")
     options = parser.parse_args(argv)
     bank = build_bank(sound_model(options.model))
+    runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
     with Progress(f"tuning {bank.model.name}") as progress:
-        tuning = tune(bank, options.recording, progress)
+        tuning = tune(runnable, options.recording, progress)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_bytes(msgspec.json.encode(tuning))
-    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(bank, tuning, options.out))
+    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
     return 0
 
 
-def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
-    """The tuning of a bank from fault-free recordings.
+def tune(runnable: Runnable, recordings: list[Path], progress: Progress) -> Tuning:
+    """The tuning of generators from fault-free recordings.
+
+    Ranking looks at the residuals of the model's equations only: what a fault does to them can be predicted.
 
     Raises:
-        InputError: a recording was used for calibration, is named twice or is of another vehicle, its tests could
-            hardly ever tell, or an operating mode is missing.
+        InputError: a recording was used for calibration or training, is named twice or is of another vehicle, its
+            tests could hardly ever tell, or an operating mode is missing.
     """
-    calibrated = recordings_of(bank.model)
+    bank = runnable.bank
+    calibrated, trained = recordings_of(bank.model), runnable.trained_on
     units = {channel.signal: channel.unit for channel in bank.inputs}
-    watched, digests = [], []
+    watched: list[Seen] = []
+    digests: list[str] = []
     for path in recordings:
         log = open_known(path, progress.note)
-        if log.sha256 in calibrated or log.sha256 in digests:
-            used = "to make the model" if log.sha256 in calibrated else "twice"
-            raise InputError(f"{path}: this recording is used {used}; tune on fault-free recordings of their own")
+        used = {"to make the model": calibrated, "to train the networks": trained, "twice": digests}
+        if (how := next((how for how, known in used.items() if log.sha256 in known), None)) is not None:
+            raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
         check_vehicle(log, path, vehicle_of(bank.model), f"the calibration of {bank.model.name}")
         progress.say(log.id)
         table = compile_dbc(log.dbc, units, str(path))
-        watched.append(seen(log.id, observe(bank, table, log.relative())))
+        ticks = ticks_of(bank.model, bank.inputs, table, log.relative(), runnable.fresh())
+        watched.append(seen(log.id, ticks))
         digests.append(log.sha256)
     described = stand_ins(bank.model)
-    detectors = tune_detectors([g.name for g in bank.generators], watched, bank.sigma, described)
+    detectors = tune_detectors([g.name for g in runnable.generators], watched, runnable.sigma, described)
+    own = len(bank.generators)
     progress.say("fault hypotheses")
     return Tuning(
         schema=SCHEMA,
@@ -78,7 +90,8 @@ def tune(bank: Bank, recordings: list[Path], progress: Progress) -> Tuning:
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
         detectors=detectors,
-        evidence=gather(bank, detectors, watched, described),
+        evidence=gather(bank, detectors[:own], [s.only(own) for s in watched], described),
+        networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
         golden_z=_golden(watched[0]),
     )
 
@@ -89,11 +102,11 @@ def _golden(s: Seen) -> list[list[float]]:
     return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
 
 
-def _table(bank: Bank, tuning: Tuning, out: Path) -> str:
+def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
     lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge"]
     lines += [
         f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {unit}"
-        for d, unit in zip(tuning.detectors, bank.units, strict=True)
+        for d, unit in zip(tuning.detectors, runnable.units, strict=True)
     ]
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")

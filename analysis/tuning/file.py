@@ -12,10 +12,10 @@ SCHEMA = "faultline.tuning/1"
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Detectors and evidence of one calibrated model.
+    """Detectors and evidence of one calibrated model, and of the networks beside it if there are any.
 
-    `model_sha256` is that of the model file, `recordings` those of the logs used, `golden_z` (K, nz) samples from the
-    beginning of the first of them.
+    `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
+    logs used, `golden_z` (K, nz) samples from the beginning of the first of them.
     """
 
     schema: str
@@ -27,6 +27,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     detectors: list[Detector]
     evidence: Evidence
     golden_z: list[list[float]]
+    networks_sha256: str | None = None
 
 
 def model_digest(text: str) -> str:

@@ -6,7 +6,7 @@ crosses every threshold in the end. J is then a multiple of the largest sum reac
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,10 @@ class Seen:
     r: Array
     usable: npt.NDArray[np.bool_]
     mode: npt.NDArray[np.int64]
+
+    def only(self, count: int) -> "Seen":
+        """With the first `count` generators alone."""
+        return replace(self, r=self.r[:, :count], usable=self.usable[:, :count])
 
 
 def seen(name: str, ticks: Sequence[Tick]) -> Seen:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Container, Iterable, Iterator, Sequence, Sized
+from itertools import groupby
 
 import numpy as np
 
@@ -36,12 +37,15 @@ def _files(manifest: Manifest) -> Iterator[str]:
     for name in manifest.files:
         if FILE_NAME.fullmatch(name) is None:
             yield f"files: {name[:100]!r} is not a plain file name"
-    for field, name in (("dbc", manifest.dbc), ("graph", manifest.graph), ("golden", manifest.golden)):
+    graphs = [(f"graphs[{row}].file", graph.file) for row, graph in enumerate(manifest.graphs)]
+    for field, name in (("dbc", manifest.dbc), *graphs, ("golden", manifest.golden)):
         if name not in manifest.files:
             yield f"{field}: {name!r} is not in files"
-    overlap = set(manifest.origin.calibrate) & set(manifest.origin.tune)
-    if overlap:
-        yield f"origin: data set {min(overlap)[:12]} was used to calibrate and to tune"
+    origin = manifest.origin
+    for used, other in (("calibrate", origin.calibrate), ("train", origin.train)):
+        overlap = set(other) & set(origin.tune)
+        if overlap:
+            yield f"origin: data set {min(overlap)[:12]} was used to {used} and to tune"
 
 
 def _names(manifest: Manifest) -> Iterator[str]:
@@ -49,7 +53,10 @@ def _names(manifest: Manifest) -> Iterator[str]:
     generators = manifest.generators
     yield from _repeated([channel.signal for channel in manifest.inputs], "inputs", ".signal")
     yield from _repeated([generator.name for generator in generators], "generators", ".name")
-    yield from _repeated([generator.test for generator in generators], "generators", ".test")
+    yield from _repeated([graph.file for graph in manifest.graphs], "graphs", ".file")
+    for row, generator in enumerate(generators):
+        if any((other.graph, other.test) == (generator.graph, generator.test) for other in generators[:row]):
+            yield f"generators[{row}].test: {generator.test!r} is there twice"
     yield from _repeated([fault.name for fault in manifest.faults], "faults", ".name")
     yield from _repeated(manifest.evidence.generators, "evidence.generators")
     for row, generator in enumerate(generators):
@@ -62,6 +69,9 @@ def _generators(manifest: Manifest) -> Iterator[str]:
     for column, channel in enumerate(manifest.inputs):
         if not channel.lower < channel.upper:
             yield f"inputs[{column}].lower: {channel.lower:g} is not below upper, {channel.upper:g}"
+    files = [graph.file for graph in manifest.graphs]
+    if [name for name, _ in groupby(generator.graph for generator in manifest.generators)] != files:
+        yield f"generators: not one graph's after the other's, as {', '.join(files)}"
     for row, generator in enumerate(manifest.generators):
         path = f"generators[{row}]"
         yield from _unknown(generator.inputs, signals, f"{path}.inputs", "signal")

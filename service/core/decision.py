@@ -57,14 +57,15 @@ class Decision:
 
     @property
     def alarm(self) -> list[str]:
-        """Tests that alarm and can tell now."""
+        """Tests that alarm and can tell now: one of their generators does."""
         rows = zip(self._tests, self._detectors, self._usable, strict=True)
-        return [test for test, detector, usable in rows if detector.alarm and usable]
+        return list(dict.fromkeys(test for test, detector, usable in rows if detector.alarm and usable))
 
     @property
     def cannot_tell(self) -> list[str]:
-        """Tests that cannot tell now."""
-        return [test for test, usable in zip(self._tests, self._usable, strict=True) if not usable]
+        """Tests that cannot tell now: none of their generators can."""
+        telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
+        return [test for test in dict.fromkeys(self._tests) if test not in telling]
 
     @property
     def since(self) -> int | None:

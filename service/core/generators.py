@@ -1,14 +1,15 @@
-"""Runs the residual generators of a bundle, all in one fused graph, one tick at a time.
+"""Runs the residual generators of a bundle, in a few fused graphs, one tick at a time.
 
     x_k, r_k, y_hat_k, sigma_k, novelty_k = graph(z_k, x_{k-1})      z: (1, nz)  x: (1, nx)  r ...: (1, T)
 
 A generator whose input may not be used, or lies outside the operating region, keeps its state for `HELD_TICKS` ticks;
 after that the state is taken from the sensors again and the warm-up starts anew: a state carried through where the
-model does not hold would tell of that for as long as the slowest pressure remembers.
+model does not hold would tell of that for as long as the slowest pressure remembers. A generator that was trained knows
+besides what it was trained on: where the operation is novel it goes on, and cannot tell.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import onnxruntime as ort
@@ -17,8 +18,11 @@ from service.core.manifest import Generator, Input
 from service.core.signals import Mask, Vector
 
 HELD_TICKS = 2
-NOVELTY_LIMIT = 0.01
-"""Novelty is how far the inputs lie outside their operating region, in parts of its width; a hundredth is rounding."""
+OUTSIDE = 0.01
+"""How far inputs may lie outside their operating region, in parts of its width: a hundredth is rounding."""
+
+NOVEL = 1.0
+"""Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
 
 
 class Residuals(NamedTuple):
@@ -49,13 +53,32 @@ class Graph:
         return outputs
 
 
-class GeneratorBank:
-    """The generators of a bundle with their states. `step` is called once a tick."""
+class Generators(Protocol):
+    """What is asked once a tick."""
 
-    def __init__(self, model: bytes, generators: Sequence[Generator], inputs: Sequence[Input]) -> None:
-        self._graph = Graph(model)
+    def step(self, z: Vector, usable: Mask) -> Residuals:
+        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
+
+
+class _Part(NamedTuple):
+    """A graph, and which states are its own."""
+
+    graph: Graph
+    states: slice
+
+
+class GeneratorBank:
+    """The generators of a bundle with their states. `step` is called once a tick.
+
+    `graphs` are by the name that the generators have; those of one graph are neighbours, in the order of its columns.
+    """
+
+    def __init__(self, graphs: Mapping[str, bytes], generators: Sequence[Generator], inputs: Sequence[Input]) -> None:
+        self._parts = _parts(graphs, generators)
         names = [channel.signal for channel in inputs]
-        self._neutral = np.array([(channel.lower + channel.upper) / 2 for channel in inputs])
+        lower, upper = (np.array([getattr(channel, bound) for channel in inputs]) for bound in ("lower", "upper"))
+        self._lower, self._upper, self._width = lower, upper, upper - lower
+        self._neutral = (lower + upper) / 2
         states = [(row, state) for row, generator in enumerate(generators) for state in generator.states]
         self._owner = np.array([row for row, _ in states], dtype=np.intp)  # (nx,)
         self._offset = np.array([state.offset for _, state in states])
@@ -77,15 +100,28 @@ class GeneratorBank:
         self._z = np.where(usable, z, self._z)
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
         self._restart(fed & (self._missed > HELD_TICKS))
-        r, y_hat, sigma, novelty, x_next = (row[0] for row in self._graph(z=self._z[None], x=self._x[None]))
+        r, y_hat, sigma, novelty, x_next = self._run()
         finite = np.isfinite(r)
         finite[self._owner[~np.isfinite(x_next)]] = False
-        advanced = fed & finite & (novelty <= NOVELTY_LIMIT)
+        advanced = fed & finite & (self._outside() <= OUTSIDE)
         self._x = np.where(advanced[self._owner], x_next, self._x)
         self._missed = np.where(advanced, 0, self._missed + 1)
         self._missed[fed & ~finite] = HELD_TICKS + 1
         self._ticks = np.where(advanced, self._ticks + 1, self._ticks)
-        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up))
+        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL))
+
+    def _run(self) -> list[Vector]:
+        """The outputs of all graphs, one after the other."""
+        z = self._z[None]
+        found = [part.graph(z=z, x=self._x[None, part.states]) for part in self._parts]
+        if len(found) == 1:
+            return [row[0] for row in found[0]]
+        return [np.concatenate([outputs[k][0] for outputs in found]) for k in range(len(Graph.OUTPUTS))]
+
+    def _outside(self) -> Vector:
+        """How far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
+        beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
+        return np.asarray(self._needs @ np.maximum(beyond, 0.0))
 
     def _restart(self, generators: Mask) -> None:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
@@ -93,3 +129,12 @@ class GeneratorBank:
             fresh = self._offset + self._gain @ self._z
             self._x = np.where(generators[self._owner], fresh, self._x)
             self._ticks[generators] = 0
+
+
+def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list[_Part]:
+    found = []
+    for name in dict.fromkeys(generator.graph for generator in generators):
+        own = [row for row, generator in enumerate(generators) if generator.graph == name]
+        counts = [len(generator.states) for generator in generators]
+        found.append(_Part(Graph(graphs[name]), slice(sum(counts[: own[0]]), sum(counts[: own[-1] + 1]))))
+    return found

@@ -41,11 +41,15 @@ class File(_Part, frozen=True):
 
 
 class Origin(_Part, frozen=True):
-    """What the bundle was made from. The data sets of calibration and tuning (SHA-256 of the logs) are disjoint."""
+    """What the bundle was made from: data sets by the SHA-256 of their logs.
+
+    Those of tuning are none that the model was calibrated or the networks were trained with.
+    """
 
     model: Text
     model_sha256: Sha256
     calibrate: list[Sha256]
+    train: list[Sha256]
     tune: NotEmpty[Sha256]
 
 
@@ -59,6 +63,17 @@ class Input(_Part, frozen=True):
     upper: float
 
 
+class GraphFile(_Part, frozen=True):
+    """A fused graph among the files.
+
+    `tolerance` is how far a replayed golden residual may be from the exported one, in parts of the residual's sigma:
+    another processor rounds differently, no more.
+    """
+
+    file: Name
+    tolerance: Positive
+
+
 class State(_Part, frozen=True):
     """A column of `x`; a fresh state is `offset + sum(gain[signal] * z[signal])`."""
 
@@ -68,7 +83,7 @@ class State(_Part, frozen=True):
 
 
 class Generator(_Part, frozen=True):
-    """A residual generator: column `k` of the graph's outputs is generator `k` of the manifest's list.
+    """A residual generator: a column of the outputs of its `graph`, whose generators are listed in their order.
 
     `faults` is its row of the structural fault signature matrix, `states` are its columns of `x` (consecutive, in
     order).
@@ -76,6 +91,7 @@ class Generator(_Part, frozen=True):
 
     name: Name
     test: Name
+    graph: Name
     predicts: Name
     inputs: NotEmpty[Name]
     states: list[State]
@@ -150,7 +166,7 @@ class Manifest(_Part, frozen=True):
     period_s: Period
     start_within_s: NotNegative
     dbc: Name
-    graph: Name
+    graphs: NotEmpty[GraphFile]
     golden: Name
     files: dict[str, File]
     origin: Origin

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.decode import DecodeTable
-from service.core.generators import GeneratorBank, Residuals
+from service.core.generators import Generators, Residuals
 from service.core.modes import ModeTracker
 from service.core.sampling import Sampler
 from service.core.signals import Mask, Vector
@@ -39,7 +39,7 @@ class Observer:
         table: DecodeTable,
         sampler: Sampler,
         modes: ModeTracker,
-        bank: GeneratorBank,
+        bank: Generators,
         period_s: float,
         start_within_s: float,
     ) -> None:

@@ -27,13 +27,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_package_folder_is_in_the_package_list() -> None:
     folders = {
         str(path.parent.relative_to(ROOT)).replace("/", ".")
-        for top in ("service", "analysis", "testbench", "dbc")
+        for top in ("service", "analysis", "training", "testbench", "dbc")
         for path in (ROOT / top).rglob("__init__.py")
     }
     assert folders == set(PROJECT["tool"]["setuptools"]["packages"])
 
 
-@pytest.mark.parametrize(("importer", "may"), [("service.core", set()), ("analysis", {"core", "logs", "bundle"})])
+@pytest.mark.parametrize(
+    ("importer", "may"),
+    [("service.core", set()), ("analysis", {"core", "logs", "bundle"}), ("training", {"core", "logs", "bundle"})],
+)
 def test_the_import_contracts_name_every_part_of_the_service(importer: str, may: set[str]) -> None:
     """They are lists of what is forbidden: a new module of the service must not slip past them."""
     contracts = PROJECT["tool"]["importlinter"]["contracts"]
@@ -46,9 +49,10 @@ def test_the_import_contracts_name_every_part_of_the_service(importer: str, may:
     assert missing == set()
 
 
-def test_the_wheels_top_level_is_the_four_packages(wheel: Path) -> None:
+def test_the_wheels_top_level_is_the_five_packages(wheel: Path) -> None:
     names = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
-    assert {name for name in names if not name.endswith(".dist-info")} == {"service", "analysis", "testbench", "dbc"}
+    ours = {name for name in names if not name.endswith(".dist-info")}
+    assert ours == {"service", "analysis", "training", "testbench", "dbc"}
     data = [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith((".dbc", ".toml"))]
     assert "dbc/uds.dbc" in data
     assert "analysis/model/uds4.toml" in data

@@ -16,6 +16,7 @@ from analysis.evaluation.story import tell
 from analysis.evaluation.truth import Truth, load_truth
 from analysis.export import bundle_files
 from analysis.graph.bank import build_bank
+from analysis.graph.runnable import Runnable
 from analysis.model import Model
 from analysis.progress import Progress
 from analysis.recordings.observe import open_known
@@ -166,9 +167,9 @@ def _unused(path: Path, used: dict[str, str], purpose: str, note: Callable[[str]
 def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
     """The model's bundle, or why there is none."""
     try:
-        bank = build_bank(model)
-        tuned, dbc = tune(bank, [*recordings.tuning], progress), recordings.dbc
-        bundle = _written(bundle_files(bank, tuned, dbc.name, dbc.read_bytes(), model.name))
+        runnable = Runnable(build_bank(model))
+        tuned, dbc = tune(runnable, [*recordings.tuning], progress), recordings.dbc
+        bundle = _written(bundle_files(runnable, tuned, dbc.name, dbc.read_bytes(), model.name))
     except InputError as error:
         return Bundled(reason=str(error))
     judged = {}
@@ -176,7 +177,7 @@ def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
         progress.say(log.id)
         judged[log.id] = _judged(bundle, log, truth)
     return Bundled(
-        generators=bank.generators,
+        generators=runnable.generators,
         tolerated=tuple(d.nu * mean(s for k, s in enumerate(d.scale) if k != EDGE) for d in tuned.detectors),
         judged=judged,
     )

@@ -6,10 +6,11 @@ import pytest
 
 from analysis.graph.bank import PERIOD_S, Bank, build_bank
 from analysis.graph.network import Evaluator, flow_network
+from analysis.graph.runnable import Runnable
 from analysis.model import Model, parse_model
 from analysis.structure import integral_tests
 from service.core.errors import InputError
-from service.core.generators import GeneratorBank, Graph
+from service.core.generators import Graph
 
 Array = npt.NDArray[np.float64]
 
@@ -210,7 +211,7 @@ def test_the_one_tank_bank_end_to_end() -> None:
     assert bank.start(np.array([321.0, 5.0])).tolist() == [321.0]
 
     def residuals(z: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        generators = GeneratorBank(bank.graph(), bank.generators, bank.inputs)
+        generators = Runnable(bank).fresh()
         seen = [generators.step(sample, np.ones(2, dtype=np.bool_)) for sample in z]
         return np.array([s.r[0] for s in seen]), np.array([s.usable[0] for s in seen])
 

@@ -1,0 +1,101 @@
+"""A folder of trained networks: `rnn.onnx`, and `networks.json` with what a manifest says of them.
+
+`faultline train` writes it; `tune` and `export` take it besides a model. It holds for any calibration of that model:
+the networks know its structure and the recordings, not its parameters.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+
+from analysis.graph.bank import PERIOD_S
+from analysis.model import Model
+from analysis.structure import Test, find_tests
+from service.core.errors import InputError
+from service.core.manifest import Generator, Sha256
+
+FILE, GRAPH = "networks.json", "rnn.onnx"
+SCHEMA: Final = "faultline.networks/1"
+
+TOLERANCE = 1e-3
+"""Of sigma, for golden vectors: the graph is float32 inside."""
+
+
+class Description(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What networks are: their `generators` in the graph's order, `recordings` by the SHA-256 of their logs.
+
+    `signals` are the columns of z, `error` [unit of y] is each test's free-run error (RMS) in what was held out.
+    """
+
+    schema: Literal["faultline.networks/1"]
+    model: str
+    signals: list[str]
+    period_s: float
+    recipe: str
+    members: int
+    seed: int
+    recordings: list[Sha256]
+    vehicle: str | None
+    graph_sha256: Sha256
+    generators: list[Generator]
+    error: list[float]
+
+
+class Networks(msgspec.Struct, frozen=True):
+    """A folder's content."""
+
+    description: Description
+    graph: bytes
+
+
+def save_networks(folder: Path, networks: Networks) -> None:
+    """Writes the folder's two files, the description last.
+
+    Raises:
+        InputError: they cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / GRAPH).write_bytes(networks.graph)
+        raw = msgspec.json.format(msgspec.json.encode(networks.description), indent=1)
+        (folder / FILE).write_bytes(raw + b"\n")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}; give --out another place") from error
+
+
+def load_networks(folder: Path, model: Model) -> Networks:
+    """The networks in a folder, for this model.
+
+    Raises:
+        InputError: the folder is none, or was changed; the networks are of another model's tests.
+    """
+    try:
+        raw, graph = (folder / FILE).read_bytes(), (folder / GRAPH).read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{folder}: no networks: {error.filename}: {error.strerror}; `faultline train` writes them"
+        ) from error
+    try:
+        found = msgspec.json.decode(raw, type=Description)
+    except msgspec.DecodeError as error:
+        raise InputError(f"{folder / FILE}: not of this version: {error}; train again") from error
+    if hashlib.sha256(graph).hexdigest() != found.graph_sha256:
+        raise InputError(f"{folder / GRAPH}: is not the graph that {FILE} is of; copy the whole folder, or train again")
+    _check(found, model, folder)
+    return Networks(found, graph)
+
+
+def _check(found: Description, model: Model, folder: Path) -> None:
+    if found.signals != [*model.known] or found.period_s != PERIOD_S:
+        raise InputError(
+            f"{folder}: was trained on the signals {', '.join(found.signals)}; train for {model.name} anew"
+        )
+    tests = {test.name: test for test in find_tests(model) if isinstance(test, Test)}
+    for generator in found.generators:
+        test = tests.get(generator.test)
+        if test is None or (test.predicts, [*test.known]) != (generator.predicts, generator.inputs):
+            raise InputError(f"{folder}: {model.name} has no test {generator.test} like its own; train anew")
+        if sorted(test.faults) != sorted(generator.faults):
+            raise InputError(f"{folder}: {generator.test} has other faults in {model.name}; train anew")

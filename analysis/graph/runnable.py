@@ -1,0 +1,64 @@
+"""The generators of a bundle to be: those of the model's equations, and trained networks besides."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.graph import networks as trained
+from analysis.graph.bank import GRAPH, Bank
+from analysis.graph.networks import Networks
+from service.core.generators import GeneratorBank
+from service.core.manifest import Generator, GraphFile
+
+TOLERANCE = 1e-6
+"""Of sigma, for golden vectors of the equations, which are float64."""
+
+
+@dataclass(frozen=True)
+class Runnable:
+    """A bank, and `networks` that are of the same model."""
+
+    bank: Bank
+    networks: Networks | None = None
+
+    @property
+    def generators(self) -> tuple[Generator, ...]:
+        """Of both, in the order of the manifest: those of the equations first."""
+        return (*self.bank.generators, *(self.networks.description.generators if self.networks else ()))
+
+    @cached_property
+    def graphs(self) -> dict[str, bytes]:
+        """The ONNX graphs by file name.
+
+        Raises:
+            InputError: the model divides by parameters that are zero.
+        """
+        of_networks = {trained.GRAPH: self.networks.graph} if self.networks else {}
+        return {GRAPH: self.bank.graph(), **of_networks}
+
+    @property
+    def files(self) -> list[GraphFile]:
+        """What a manifest says of the graphs."""
+        tolerances = {GRAPH: TOLERANCE, trained.GRAPH: trained.TOLERANCE}
+        return [GraphFile(file=name, tolerance=tolerances[name]) for name in self.graphs]
+
+    @property
+    def trained_on(self) -> list[str]:
+        """The recordings that the networks have seen, by the SHA-256 of their logs."""
+        return list(self.networks.description.recordings) if self.networks else []
+
+    @property
+    def sigma(self) -> npt.NDArray[np.float64]:
+        """The spread (T,) [unit of y] that the sensors alone give each residual."""
+        return np.array([self.bank.model.known[generator.predicts].noise for generator in self.generators])
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of every residual: that of the signal it predicts."""
+        return tuple(self.bank.model.known[generator.predicts].unit for generator in self.generators)
+
+    def fresh(self) -> GeneratorBank:
+        """The generators as the vehicle starts them."""
+        return GeneratorBank(self.graphs, self.generators, self.bank.inputs)

@@ -1,0 +1,89 @@
+"""The graph computes what torch does, over whole recordings with carried states, for every shape of network."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from made_samples import circuit, dosing, rc
+
+from analysis.graph.cells import cell_graph
+from analysis.graph.networks import GRAPH
+from analysis.model import load_model
+from service.core.generators import Graph
+from training.bank import generator_of
+from training.free_run import Course, free_run
+from training.layout import Layout, layout_of
+from training.network import Networks
+from training.novelty import novelty, novelty_of, operating_points
+from training.recipe import DEFAULT, THESIS, Recipe
+from training.reckoned import reckoned
+from training.samples import Samples
+from training.scaling import scaling_of
+from training.variance import variances
+from training.weights import cells_of
+from training.windows import Windows
+
+PARITY = 1e-5
+"""Of the largest |y|: what the project promises."""
+
+
+@pytest.mark.parametrize(
+    ("layout", "samples", "recipe"),
+    [
+        (layout_of(load_model("uds4")), dosing(1), dataclasses.replace(DEFAULT, members=3, folds=3)),
+        (layout_of(load_model("uds4"), ["t02", "t13"]), dosing(2), dataclasses.replace(THESIS, hidden=(16, 16, 16))),
+        (rc(), circuit(1), dataclasses.replace(DEFAULT, members=2, folds=2)),
+    ],
+    ids=["default", "thesis", "rc"],
+)
+def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Recipe) -> None:
+    torch.manual_seed(7)
+    states = reckoned(layout, samples)
+    scaling = scaling_of(samples, states, recipe.scale)
+    networks = Networks(layout, recipe, recipe.members)
+    with torch.no_grad():
+        for parameter in networks.parameters():  # nothing may be zero by chance of how it begins
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    windows = Windows(layout, samples, states, scaling, recipe.folds, 0)
+    course = free_run(networks, windows)
+    spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
+    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
+    z = samples.stretches[0].z
+    generators = [generator_of(layout, t, recipe.members) for t in range(len(layout.tests))]
+    start = [
+        s.offset + sum(g * z[0, layout.signals.index(n)] for n, g in s.gain.items())
+        for o in generators
+        for s in o.states
+    ]
+    x = np.array(start)[None]
+    r, sigma, novel = (np.empty((len(z), len(layout.tests))) for _ in range(3))
+    for k, sample in enumerate(z):
+        r[k : k + 1], _, sigma[k : k + 1], novel[k : k + 1], x = graph(z=sample[None], x=x)
+    x0 = windows.starts[0][None, :, None].expand(recipe.members, -1, -1)
+    with torch.no_grad():
+        run = networks.run(x0, windows.z[:, None, :, None].expand(-1, recipe.members, -1, -1))
+    size, offset = scaling.z_size[layout.predicts], scaling.z_offset[layout.predicts]
+    y = run.y[:, :, :, 0].mean(dim=1).numpy() * size + offset
+    assert np.abs(z[:, layout.predicts] - r - y).max() < PARITY * np.abs(y).max()
+    whole = Course(torch.arange(len(z)), run.y[..., 0].permute(1, 2, 0), run.x[..., 0].permute(1, 2, 0), run.x[..., 0])
+    assert novel == pytest.approx(novelty(measure, operating_points(windows, whole)), rel=1e-3, abs=1e-3)
+    assert (sigma > 0).all()
+    assert all(generator.graph == GRAPH for generator in generators)
+
+
+def test_recordings_side_by_side_are_each_by_itself() -> None:
+    layout, samples = layout_of(load_model("uds4"), ["t06", "t21"]), dosing(3)
+    states = reckoned(layout, samples)
+    scaling = scaling_of(samples, states, "spread")
+    networks = Networks(layout, dataclasses.replace(DEFAULT, folds=2), 2)
+    windows = Windows(layout, samples, states, scaling, 2, 0)
+    course = free_run(networks, windows)
+    spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
+    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
+    z = samples.stretches[0].z[[0, 30, 77]]
+    x = np.random.default_rng(0).uniform(5e5, 1e6, (3, 2 * len(layout.states)))
+    together = graph(z=z, x=x)
+    for row in range(3):
+        for found, alone in zip(together, graph(z=z[row : row + 1], x=x[row : row + 1]), strict=True):
+            assert found[row] == pytest.approx(alone[0], rel=1e-6)

@@ -1,0 +1,114 @@
+"""`faultline train` on a system that no line of the product knows, and its networks in a bundle."""
+
+import json
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.export import main as export
+from analysis.graph.networks import load_networks
+from analysis.model import load_model
+from analysis.tuning.command import main as tune
+from service.bundle import load_bundle, verify_golden
+from service.core.errors import InputError
+from service.diagnose import main as diagnose
+from training.command import main as train
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
+import tanks
+
+
+@dataclass(frozen=True)
+class Made:
+    """The recordings, the networks' folder, and a bundle that has them besides the equations."""
+
+    logs: tuple[Path, ...]
+    networks: Path
+    tuning: Path
+    bundle: Path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("networks")
+    logs = tuple(tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
+    networks, tuning, bundle = folder / "networks", folder / "tuning.json", folder / "bundle"
+    assert train(["three_tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
+    given = ["three_tank", "--networks", str(networks)]
+    assert tune([*given, *map(str, logs[1:]), "--out", str(tuning)]) == 0
+    dbc = str(logs[0] / "tanks.dbc")
+    assert export([*given, "--tuning", str(tuning), "--dbc", dbc, "--out", str(bundle)]) == 0
+    return Made(logs, networks, tuning, bundle)
+
+
+def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> None:
+    bundle = load_bundle(made.bundle)
+    verify_golden(bundle)
+    networks = load_networks(made.networks, load_model("three_tank")).description
+    manifest = bundle.manifest
+    assert [graph.file for graph in manifest.graphs] == ["ode.onnx", "rnn.onnx"]
+    names = [generator.name for generator in manifest.generators]
+    assert names[len(names) // 2 :] == [generator.name for generator in networks.generators]
+    assert manifest.origin.train == networks.recordings
+    assert not {*manifest.origin.train} & {*manifest.origin.tune}
+    assert (made.networks / "training.png").read_bytes().startswith(b"\x89PNG")
+    assert not (made.networks / "checkpoint.pt").exists()
+
+
+def test_networks_tell_a_leak_as_the_equations_do(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    healthy = tanks.record(tmp_path / "healthy", 4, 300.0)
+    leak = tanks.record(tmp_path / "leak", 5, 480.0, tanks.Fault(0, 270.0, leak=5e-6))
+    assert diagnose([str(healthy), "--bundle", str(made.bundle), "--json"]) == 0
+    capsys.readouterr()
+    assert diagnose([str(leak), "--bundle", str(made.bundle), "--json"]) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert events[-1]["diagnoses"][0]["faults"] == ["f_leak1"]
+
+
+def test_tuning_and_export_must_have_the_same_networks(made: Made, tmp_path: Path) -> None:
+    dbc, out = str(made.logs[0] / "tanks.dbc"), str(tmp_path / "bundle")
+    with pytest.raises(InputError, match=r"tuning\.json: was made with networks that are not those of --netw"):
+        export(["three_tank", "--tuning", str(made.tuning), "--dbc", dbc, "--out", out])
+    with pytest.raises(InputError, match=r"used to train the networks; tune on fault-free recordings of their own"):
+        tune(["three_tank", "--networks", str(made.networks), str(made.logs[0]), "--out", out])
+
+
+def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"was trained on the signals .*; train for uds4 anew"):
+        load_networks(made.networks, load_model("uds4"))
+    with pytest.raises(InputError, match=r"nowhere: no networks: .*; `faultline train` writes them"):
+        load_networks(tmp_path / "nowhere", load_model("three_tank"))
+    damaged = tmp_path / "damaged"
+    shutil.copytree(made.networks, damaged)
+    graph = bytearray((damaged / "rnn.onnx").read_bytes())
+    graph[1000] ^= 1
+    (damaged / "rnn.onnx").write_bytes(graph)
+    with pytest.raises(InputError, match=r"rnn\.onnx: is not the graph that networks\.json is of; copy the"):
+        load_networks(damaged, load_model("three_tank"))
+
+
+def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_path: Path) -> None:
+    short = tanks.record(tmp_path / "short", 6, 60.0)
+    out = ["--out", str(tmp_path / "never")]
+    with pytest.raises(InputError, match=r"short: \d+ s in which all signals can be used .*; \d+ s more are needed"):
+        train(["three_tank", str(short), *out])
+    with pytest.raises(InputError, match=r"this recording is named twice; name it once"):
+        train(["three_tank", str(made.logs[0]), str(made.logs[0]), *out])
+    with pytest.raises(InputError, match=r"--tests t99: three_tank has no such test"):
+        train(["three_tank", str(made.logs[0]), "--tests", "t99", *out])
+    with pytest.raises(InputError, match=r"--members 0: at least 1"):
+        train(["three_tank", str(made.logs[0]), "--members", "0", *out])
+    t = np.arange(0.0, 200.0, tanks.FRAME_S)
+    u = np.interp(t, [0.0, 60.0, 120.0, 200.0], [0.5, 0.7, 0.45, 0.6])
+    levels = tanks.levels(t, u, None)
+    levels[:, 1] = 0.31
+    stuck = tanks.write(tmp_path / "stuck", t, u, levels)
+    with pytest.raises(InputError, match=r"stuck: y2 hardly moves .*: a sensor that is stuck, or an input"):
+        train(["three_tank", str(stuck), *out])
+    assert not (tmp_path / "never").exists()

@@ -1,0 +1,45 @@
+"""Sigma follows the operating point, and its band holds what it says on data that nobody has seen."""
+
+import numpy as np
+import torch
+from made_samples import circuit, rc
+
+from training.free_run import Course
+from training.reckoned import reckoned
+from training.scaling import scaling_of
+from training.variance import Variances, variances
+from training.windows import Windows
+
+MEMBERS = 3
+
+
+def made(seed: int, folds: int, ticks: int = 6000) -> tuple[Windows, Course, torch.Tensor]:
+    """A perfect model with noise that grows with the voltage, up to tenfold; and the true deviation."""
+    layout, samples = rc(), circuit(seed, ticks)
+    states = reckoned(layout, samples)
+    windows = Windows(layout, samples, states, scaling_of(samples, states, "spread"), folds, 0)
+    truth = 0.1 * torch.exp(0.7 * windows.z[:, 0])
+    noise = truth * torch.tensor(np.random.default_rng(seed).normal(size=ticks), dtype=torch.float32)
+    y = (windows.z[:, 1] - noise)[None, None].repeat(MEMBERS, 1, 1)
+    x = windows.reckoned.T[None].repeat(MEMBERS, 1, 1)
+    return windows, Course(torch.arange(ticks), y, x, x), truth
+
+
+def sigma(of: Variances, windows: Windows, course: Course) -> torch.Tensor:
+    parts = [course.x.mean(dim=0), course.before.mean(dim=0), windows.z.T, torch.zeros(1, len(course.at))]
+    with torch.no_grad():
+        log_v: torch.Tensor = of.stack(torch.cat(parts)[None])[0, 0]
+        return of.factor * (0.5 * log_v).exp()
+
+
+def test_sigma_is_that_of_the_operating_point() -> None:
+    windows, course, truth = made(1, MEMBERS)
+    found = variances(rc(), windows, course, 0)
+    other, again, true = made(2, MEMBERS)
+    told = sigma(found, other, again)
+    for chosen in (true < 0.08, true > 0.2):
+        assert 0.85 < float((told / true)[chosen].median()) < 1.15
+    left = again.y[0, 0] - other.z[:, 1]
+    covered = float((left.abs() < 2.576 * told).to(torch.float32).mean())
+    assert 0.98 < covered < 0.995
+    assert len(truth) == 6000

@@ -1,0 +1,65 @@
+"""From a finished training to a folder's content: variance, novelty, the graph and what a manifest says of it."""
+
+import hashlib
+
+import numpy as np
+import torch
+
+from analysis.graph.bank import PERIOD_S
+from analysis.graph.cells import cell_graph
+from analysis.graph.networks import GRAPH, SCHEMA, Description, Networks
+from service.core.manifest import Generator, State
+from training.free_run import RUN_UP, free_run
+from training.layout import Layout
+from training.loop import Training
+from training.novelty import novelty_of
+from training.samples import Samples
+from training.variance import cross_fit, variances
+from training.weights import cells_of
+
+
+def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
+    """The networks of a training that is over."""
+    layout, scaling, trained = training.layout, training.scaling, training.finish()
+    course = free_run(trained, training.windows)
+    spread = variances(layout, training.windows, course, seed)
+    cells = cells_of(layout, scaling, trained, spread, novelty_of(layout, training.windows, course))
+    graph = cell_graph(cells)
+    left = cross_fit(layout, training.windows, course).left
+    error = left.pow(2).mean(dim=1).sqrt().to(torch.float64).numpy() * scaling.z_size[layout.predicts]
+    members = training.recipe.members
+    description = Description(
+        schema=SCHEMA,
+        model=layout.model.name,
+        signals=[*layout.signals],
+        period_s=PERIOD_S,
+        recipe=training.recipe.name,
+        members=members,
+        seed=seed,
+        recordings=[*samples.digests],
+        vehicle=samples.vehicle,
+        graph_sha256=hashlib.sha256(graph).hexdigest(),
+        generators=[generator_of(layout, t, members) for t in range(len(layout.tests))],
+        error=error.tolist(),
+    )
+    return Networks(description, graph)
+
+
+def generator_of(layout: Layout, t: int, members: int) -> Generator:
+    """What the manifest says of the networks of a test: each member has states of its own."""
+    test, own = layout.tests[t], np.flatnonzero(layout.owner == t)
+    starts = [layout.starts[f] for f in own]
+    return Generator(
+        name=f"{test.name}.rnn",
+        test=test.name,
+        graph=GRAPH,
+        predicts=test.predicts,
+        inputs=list(test.known),
+        states=[
+            State(name=f"{state.name}.{m + 1}", offset=state.offset, gain=state.gain)
+            for m in range(members)
+            for state in starts
+        ],
+        faults=list(test.faults),
+        warm_up_ticks=max(RUN_UP, round(layout.model.warm_up_s / PERIOD_S)),
+    )

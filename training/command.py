@@ -1,0 +1,108 @@
+"""Train grey-box RNN residual generators on fault-free recordings."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import torch
+
+from analysis.graph.bank import inputs_of
+from analysis.graph.networks import Networks, save_networks
+from analysis.structure.lint import sound_model
+from service.core.errors import InputError
+from training.bank import networks_of
+from training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
+from training.layout import layout_of
+from training.loop import Training
+from training.picture import picture
+from training.progress import Progress
+from training.recipe import RECIPES, Recipe
+from training.samples import load_samples
+from training.saved import load_weights, save_weights
+
+EXAMPLE = """example:
+  faultline train uds4 logs/bench-training-s1 --out networks
+
+then give `--networks networks` to `faultline tune` and `faultline export`.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline train", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", help="a model file, or the name of one that comes with faultline; its equations only")
+    parser.add_argument("recording", type=Path, nargs="+", help="instrumented and fault-free")
+    parser.add_argument("--recipe", choices=[*RECIPES], default="default", help="how to train (default: %(default)s)")
+    parser.add_argument("--members", type=int, help="networks of an ensemble (default: the recipe's)")
+    parser.add_argument("--tests", nargs="+", metavar="TEST", help="only these (default: all that can be networks)")
+    parser.add_argument("--epochs", type=int, help="iterations of the last phase (default: the recipe's)")
+    parser.add_argument("--seed", type=int, default=0, help="of weights and windows (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("networks"), help="folder to write (default: %(default)s)")
+    parser.add_argument(
+        "--from",
+        type=Path,
+        metavar="DIR",
+        dest="begin",
+        help="adapt these networks to a short recording",
+    )
+    parser.add_argument("--resume", action="store_true", help="go on where an interrupted call with the same --out was")
+    parser.add_argument("--json", action="store_true", help="print the description as JSON")
+    options = parser.parse_args(argv)
+    for name, value in (("members", options.members), ("epochs", options.epochs)):
+        if value is not None and value < 1:
+            raise InputError(f"--{name} {value}: at least 1")
+        if value is not None and options.begin:
+            raise InputError(f"--{name}: networks that are adapted have their own; leave it out")
+    torch.set_num_threads(1)  # products are small: a second thread costs six times the CPU time and saves none
+    networks = _trained(options)
+    d = networks.description
+    print(msgspec.json.encode(d).decode() if options.json else _table(networks, options.out))
+    return 0
+
+
+def _trained(options: argparse.Namespace) -> Networks:
+    model = sound_model(options.model)
+    layout = layout_of(model, options.tests)
+    begin = load_weights(options.begin, layout) if options.begin else None
+    recipe = begin.adapting() if begin else _recipe(options)
+    with Progress(f"training {model.name}") as progress:
+        samples = load_samples(model, inputs_of(model), options.recording, progress.note)
+        training = Training(layout, samples, recipe, options.seed, begin)
+        key = key_of(layout, samples, recipe, options.seed, begin)
+        if options.resume and load_checkpoint(options.out, key, training):
+            progress.note(f"goes on after {training.done} of {training.iterations} iterations")
+        training.run(progress.tell, lambda: save_checkpoint(options.out, key, training))
+        if training.stopped:
+            progress.note(
+                f"stopped after {training.done} of {training.iterations} iterations: {training.stopped}; "
+                "the best weights until then are kept"
+            )
+        networks = networks_of(training, samples, options.seed)
+    save_networks(options.out, networks)
+    save_weights(options.out, training)
+    (options.out / "training.png").write_bytes(picture(training))
+    drop_checkpoint(options.out)
+    return networks
+
+
+def _recipe(options: argparse.Namespace) -> Recipe:
+    recipe = RECIPES[options.recipe]
+    recipe = replace(recipe, members=options.members) if options.members else recipe
+    if options.epochs:
+        recipe = replace(recipe, phases=(*recipe.phases[:-1], replace(recipe.phases[-1], iterations=options.epochs)))
+    return recipe
+
+
+def _table(networks: Networks, out: Path) -> str:
+    d = networks.description
+    lines = [f"{'generator':<12}{'predicts':<10}{'states':>7}   free run, RMS error where it was held out"]
+    lines += [
+        f"{g.name:<12}{g.predicts:<10}{len(g.states) // d.members:>7}   {error:.4g}"
+        for g, error in zip(d.generators, d.error, strict=True)
+    ]
+    size = len(networks.graph) / 1024
+    lines.append(f"wrote {out}: {len(d.generators)} generators of {d.members} members, {size:.0f} KiB")
+    return "\n".join(lines)

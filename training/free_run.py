@@ -1,0 +1,54 @@
+"""The free run over whole recordings, fast: pieces side by side, each with a run-up that is thrown away."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from training.network import Networks
+from training.windows import Windows
+
+PIECE, RUN_UP = 100, 100
+"""Ticks. The run-up is what the slowest state takes to forget where it began."""
+
+
+class Course(NamedTuple):
+    """Of every tick with a run-up, scaled: its number (K,), prediction (M, T, K), states of it and before (M, F, K).
+
+    A network of the old input predicts with the states before: there they are the same.
+    """
+
+    at: Tensor
+    y: Tensor
+    x: Tensor
+    before: Tensor
+
+
+def free_run(networks: Networks, windows: Windows) -> Course:
+    """The course over all samples; each stretch begins as the vehicle does, and counts once it has settled."""
+    starts, first = [], []
+    for begin, end in windows.bounds:
+        for k in range(begin, end, PIECE):
+            start = max(begin, min(k - RUN_UP, end - PIECE - RUN_UP))
+            starts.append(start)
+            first.append(max(k, begin + RUN_UP))
+    at = torch.tensor(starts)[:, None] + torch.arange(PIECE + RUN_UP)  # (P, L)
+    last = torch.tensor([next(end for begin, end in windows.bounds if begin <= s < end) for s in starts])
+    inside = torch.minimum(at, last[:, None] - 1)
+    z = windows.z[inside].permute(1, 2, 0)[:, None].expand(-1, networks.members, -1, -1)  # (L, M, nz, P)
+    x = windows.starts[torch.tensor(starts)].T[None].expand(networks.members, -1, -1)
+    with torch.no_grad():
+        run = networks.run(x.contiguous(), z)
+    told = torch.zeros(len(windows.z), dtype=torch.bool)
+    numbers, places = [], []
+    for p, (s, f) in enumerate(zip(starts, first, strict=True)):
+        for k in range(max(f, s + RUN_UP), min(s + PIECE + RUN_UP, int(last[p]))):
+            if not told[k]:
+                told[k] = True
+                numbers.append(k)
+                places.append((k - s, p))
+    step, piece = torch.tensor(places).T
+    order = torch.tensor(numbers)
+    y, states = run.y.permute(1, 2, 0, 3), run.x.permute(1, 2, 0, 3)
+    earlier = step - 1 if networks.recipe.newest else step
+    return Course(order, y[:, :, step, piece], states[:, :, step, piece], states[:, :, earlier, piece])

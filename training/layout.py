@@ -1,0 +1,125 @@
+"""Which network function takes what: the tests' computational graphs as columns of one vector.
+
+A test's dx/dt = g(x, u) has one function a state and its y = h(x, u) one function, with exactly the arguments that
+backtracking the computational graph gives (thesis 3.3, 5.10; `analysis.structure.arguments`). All functions of all
+tests are evaluated side by side: their arguments are columns of [states of all tests (F); signals (nz); 0], the last
+for those that have fewer than others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.graph.bank import state_of
+from analysis.model import Model
+from analysis.structure import Test, find_tests
+from analysis.structure.arguments import Arguments, arguments
+from service.core.errors import InputError
+from service.core.manifest import State
+
+Array = npt.NDArray[np.float64]
+Columns = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The functions of T tests with F states over nz signals.
+
+    `rates` (F, D) and `outputs` (T, D') are columns of [states; signals; 0]. `owner` (F,) is the test of a state,
+    `predicts` (T,) the signal column of a test. `starts` are the states as the test's own signals give them on the
+    vehicle, `sensed` the signals of which the model says that they are the state, of whichever test.
+    """
+
+    model: Model
+    tests: tuple[Test, ...]
+    signals: tuple[str, ...]
+    states: tuple[str, ...]
+    owner: Columns
+    rates: Columns
+    outputs: Columns
+    predicts: Columns
+    starts: tuple[State, ...]
+    sensed: tuple[str | None, ...]
+
+    @property
+    def padding(self) -> int:
+        """The column that is zero."""
+        return len(self.states) + len(self.signals)
+
+    def direct(self, test: int) -> int | None:
+        """The state that a test's h returns as it is, if it has no other argument."""
+        used = self.outputs[test][self.outputs[test] != self.padding]
+        return int(used[0]) if len(used) == 1 and used[0] < len(self.states) else None
+
+    def started(self, z: Array) -> Array:
+        """What `starts` say of the states (..., F) at samples z (..., nz)."""
+        gain = np.array([[state.gain.get(name, 0.0) for name in self.signals] for state in self.starts])
+        return np.asarray(z @ gain.T + np.array([state.offset for state in self.starts]))
+
+
+def layout_of(model: Model, wanted: Sequence[str] | None = None) -> Layout:
+    """The layout of the tests that have integral causality and a state, or of the `wanted` ones of them.
+
+    Raises:
+        InputError: a wanted test is none of the model's, or cannot be a network, with the reason; none can.
+    """
+    found = {test.name: test for test in find_tests(model)}
+    for name in wanted or ():
+        if name not in found:
+            raise InputError(f"--tests {name}: {model.name} has no such test; it has {', '.join(found)}")
+        if (reason := _obstacle(found[name])) is not None:
+            raise InputError(f"--tests {name}: cannot be a network: {reason}")
+    tests = [test for name, test in found.items() if isinstance(test, Test) and test.states]
+    chosen = [test for test in tests if wanted is None or test.name in wanted]
+    if not chosen:
+        raise InputError(f"{model.name}: no test has integral causality and a state: there is no network to train")
+    return _layout(model, chosen)
+
+
+def _obstacle(test: object) -> str | None:
+    if not isinstance(test, Test):
+        return str(getattr(test, "obstacle", "no integral causality"))
+    return None if test.states else "it has no state, its equations alone compute the residual (`faultline code`)"
+
+
+def _layout(model: Model, tests: Sequence[Test]) -> Layout:
+    signals = tuple(model.known)
+    place = {(t, name): k for k, (t, name) in enumerate((t, s) for t, test in enumerate(tests) for s in test.states)}
+    size = len(place)
+
+    def columns(t: int, of: Arguments) -> list[int]:
+        return [place[t, name] for name in of.states] + [size + signals.index(name) for name in of.known]
+
+    graphs = [arguments(model, test) for test in tests]
+    rates = [columns(t, graphs[t].rates[name]) for t, name in place]
+    outputs = [columns(t, graph.output) for t, graph in enumerate(graphs)]
+    return Layout(
+        model=model,
+        tests=tuple(tests),
+        signals=signals,
+        states=tuple(f"{tests[t].name}.{name}" for t, name in place),
+        owner=np.array([t for t, _ in place], dtype=np.intp),
+        rates=_padded(rates, size + len(signals)),
+        outputs=_padded(outputs, size + len(signals)),
+        predicts=np.array([signals.index(test.predicts) for test in tests], dtype=np.intp),
+        starts=tuple(state_of(model, tests[t], name) for t, name in place),
+        sensed=tuple(_sensed(model, name) for _, name in place),
+    )
+
+
+def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
+    width = max(len(row) for row in rows)
+    return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
+
+
+def _sensed(model: Model, name: str) -> str | None:
+    """The signal that is the state, by an equation that has these two and no other variable."""
+    for equation in model.equations:
+        used = {symbol.name for symbol in model.expression(equation, with_fault=False).free_symbols}
+        known = used & model.known.keys()
+        if used & model.unknown.keys() == {name} and len(known) == 1 and len(used) == 2:
+            [signal] = known
+            return str(signal)
+    return None

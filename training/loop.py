@@ -1,0 +1,268 @@
+"""The training: phases of ever longer windows, the best weights of every member's test kept."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from service.core.errors import InputError
+from training.free_run import free_run
+from training.layout import Layout
+from training.linear import linear_outputs, linear_rates
+from training.network import SPEED, Networks
+from training.recipe import Phase, Recipe
+from training.reckoned import reckoned
+from training.samples import Samples
+from training.scaling import Scaling, scaling_of
+from training.windows import Batch, Windows
+
+Array = npt.NDArray[np.float64]
+
+EVERY = 50
+"""Iterations between two looks at the free run."""
+
+LOST = 1e-8
+"""Adam's, in float32."""
+
+
+@dataclass
+class History:
+    """What a look at the free run saw: at `iteration`, the `loss` and each test's free-run `error`s, scaled.
+
+    `seen` and `held` are medians over members (T,) where a member was trained, and in the fold that it did not see.
+    """
+
+    iteration: list[int] = field(default_factory=list)
+    loss: list[float] = field(default_factory=list)
+    seen: list[list[float]] = field(default_factory=list)
+    held: list[list[float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Report:
+    """To whoever watches: `done` of `of` iterations, the loss, the median free-run error over tests, what is kept."""
+
+    done: int
+    of: int
+    loss: float
+    error: float
+
+
+class Begin(Protocol):
+    """Weights that were trained before, and the scaling that they are for."""
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """The networks' state."""
+
+    @property
+    def scaling(self) -> Scaling:
+        """Kept as it is."""
+
+
+class Training:
+    """A training with all that it takes to go on: weights, optimizer, random numbers, best weights, history."""
+
+    def __init__(
+        self, layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: "Begin | None" = None
+    ) -> None:
+        torch.manual_seed(seed)
+        states = reckoned(layout, samples)
+        self.scaling = scaling = begin.scaling if begin else scaling_of(samples, states, recipe.scale)
+        self.layout, self.recipe = layout, recipe
+        self.recordings = [stretch.recording for stretch in samples.stretches]
+        self.stopped: str | None = None  # why, if it was before the end
+        self.windows = Windows(layout, samples, states, scaling, recipe.folds, seed)
+        self.networks = Networks(layout, recipe, recipe.members)
+        if begin:
+            self.networks.load_state_dict(begin.weights)
+        else:
+            self._linear(samples, states)
+        fixed = () if self.networks.outputs.hidden else (self.networks.outputs.first,)  # h is a state: no gain to learn
+        self._parameters = [p for p in self.networks.parameters() if all(p is not other for other in fixed)]
+        behind = {id(p) for p in self.networks.rates.weights}
+        groups = [
+            {"params": [p for p in self._parameters if (id(p) in behind) is chosen], "weight_decay": decay}
+            for chosen, decay in ((True, recipe.decay), (False, 0.0))
+        ]
+        self._optimizer = torch.optim.AdamW(groups, lr=recipe.rate, eps=LOST)
+        self._random = torch.Generator().manual_seed(seed)
+        self._targets = self._measured()
+        self.history = History()
+        self.done = 0
+        self.best = {name: value.clone() for name, value in self.networks.state_dict().items()}
+        self.best_error = torch.full((recipe.members, len(layout.tests)), math.inf)
+
+    @property
+    def iterations(self) -> int:
+        """Of all phases."""
+        return sum(phase.iterations for phase in self.recipe.phases)
+
+    def run(self, say: Callable[[Report], None], keep: Callable[[], None]) -> None:
+        """To the end; `say` hears of every look at the free run, `keep` may write a checkpoint then.
+
+        Raises:
+            InputError: it diverges, and nothing good was found before.
+        """
+        while self.done < self.iterations:
+            loss = self._iteration(self._phase())
+            self.done += 1
+            if not math.isfinite(loss):
+                self._stop(f"the loss is {loss}")
+                return
+            if self.done % EVERY == 0 or self.done == self.iterations:
+                error = self._look(loss)
+                say(Report(self.done, self.iterations, loss, error))
+                keep()
+
+    def finish(self) -> Networks:
+        """The networks with the best weights of every member's test."""
+        self.networks.load_state_dict(self.best)
+        return self.networks
+
+    def state(self) -> dict[str, Any]:
+        """All that `restore` needs."""
+        return {
+            "done": self.done,
+            "weights": self.networks.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "random": self._random.get_state(),
+            "best": self.best,
+            "best_error": self.best_error,
+            "history": vars(self.history),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Goes on where another one, of the same arguments, was when it gave its `state`."""
+        self.done = state["done"]
+        self.networks.load_state_dict(state["weights"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._random.set_state(state["random"])
+        self.best, self.best_error = state["best"], state["best_error"]
+        self.history = History(**state["history"])
+
+    def _linear(self, samples: Samples, states: Sequence[Array]) -> None:
+        """Begins with what least squares gives."""
+        layout, networks = self.layout, self.networks
+        share = 1.0 / (1.0 + math.exp(-SPEED))
+        starts = [(networks.outputs, linear_outputs(layout, samples, states, self.scaling))]
+        if self.recipe.linear:
+            starts.append((networks.rates, linear_rates(layout, samples, states, self.scaling, share)))
+        for stack, at in starts:
+            parts = (torch.tensor(part, dtype=torch.float32) for part in at)
+            stack.set_linear(*(part.expand(self.recipe.members, *part.shape) for part in parts))
+
+    def _phase(self) -> Phase:
+        before = 0
+        for phase in self.recipe.phases:
+            before += phase.iterations
+            if self.done < before:
+                return phase
+        return self.recipe.phases[-1]
+
+    def _iteration(self, phase: Phase) -> float:
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._rate()
+        batch = self.windows.batch(phase.length, phase.batch, self.recipe.members, self._random)
+        loss = self._loss(batch, phase.burn)
+        self._optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self._clip()
+        self._optimizer.step()
+        return float(loss.detach())
+
+    def _loss(self, batch: Batch, burn: int) -> Tensor:
+        """The mean squared error of what the tests predict, summed over members and tests: each learns by itself."""
+        run = self.networks.run(batch.x, batch.z)
+        counts = batch.counts[burn:, :, None]
+        y = batch.z.index_select(2, torch.as_tensor(self.layout.predicts))[burn:]
+        weight = counts / counts.sum(dim=(0, 3), keepdim=True).clamp(min=1.0)
+        loss = ((run.y[burn:] - y) ** 2 * weight).sum()
+        if self.recipe.latent:
+            column, gain, offset = self._targets
+            known = batch.z.index_select(2, column)[burn:] * gain[:, None] + offset[:, None]
+            wanted = self.recipe.latent * (gain != 0.0)[:, None]
+            loss = loss + (wanted * (run.x[burn:] - known) ** 2 * weight).sum()
+        return loss
+
+    def _measured(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Per state the signal that measures it, if one does, and the map to it, all scaled: 0 where none does."""
+        layout, scaling = self.layout, self.scaling
+        column = np.array([layout.signals.index(name) if name else 0 for name in layout.sensed])
+        there = np.array([name is not None for name in layout.sensed])
+        gain = np.where(there, scaling.z_size[column] / scaling.x_size, 0.0)
+        offset = np.where(there, (scaling.z_offset[column] - scaling.x_offset) / scaling.x_size, 0.0)
+        return torch.tensor(column), torch.tensor(gain, dtype=torch.float32), torch.tensor(offset, dtype=torch.float32)
+
+    def _rate(self) -> float:
+        recipe, done = self.recipe, self.done
+        warm = min(1.0, (done + 1) / recipe.warm_up) if recipe.warm_up else 1.0
+        if recipe.last is None:
+            return float(recipe.rate * warm * 0.98 ** (done // 10))
+        part = 0.5 * (1.0 + math.cos(math.pi * done / self.iterations))
+        return recipe.rate * warm * (recipe.last + (1.0 - recipe.last) * part)
+
+    def _clip(self) -> None:
+        """Cuts the gradient of every member's test at the recipe's norm."""
+        members, owner = self.recipe.members, torch.as_tensor(self.layout.owner)
+        square = torch.zeros(members, len(self.layout.tests))
+        for parameter, test in self._owned(owner):
+            if parameter.grad is None:  # an increment has no speed to learn
+                continue
+            square.index_add_(1, test, parameter.grad.reshape(members, len(test), -1).pow(2).sum(dim=2))
+        scale = (self.recipe.clip / square.sqrt().clamp(min=1e-12)).clamp(max=1.0)
+        for parameter, test in self._owned(owner):
+            if parameter.grad is None:
+                continue
+            parameter.grad.view(members, len(test), -1).mul_(scale[:, test, None])
+
+    def _owned(self, owner: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """The parameters, each with the test of each of its functions."""
+        tests = torch.arange(len(self.layout.tests))
+        outputs = {id(p) for p in self.networks.outputs.parameters()}
+        return [(p, tests if id(p) in outputs else owner) for p in self._parameters]
+
+    def _look(self, loss: float) -> float:
+        """Free run; keeps what is better than ever. The median error over members and tests where it was not seen."""
+        course = free_run(self.networks, self.windows)
+        y = self.windows.z[course.at][:, torch.as_tensor(self.layout.predicts)].T  # (T, K)
+        square = (course.y - y).pow(2)
+        hidden = (self.windows.fold[course.at] == self.windows.of(self.recipe.members)[:, None]).to(torch.float32)
+        seen, held = (_rms(square, part[:, None]) for part in (1.0 - hidden, hidden))
+        judged = held if self.recipe.folds else seen
+        better = judged < self.best_error if self.recipe.folds else torch.isfinite(judged)  # else the last ones stay
+        self._keep(better)
+        self.best_error = torch.where(better, judged, self.best_error)
+        self.history.iteration.append(self.done)
+        self.history.loss.append(loss)
+        self.history.seen.append(seen.median(dim=0).values.tolist())
+        self.history.held.append(held.median(dim=0).values.tolist())
+        return float(judged.median())
+
+    def _keep(self, better: Tensor) -> None:
+        """Takes the weights of the members' tests (M, T) that are `better` than ever."""
+        owner = torch.as_tensor(self.layout.owner)
+        for name, now in self.networks.state_dict().items():
+            mask = better if name.startswith("outputs") else better[:, owner]  # of the functions that are a test's
+            new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))
+            self.best[name] = torch.where(mask[:, :, None], new, old).reshape(now.shape)
+
+    def _stop(self, why: str) -> None:
+        self.stopped = f"it diverges, {why}"
+        if not bool(torch.isfinite(self.best_error).all()):
+            raise InputError(
+                f"training diverges after {self.done} iterations ({why}), before every test had run freely once; train "
+                "on more data, or with another --seed or --recipe"
+            )
+
+
+def _rms(square: Tensor, weight: Tensor) -> Tensor:
+    """Root mean (M, T) of squares (M, T, K) where the weight is one; infinite where that is nowhere."""
+    count = weight.sum(dim=2)
+    mean = (square * weight).sum(dim=2) / count.clamp(min=1.0)
+    return torch.where(count > 0, mean.sqrt(), torch.full_like(mean, math.inf))

@@ -1,0 +1,69 @@
+"""The networks of all tests and members as one recurrent network: a step, and a free run over windows."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from analysis.graph.bank import PERIOD_S
+from training.layout import Layout
+from training.recipe import Recipe
+from training.stack import Stack
+
+SPEED = 2.0
+"""Where the relaxation of a state begins, as a logit: 0.88 of the way in a tick."""
+
+SMALL = 0.1
+"""Part of its usual size with which a last layer begins."""
+
+
+class Run(NamedTuple):
+    """A free run, scaled: predictions (L, M, T, B), and the states (L, M, F, B) that they were made with."""
+
+    y: Tensor
+    x: Tensor
+
+
+class Networks(nn.Module):
+    """M members of the networks of a layout, of a recipe's shape. All values are scaled; x (M, F, B), z (M, nz, B)."""
+
+    def __init__(self, layout: Layout, recipe: Recipe, members: int) -> None:
+        super().__init__()
+        self.recipe, self.members = recipe, members
+        self.rates = Stack(layout.rates.tolist(), members, recipe.hidden, SMALL, layout.padding)
+        simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
+        hidden = () if simple and recipe.name != "thesis" else recipe.hidden
+        self.outputs = Stack(layout.outputs.tolist(), members, hidden, SMALL, layout.padding)
+        self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
+
+    def advanced(self, x: Tensor, z: Tensor) -> Tensor:
+        """The states after a tick with input z."""
+        f: Tensor = self.rates(self._columns(x, z))
+        if self.recipe.cell == "increment":
+            return x + PERIOD_S * f
+        return torch.lerp(x, f, torch.sigmoid(self.logit))
+
+    def predicted(self, x: Tensor, z: Tensor) -> Tensor:
+        """What the tests predict (M, T, B)."""
+        out: Tensor = self.outputs(self._columns(x, z))
+        return out
+
+    def step(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Prediction and states after a tick, in the recipe's order."""
+        if self.recipe.newest:
+            x = self.advanced(x, z)
+            return self.predicted(x, z), x
+        return self.predicted(x, z), self.advanced(x, z)
+
+    def run(self, x: Tensor, z: Tensor) -> Run:
+        """From the states x over inputs z (L, M, nz, B), on the inputs alone."""
+        ys, xs = [], []
+        for now in z:
+            y, after = self.step(x, now)
+            ys.append(y)
+            xs.append(after if self.recipe.newest else x)
+            x = after
+        return Run(torch.stack(ys), torch.stack(xs))
+
+    def _columns(self, x: Tensor, z: Tensor) -> Tensor:
+        return torch.cat([x, z, torch.zeros_like(z[:, :1])], dim=1)

@@ -1,0 +1,145 @@
+"""What networks are trained on: the samples of recordings, as the vehicle's own sampler sees them at its ticks."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.provenance import check_vehicle
+from analysis.graph.bank import PERIOD_S
+from analysis.model import Model
+from analysis.recordings.observe import open_known, ticks_of
+from service.core.decode import DecodeTable, compile_dbc
+from service.core.errors import InputError
+from service.core.generators import Residuals
+from service.core.manifest import Input
+from service.core.observer import Tick
+from service.core.signals import Mask, Vector
+from service.logs import Frame
+
+Array = npt.NDArray[np.float64]
+
+LEAST_S = 30.0
+"""Of a stretch: its beginning is for the states to settle."""
+
+ENOUGH_S = 120.0
+"""Of all stretches: with less, a network knows a few operating points by heart."""
+
+WITHIN_S = 2.0
+"""Of a log's beginning: by then every message has come, or is a rare one."""
+
+MOVES = 3
+"""Distinct values that a signal must have: with two it may as well be a switch that was thrown once."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Ticks in a row in which every signal was usable and in its operating region: samples `z` (K, nz)."""
+
+    recording: str
+    z: Array
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The stretches of some recordings, with the SHA-256 of their logs; columns are `signals`.
+
+    The `seconds` of the recordings are there once for each start (see `_starts`).
+    """
+
+    signals: tuple[str, ...]
+    stretches: tuple[Stretch, ...]
+    digests: tuple[str, ...]
+    vehicle: str | None
+    seconds: float
+
+
+class _Blind:
+    """Generators that compute nothing: only the samples are wanted."""
+
+    def step(self, z: Vector, usable: Mask) -> Residuals:
+        """Nothing of nothing."""
+        del z, usable
+        none = np.zeros(0)
+        return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
+
+
+def load_samples(
+    model: Model, inputs: Sequence[Input], recordings: Sequence[Path], say: Callable[[str], None]
+) -> Samples:
+    """The samples of fault-free recordings.
+
+    Raises:
+        InputError: a recording is none, is named twice or is of another vehicle than the rest; a signal never moves;
+            there is too little.
+    """
+    units = {channel.signal: channel.unit for channel in inputs}
+    stretches: list[Stretch] = []
+    digests: list[str] = []
+    vehicle: str | None = None
+    seconds = 0.0
+    for path in recordings:
+        log = open_known(path, say)
+        if log.sha256 in digests:
+            raise InputError(f"{path}: this recording is named twice; name it once")
+        if vehicle is not None:
+            check_vehicle(log, path, vehicle, f"{recordings[0]}")
+        vehicle = log.recording.vehicle if log.recording else vehicle
+        table = compile_dbc(log.dbc, units, str(path))
+        watched = [ticks_of(model, inputs, table, frames, _Blind()) for frames in _starts([*log.relative()], table)]
+        found = [Stretch(log.id, z) for ticks in watched for z in _stretches(ticks, inputs)]
+        kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / len(watched)
+        seconds += kept
+        say(f"{log.id}: {kept:.0f} s, seen from {len(watched)} starts of the vehicle")
+        stretches += found
+        digests.append(log.sha256)
+    signals = tuple(channel.signal for channel in inputs)
+    samples = Samples(signals, tuple(stretches), tuple(digests), vehicle, seconds)
+    _check(samples, recordings)
+    return samples
+
+
+def _starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Sequence[Frame]]:
+    """The frames as a vehicle would see them that is switched on after any message of the first seconds.
+
+    Which message comes last before the first tick decides how old each signal is at every tick: an accident of the
+    start. Networks that have seen one such accident only take it for physics.
+    """
+    seen: set[int] = set()
+    for k, (t_s, can_id, is_extended, data) in enumerate(frames):
+        if t_s > frames[0][0] + WITHIN_S:
+            return
+        if can_id not in seen and [*table.decode(can_id, is_extended, data)]:
+            seen.add(can_id)
+            yield frames[k:]
+
+
+def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[Array]:
+    """Runs of ticks that are usable and in the operating region, of `LEAST_S` at least."""
+    if not ticks:
+        return []
+    values, usable = np.array([tick.z for tick in ticks]), np.array([tick.usable for tick in ticks])
+    lower, upper = (np.array([getattr(channel, name) for channel in inputs]) for name in ("lower", "upper"))
+    good = usable.all(axis=1) & ((values >= lower) & (values <= upper)).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    runs = zip(edges[::2], edges[1::2], strict=True)
+    return [values[begin:end] for begin, end in runs if (end - begin) * PERIOD_S >= LEAST_S]
+
+
+def _check(samples: Samples, recordings: Sequence[Path]) -> None:
+    names = ", ".join(str(path) for path in recordings)
+    if samples.seconds < ENOUGH_S:
+        raise InputError(
+            f"{names}: {samples.seconds:.0f} s in which all signals can be used and are in their operating region, in "
+            f"pieces of at least {LEAST_S:.0f} s; {ENOUGH_S - samples.seconds:.0f} s more are needed, ten minutes are "
+            "better"
+        )
+    z = np.concatenate([stretch.z for stretch in samples.stretches])
+    for column, signal in enumerate(samples.signals):
+        if len(np.unique(z[:, column])) < MOVES:
+            raise InputError(
+                f"{names}: {signal} hardly moves ({z[0, column]:g}): a sensor that is stuck, or an input that was "
+                "held; record a cycle that moves it"
+            )

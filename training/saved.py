@@ -1,0 +1,77 @@
+"""Weights beside the graph, so that networks that were trained on a bench can be adapted to a truck (thesis 8.2.5)."""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from service.core.errors import InputError
+from training.layout import Layout
+from training.loop import Training
+from training.recipe import RECIPES, Phase, Recipe
+from training.scaling import Scaling
+
+FILE = "weights.pt"
+
+PHASES = (Phase(16, 6, 48, 100), Phase(40, 10, 32, 150), Phase(100, 20, 24, 50))
+RATE = 5e-3
+"""Of an adaptation: what was learnt is nearly right, and the recording is short."""
+
+
+@dataclass(frozen=True)
+class Saved:
+    """Weights, the scaling that they are for, and the recipe that they were trained with."""
+
+    weights: dict[str, Tensor]
+    scaling: Scaling
+    recipe: Recipe
+
+    def adapting(self) -> Recipe:
+        """The recipe that goes on from here."""
+        return replace(self.recipe, phases=PHASES, rate=RATE)
+
+
+def save_weights(folder: Path, training: Training) -> None:
+    """Writes the weights of a training that is over.
+
+    Raises:
+        InputError: they cannot be written.
+    """
+    recipe, layout = training.recipe, training.layout
+    scaling = {name: torch.tensor(value) for name, value in asdict(training.scaling).items()}
+    shape = {"recipe": recipe.name, "hidden": list(recipe.hidden), "members": recipe.members}
+    try:
+        torch.save(
+            {"weights": training.best, "scaling": scaling, **shape, "functions": _functions(layout)}, folder / FILE
+        )
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{folder / FILE}: cannot be written: {error}; give --out another place") from error
+
+
+def load_weights(folder: Path, layout: Layout) -> Saved:
+    """The weights in a folder, for this layout.
+
+    Raises:
+        InputError: there are none, they are damaged, or of other functions.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        raise InputError(f"{path}: not found; give the folder that `faultline train` wrote")
+    try:
+        state: dict[str, Any] = torch.load(path, weights_only=True)
+        recipe = replace(RECIPES[state["recipe"]], hidden=tuple(state["hidden"]), members=state["members"])
+        scaling = Scaling(**{name: np.asarray(value.numpy()) for name, value in state["scaling"].items()})
+        functions, weights = state["functions"], state["weights"]
+    except (RuntimeError, EOFError, UnpicklingError, OSError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: cannot be read, {str(error).splitlines()[0]}; train the networks anew") from error
+    if functions != _functions(layout):
+        raise InputError(f"{path}: is of other tests or of another model; give the same --tests and model as then")
+    return Saved(weights, scaling, recipe)
+
+
+def _functions(layout: Layout) -> list[Any]:
+    return [[*layout.signals], [*layout.states], layout.rates.tolist(), layout.outputs.tolist()]
