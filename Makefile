@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations clean
+.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations campaign-training clean
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -36,6 +36,9 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
+
+campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/grey_box.py
 
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info

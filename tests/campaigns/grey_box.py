@@ -1,0 +1,241 @@
+"""What networks are worth beside the calibrated equations: error, coverage, novelty, cost, transfer.
+
+    .venv/bin/python tests/campaigns/grey_box.py
+
+A record is a vehicle of the rig with an effect or none, on which both are made from one training recording, and judged
+on others. Finished records stay in `KEPT`; a call goes on with those that are missing. The page is written anew.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import numpy.typing as npt
+from results_page import digest, head_commit
+
+from analysis.calibration.command import main as calibrate
+from analysis.graph.bank import build_bank
+from analysis.graph.networks import Networks
+from analysis.graph.runnable import Runnable
+from analysis.model import Model, load_model
+from analysis.recordings.observe import ticks_of
+from service.core.decode import compile_dbc
+from service.logs import open_log
+from testbench.command import main as rig
+from training.bank import networks_of
+from training.layout import layout_of
+from training.loop import Begin, Training
+from training.recipe import DEFAULT, THESIS, Phase, Recipe
+from training.samples import load_samples
+from training.saved import PHASES, RATE
+
+Array = npt.NDArray[np.float64]
+Record = dict[str, Any]
+
+KEPT, PAGE = Path("docs/results/grey-box.jsonl"), Path("docs/results/grey-box.md")
+MODEL = "uds4"
+BAND = 2.576
+"""Of sigma: the adaptive band that 99 % shall lie within."""
+
+JUDGED = ("validation", "drive", "controller")
+"""Recordings on which both are judged; in the last, another controller drives the same cycle as in the first."""
+
+GAIN, INTEGRAL_TIME = 0.5, 2.0
+"""Of that controller, in parts of the usual one's."""
+
+SHORT_S = (120.0, 240.0)
+"""Recordings of a truck to which a bench's networks are adapted."""
+
+EPOCHS = 3
+"""Of the thesis' recipe, for what one costs."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A vehicle with an effect (or none), and the seed of its recordings and networks."""
+
+    vehicle: str
+    effect: str | None
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """For example truck-2-full_lift-0."""
+        return f"{self.vehicle}-{self.effect or 'none'}-{self.seed}"
+
+
+def cases() -> Iterator[Case]:
+    """Five seeds on the bench, five trucks, two effects that the equations lack."""
+    yield from (Case("bench", None, seed) for seed in range(5))
+    yield from (Case(f"truck-{number}", None, 0) for number in range(1, 6))
+    yield from (Case("bench", effect, 0) for effect in ("full_lift", "stiff_hose"))
+
+
+def made(case: Case, cycle: str, folder: Path, seed: int, duration_s: float, *, slow: bool = False) -> Path:
+    """An instrumented recording of the case, fault-free."""
+    name = f"{case.name}-{cycle}-{seed}{'-slow' if slow else ''}"
+    given = ["record", "--cycle", cycle, "--vehicle", case.vehicle, "--kind", "instrumented", "--profile", "ideal"]
+    given += ["--seed", str(seed), "--duration", str(duration_s), "--id", name, "--out", str(folder / "logs")]
+    given += ["--truth", str(folder / "truth"), *(["--effect", case.effect] if case.effect else [])]
+    gains = (GAIN, INTEGRAL_TIME) if slow else (1.0, 1.0)
+    with (
+        patch("testbench.ecu.GAIN", 6.0e-5 * gains[0]),
+        patch("testbench.ecu.INTEGRAL_TIME", 1.6 * gains[1]),
+    ):
+        assert rig(given) == 0
+    return folder / "logs" / name
+
+
+def trained(
+    model: Model, recording: Path, recipe: Recipe, seed: int, begin: Begin | None = None
+) -> tuple[Networks, Training, float]:
+    """Networks from a recording, and the CPU time [s] that they took."""
+    bank, layout = build_bank(model), layout_of(model)
+    samples = load_samples(model, bank.inputs, [recording], lambda _: None)
+    start = time.process_time()
+    training = Training(layout, samples, recipe, seed, begin)
+    training.run(lambda _: None, lambda: None)
+    found = networks_of(training, samples, seed)
+    return found, training, time.process_time() - start
+
+
+def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[str, float]]:
+    """By test: RMS error [Pa] of equations and networks, coverage of the band, share of novel ticks; and the inputs."""
+    runnable = Runnable(build_bank(model), networks)
+    log = open_log(recording)
+    table = compile_dbc(log.dbc, {c.signal: c.unit for c in runnable.bank.inputs}, str(recording))
+    ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
+    r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "usable"))
+    found, tests = {}, len(runnable.bank.tests)
+    for t, test in enumerate(runnable.bank.tests):
+        both = usable[:, t]
+        net = usable[:, t + tests] & both
+        found[test.name] = {
+            "equations": _rms(r[both, t]),
+            "networks": _rms(r[net, t + tests]),
+            "covered": float((np.abs(r[net, t + tests]) < BAND * sigma[net, t + tests]).mean()),
+            "novel": 1.0 - float(net.sum() / both.sum()),
+        }
+    return found
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def compared(case: Case) -> Record:
+    """Equations and networks from one recording, judged on others."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, first = Path(scratch), 100 * case.seed
+        training = made(case, "training", folder, first + 1, 600.0)
+        assert calibrate([MODEL, str(training), "--out", str(folder / "model.toml")]) in (0, 1)
+        calibrated = folder / "model.toml"
+        model = load_model(str(calibrated) if calibrated.exists() else MODEL)
+        networks, _, cpu_s = trained(model, training, DEFAULT, case.seed)
+        recordings = {
+            "validation": made(case, "validation", folder, first + 2, 480.0),
+            "drive": made(case, "drive", folder, first + 3, 480.0),
+            "controller": made(case, "validation", folder, first + 2, 480.0, slow=True),
+        }
+        return {
+            "kind": "compared",
+            "case": case.name,
+            **asdict(case),
+            "cpu_s": cpu_s,
+            "calibrated": calibrated.exists(),
+            "bytes": len(networks.graph),
+            "judged": {name: judged(model, networks, recording) for name, recording in recordings.items()},
+        }
+
+
+def transferred(seconds: float) -> Record:
+    """The bench's networks on a truck: as they are, adapted to a short recording, and trained on that alone."""
+    model, bench, truck = load_model(MODEL), Case("bench", None, 0), Case("truck", None, 0)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        usual, training, _ = trained(model, made(bench, "training", folder, 1, 600.0), DEFAULT, 0)
+        short = made(truck, "drive", folder, 5, seconds + 25.0)  # the first of it builds the pressure up
+        begin = _Weights(training.best, training.scaling)
+        adapted, _, adapting_s = trained(model, short, replace(DEFAULT, phases=PHASES, rate=RATE), 0, begin)
+        anew, _, anew_s = trained(model, short, DEFAULT, 0)
+        other = made(truck, "validation", folder, 6, 480.0)
+        errors = {
+            name: {test: found["networks"] for test, found in judged(model, networks, other).items()}
+            for name, networks in (("as they are", usual), ("adapted", adapted), ("anew", anew))
+        }
+    cost = {"adapted": adapting_s, "anew": anew_s}
+    return {"kind": "transfer", "case": f"transfer-{seconds:.0f}", "seconds": seconds, "cpu_s": cost, "errors": errors}
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """Where an adaptation begins."""
+
+    weights: dict[str, Any]
+    scaling: Any
+
+
+def thesis_cost(test: str) -> Record:
+    """What an epoch of the thesis' recipe costs, one member of one test by itself, as the thesis ran it."""
+    model = load_model(MODEL)
+    with tempfile.TemporaryDirectory() as scratch:
+        recording = made(Case("bench", None, 0), "training", Path(scratch), 1, 600.0)
+        samples = load_samples(model, build_bank(model).inputs, [recording], lambda _: None)
+    one = replace(samples, stretches=samples.stretches[:1])  # of one start, as the thesis had
+    training = Training(layout_of(model, [test]), one, replace(THESIS, phases=(Phase(None, 0, 1, EPOCHS),)), 0)
+    start = time.process_time()
+    training.run(lambda _: None, lambda: None)
+    epoch_s = (time.process_time() - start) / EPOCHS
+    return {"kind": "thesis", "case": f"thesis-{test}", "test": test, "epoch_s": epoch_s}
+
+
+def work() -> list[tuple[str, Any, Any]]:
+    """All records: name, function and its argument."""
+    tests = [test.name for test in layout_of(load_model(MODEL)).tests]
+    found: list[tuple[str, Any, Any]] = [(case.name, compared, case) for case in cases()]
+    found += [(f"transfer-{seconds:.0f}", transferred, seconds) for seconds in SHORT_S]
+    return found + [(f"thesis-{test}", thesis_cost, test) for test in tests]
+
+
+def kept() -> list[Record]:
+    """The records that are there."""
+    return [json.loads(line) for line in KEPT.read_text().splitlines()] if KEPT.exists() else []
+
+
+def _done(order: tuple[str, Any, Any]) -> Record:
+    import torch
+
+    torch.set_num_threads(1)
+    _, function, argument = order
+    found: Record = function(argument)
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Makes what is missing, and the page."""
+    from grey_box_page import page
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args(arguments)
+    there = {record["case"] for record in kept()}
+    todo = [order for order in work() if order[0] not in there]
+    stamp = {"commit": head_commit(), "code": digest("training", "analysis", "service", "testbench", "dbc")}
+    with get_context("spawn").Pool(options.processes, maxtasksperchild=1) as pool, KEPT.open("a") as out:
+        for record in pool.imap_unordered(_done, todo):
+            print(record["case"], flush=True)
+            out.write(json.dumps({**record, **stamp}) + "\n")
+            out.flush()
+    PAGE.write_text(page(kept()))
+
+
+if __name__ == "__main__":
+    main()
