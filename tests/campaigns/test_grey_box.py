@@ -1,0 +1,53 @@
+"""A fixed sample of the campaign: one vehicle, its hard tests, and every part of the page."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from grey_box import Case, judged, made, trained
+from grey_box_page import HARD, MARK, page
+
+from analysis.calibration.command import main as calibrate
+from analysis.model import load_model
+from training.recipe import DEFAULT
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("grey-box")
+
+
+def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Path) -> None:
+    """The whole bank, as the campaign has it: on a drive, and within the band, and nowhere novel."""
+    torch.set_num_threads(1)
+    case = Case("bench", None, 0)
+    training = made(case, "training", folder, 1, 600.0)
+    assert calibrate(["uds4", str(training), "--out", str(folder / "model.toml")]) == 0
+    model = load_model(str(folder / "model.toml"))
+    networks, _, _ = trained(model, training, DEFAULT, 0)
+    assert len(networks.graph) < 1.5e6
+    found = judged(model, networks, made(case, "drive", folder, 3, 480.0))
+    for test, told in found.items():
+        limit = MARK if test in HARD else 1.3
+        assert told["networks"] < limit * told["equations"], test
+        assert told["covered"] > 0.98, test
+        assert told["novel"] < 0.01, test
+
+
+def test_the_page_has_all_its_parts() -> None:
+    tests = {test: {"equations": 2e3, "networks": 1e3, "covered": 0.99, "novel": 0.0} for test in ("t02", *HARD)}
+    stamp = {"commit": "abc", "code": "def"}
+    common = {"kind": "compared", "vehicle": "bench", "seed": 0, "cpu_s": 50.0, "bytes": 500_000, **stamp}
+    of = dict.fromkeys(("validation", "drive", "controller"), tests)
+    errors = {way: dict.fromkeys(tests, 1e3) for way in ("as they are", "adapted", "anew")}
+    records = [
+        {**common, "case": "bench-none-0", "effect": None, "judged": of},
+        {**common, "case": "bench-full_lift-0", "effect": "full_lift", "judged": of},
+        {"kind": "transfer", "case": "t", "seconds": 120.0, "cpu_s": {"adapted": 9.0, "anew": 50.0}, "errors": errors},
+        {"kind": "thesis", "case": "thesis-t02", "test": "t02", "epoch_s": 1.3},
+    ]
+    told = page([{**record, **stamp} for record in records])
+    assert "Of t12, t13, t19, t21, 12 of 12 ratios are at most 0.75; the worst is 0.50." in told
+    assert "| t02 | 1.30 | 1950 | 1950 |" in told
+    assert "## Hidden in the vehicle: full_lift" in told
+    assert "adapting 9 CPU-s, anew 50 CPU-s" in told
