@@ -3,11 +3,14 @@
 The peer of the fused graph is what a straightforward exporter would ship: one session per residual generator.
 """
 
+import io
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,7 @@ from service.bundle import load_bundle
 from service.core.generators import Graph
 from service.core.monitor import Monitor
 from service.logs import open_log
+from testbench.command import main as rig
 
 GOLDEN = Path(__file__).parent / "golden"
 ROUNDS, CALLS = 15, 400
@@ -58,6 +62,62 @@ def graphs() -> None:
     report("ratio of the pairs", [theirs / ours for ours, theirs in zip(a, b, strict=True)], "x ")
 
 
+def networks() -> None:
+    """Ten generators as networks of five members beside the equations' graph, interleaved; hot, and after a flush.
+
+    Untrained: what a step costs does not depend on the weights.
+    """
+    from training.bank import networks_of
+    from training.layout import layout_of
+    from training.loop import Training
+    from training.recipe import DEFAULT
+    from training.samples import load_samples
+
+    model = load_model("uds4")
+    bank = build_bank(model)
+    with tempfile.TemporaryDirectory() as folder:
+        given = ["--cycle", "drive", "--kind", "instrumented", "--duration", "200", "--id", "bench", "--out", folder]
+        with redirect_stdout(io.StringIO()):
+            rig(["record", *given, "--truth", f"{folder}/truth"])
+        samples = load_samples(model, bank.inputs, [Path(folder) / "bench"], lambda _: None)
+    made = networks_of(Training(layout_of(model), samples, DEFAULT, 0), samples, 0)
+    theirs, ours = Graph(bank.graph()), Graph(made.graph)
+    z = samples.stretches[0].z[:1]
+    states = sum(len(generator.states) for generator in made.description.generators)
+    x = {theirs: bank.start(z[0])[None], ours: np.full((1, states), 1e6)}
+    hot: dict[Graph, list[float]] = {theirs: [], ours: []}
+    cold: dict[Graph, list[float]] = {theirs: [], ours: []}
+    flush = np.zeros(16 * 2**20)
+    for _ in range(ROUNDS):
+        for graph in (theirs, ours):
+            hot[graph].append(cost_us(lambda: graph(z=z, x=x[graph])))  # noqa: B023  (called at once)
+            flush += 1.0
+            start = time.perf_counter()
+            graph(z=z, x=x[graph])
+            cold[graph].append((time.perf_counter() - start) * 1e6)
+    report(f"ten networks of five members ({len(made.graph) / 1024:.0f} KiB), a sample", hot[ours])
+    report("the equations' graph, a sample", hot[theirs])
+    report("networks with cold caches, a sample", cold[ours])
+    report("the equations' graph with cold caches, a sample", cold[theirs])
+    report("resident memory that the networks' graph adds", [added_mib(made.graph, bank.graph(), states)], "MiB")
+
+
+def added_mib(graph: bytes, other: bytes, states: int) -> float:
+    """What a graph adds to a process that runs another one already."""
+    code = (
+        "import sys, numpy as np; from pathlib import Path; from service.core.generators import Graph\n"
+        "def rss(): return int(Path('/proc/self/statm').read_text().split()[1]) * 4096 / 2**20\n"
+        "a = Graph(Path(sys.argv[1]).read_bytes()); before = rss(); b = Graph(Path(sys.argv[2]).read_bytes())\n"
+        "for _ in range(100): b(z=np.ones((1, 5)), x=np.ones((1, int(sys.argv[3]))))\n"
+        "print(rss() - before)"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in (("a", other), ("b", graph)):
+            (Path(folder) / name).write_bytes(content)
+        command = [sys.executable, "-c", code, f"{folder}/a", f"{folder}/b", str(states)]
+        return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
 def monitor() -> None:
     """The whole core on the golden log: decoding, sampling, residuals, decision, events."""
     bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
@@ -85,5 +145,6 @@ def memory() -> None:
 
 if __name__ == "__main__":
     graphs()
+    networks()
     monitor()
     memory()
