@@ -8,6 +8,7 @@ from pickle import UnpicklingError
 import msgspec
 import torch
 
+from analysis.model import dump_model
 from service.core.errors import InputError
 from training.layout import Layout
 from training.loop import Begin, Training
@@ -16,13 +17,22 @@ from training.samples import Samples
 
 FILE = "checkpoint.pt"
 
+UNREADABLE: tuple[type[Exception], ...] = (
+    *(RuntimeError, EOFError, UnpicklingError, OSError, KeyError, IndexError, AttributeError, TypeError, ValueError),
+)
+"""What torch raises for a file that is no such thing, and what such a thing lacks."""
+
+
+def reason(error: Exception) -> str:
+    """The error's first line."""
+    return str(error).partition("\n")[0] or type(error).__name__
+
 
 def key_of(layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: Begin | None = None) -> str:
-    """What a training depends on: recordings, tests, recipe, seed, with what it begins, and this version of torch."""
-    tests = [(test.name, test.predicts, test.known, test.states) for test in layout.tests]
-    arrays = [layout.rates.tolist(), layout.outputs.tolist()]
+    """What a training depends on: recordings, model and tests, recipe, seed, where it begins, this version of torch."""
     before = [] if begin is None else [value.tolist() for value in begin.weights.values()]
-    given = [before, samples.digests, layout.signals, tests, arrays, asdict(recipe), seed, str(torch.__version__)]
+    tests = [dump_model(layout.model), *(test.name for test in layout.tests)]
+    given = [before, samples.digests, tests, asdict(recipe), seed, str(torch.__version__)]
     return hashlib.sha256(msgspec.json.encode(given)).hexdigest()
 
 
@@ -37,8 +47,8 @@ def save_checkpoint(folder: Path, key: str, training: Training) -> None:
         new = folder / f"{FILE}.new"
         torch.save({"key": key, **training.state()}, new)
         new.replace(folder / FILE)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; give --out another place") from error
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{folder}: cannot be written: {reason(error)}; give --out another place") from error
 
 
 def load_checkpoint(folder: Path, key: str, training: Training) -> bool:
@@ -52,11 +62,15 @@ def load_checkpoint(folder: Path, key: str, training: Training) -> bool:
         return False
     try:
         state = torch.load(path, weights_only=True)
-    except (RuntimeError, EOFError, UnpicklingError, OSError) as error:
-        raise InputError(f"{path}: cannot be read; train without --resume: {str(error).splitlines()[0]}") from error
-    if state.get("key") != key:
-        raise InputError(f"{path}: is of another training (recordings, tests, recipe or seed); train without --resume")
-    training.restore(state)
+        there = state["key"]
+        if there == key:
+            training.restore(state)
+    except UNREADABLE as error:
+        raise InputError(f"{path}: cannot be read, {reason(error)}; train without --resume") from error
+    if there != key:
+        raise InputError(
+            f"{path}: is of another training (recordings, model, tests, recipe or seed); train without --resume"
+        )
     return True
 
 

@@ -9,6 +9,7 @@ import torch
 
 from analysis.graph.bank import inputs_of
 from analysis.graph.networks import Networks, save_networks
+from analysis.model import Model
 from analysis.structure.lint import sound_model
 from service.core.errors import InputError
 from training.bank import networks_of
@@ -35,7 +36,7 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("model", help="a model file, or the name of one that comes with faultline; its equations only")
     parser.add_argument("recording", type=Path, nargs="+", help="instrumented and fault-free")
-    parser.add_argument("--recipe", choices=[*RECIPES], default="default", help="how to train (default: %(default)s)")
+    parser.add_argument("--recipe", choices=[*RECIPES], help="how to train (default: default)")
     parser.add_argument("--members", type=int, help="networks of an ensemble (default: the recipe's)")
     parser.add_argument("--tests", nargs="+", metavar="TEST", help="only these (default: all that can be networks)")
     parser.add_argument("--epochs", type=int, help="iterations of the last phase (default: the recipe's)")
@@ -51,29 +52,33 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--resume", action="store_true", help="go on where an interrupted call with the same --out was")
     parser.add_argument("--json", action="store_true", help="print the description as JSON")
     options = parser.parse_args(argv)
-    for name, value in (("members", options.members), ("epochs", options.epochs)):
-        if value is not None and value < 1:
+    for name, value in (("members", options.members), ("epochs", options.epochs), ("recipe", options.recipe)):
+        if isinstance(value, int) and value < 1:
             raise InputError(f"--{name} {value}: at least 1")
         if value is not None and options.begin:
             raise InputError(f"--{name}: networks that are adapted have their own; leave it out")
     torch.set_num_threads(1)  # products are small: a second thread costs six times the CPU time and saves none
-    networks = _trained(options)
-    d = networks.description
-    print(msgspec.json.encode(d).decode() if options.json else _table(networks, options.out))
+    model = sound_model(options.model)
+    networks = _trained(options, model)
+    described = msgspec.json.encode(networks.description).decode()
+    print(described if options.json else _table(networks, model, options.out))
     return 0
 
 
-def _trained(options: argparse.Namespace) -> Networks:
-    model = sound_model(options.model)
+def _trained(options: argparse.Namespace, model: Model) -> Networks:
     layout = layout_of(model, options.tests)
     begin = load_weights(options.begin, layout) if options.begin else None
     recipe = begin.adapting() if begin else _recipe(options)
     with Progress(f"training {model.name}") as progress:
         samples = load_samples(model, inputs_of(model), options.recording, progress.note)
+        if begin:  # what they have seen before is no evidence either
+            samples = replace(samples, digests=tuple(dict.fromkeys([*begin.recordings, *samples.digests])))
         training = Training(layout, samples, recipe, options.seed, begin)
         key = key_of(layout, samples, recipe, options.seed, begin)
         if options.resume and load_checkpoint(options.out, key, training):
             progress.note(f"goes on after {training.done} of {training.iterations} iterations")
+        elif options.resume:
+            progress.note(f"{options.out}: no checkpoint there; begins anew")
         training.run(progress.tell, lambda: save_checkpoint(options.out, key, training))
         if training.stopped:
             progress.note(
@@ -82,25 +87,26 @@ def _trained(options: argparse.Namespace) -> Networks:
             )
         networks = networks_of(training, samples, options.seed)
     save_networks(options.out, networks)
-    save_weights(options.out, training)
+    save_weights(options.out, training, networks.description)
     (options.out / "training.png").write_bytes(picture(training))
     drop_checkpoint(options.out)
     return networks
 
 
 def _recipe(options: argparse.Namespace) -> Recipe:
-    recipe = RECIPES[options.recipe]
+    recipe = RECIPES[options.recipe or "default"]
     recipe = replace(recipe, members=options.members) if options.members else recipe
     if options.epochs:
         recipe = replace(recipe, phases=(*recipe.phases[:-1], replace(recipe.phases[-1], iterations=options.epochs)))
     return recipe
 
 
-def _table(networks: Networks, out: Path) -> str:
+def _table(networks: Networks, model: Model, out: Path) -> str:
     d = networks.description
-    lines = [f"{'generator':<12}{'predicts':<10}{'states':>7}   free run, RMS error where it was held out"]
+    where = "where it was held out" if RECIPES[d.recipe].folds else "where it was trained"
+    lines = [f"{'generator':<12}{'predicts':<10}{'states':>7}   free run, RMS error {where}"]
     lines += [
-        f"{g.name:<12}{g.predicts:<10}{len(g.states) // d.members:>7}   {error:.4g}"
+        f"{g.name:<12}{g.predicts:<10}{len(g.states) // d.members:>7}   {error:.4g} {model.known[g.predicts].unit}"
         for g, error in zip(d.generators, d.error, strict=True)
     ]
     size = len(networks.graph) / 1024

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import sympy as sp
 
 from analysis.graph.bank import state_of
 from analysis.model import Model
@@ -49,9 +50,11 @@ class Layout:
         return len(self.states) + len(self.signals)
 
     def direct(self, test: int) -> int | None:
-        """The state that a test's h returns as it is, if it has no other argument."""
+        """The state that a test's h returns as it is: it has no other argument, and the sensor is the state's."""
         used = self.outputs[test][self.outputs[test] != self.padding]
-        return int(used[0]) if len(used) == 1 and used[0] < len(self.states) else None
+        if len(used) != 1 or used[0] >= len(self.states):
+            return None
+        return int(used[0]) if self.sensed[used[0]] == self.signals[self.predicts[test]] else None
 
     def started(self, z: Array) -> Array:
         """What `starts` say of the states (..., F) at samples z (..., nz)."""
@@ -115,11 +118,13 @@ def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
 
 
 def _sensed(model: Model, name: str) -> str | None:
-    """The signal that is the state, by an equation that has these two and no other variable."""
+    """The signal that is the state, by an equation that says that their difference is zero."""
+    state = sp.Symbol(name)
     for equation in model.equations:
-        used = {symbol.name for symbol in model.expression(equation, with_fault=False).free_symbols}
-        known = used & model.known.keys()
-        if used & model.unknown.keys() == {name} and len(known) == 1 and len(used) == 2:
-            [signal] = known
-            return str(signal)
+        expression = model.expression(equation, with_fault=False)
+        others = expression.free_symbols - {state}
+        if len(others) == 1 and state in expression.free_symbols:
+            [signal] = others
+            if signal.name in model.known and sp.expand(expression.subs(signal, state)) == 0:
+                return str(signal.name)
     return None

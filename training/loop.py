@@ -234,7 +234,7 @@ class Training:
         square = (course.y - y).pow(2)
         hidden = (self.windows.fold[course.at] == self.windows.of(self.recipe.members)[:, None]).to(torch.float32)
         seen, held = (_rms(square, part[:, None]) for part in (1.0 - hidden, hidden))
-        judged = held if self.recipe.folds else seen
+        judged = torch.where(torch.isinf(held), seen, held)  # a fold may have no tick with a run-up
         better = judged < self.best_error if self.recipe.folds else torch.isfinite(judged)  # else the last ones stay
         self._keep(better)
         self.best_error = torch.where(better, judged, self.best_error)

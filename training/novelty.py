@@ -1,7 +1,7 @@
 """Where a test was never trained: the distance of its states and inputs from what it has seen.
 
-Nothing of what a test predicts takes part but what its functions take as an argument: a fault must not hide itself by
-being novel. Centres lie as far from each other as they can; each reaches as far as the ticks that are nearest to it.
+The signal that a test predicts takes no part unless its functions take it: a fault of that sensor must not hide itself
+by being novel. Centres lie as far from each other as they can; each reaches as far as the ticks that are nearest to it.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def novelty_of(layout: Layout, windows: Windows, course: Course) -> Novelty:
     """The measure of every test, such that 1 is the limit."""
     columns = novelty_columns(layout)
     values = operating_points(windows, course)
-    part = (course.at.numpy() // 250) % 4  # 50 s each
+    part = windows.part[course.at].numpy() % 4
     centres, reaches = [], []
     for own in columns:
         points = values[:, own]

@@ -11,20 +11,22 @@ BAR = 1e5
 
 
 def picture(training: Training) -> bytes:
-    """A PNG; errors [bar] are medians over members, dashed where they were trained, solid where they were not."""
+    """A PNG; errors are medians over members, dashed where they were trained, solid where they were not."""
     history, layout = training.history, training.layout
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     loss, error = figure.subplots(1, 2, width_ratios=(1.0, 1.4))
     loss.plot(history.iteration, history.loss, ".-", color="#444444")
     loss.set_title("loss of the phase's windows")
-    size = training.scaling.z_size[layout.predicts] / BAR
+    units = [layout.model.known[test.predicts].unit for test in layout.tests]
+    size = training.scaling.z_size[layout.predicts] / [BAR if unit == "Pa" else 1.0 for unit in units]
+    told = ", ".join("bar" if unit == "Pa" else unit for unit in dict.fromkeys(units))
     folds = training.recipe.folds > 0
     for t, test in enumerate(layout.tests):
         seen, held = (np.array(part)[:, t] * size[t] for part in (history.seen, history.held))
         [line] = error.plot(history.iteration, held if folds else seen, label=test.name, linewidth=1.3)
         if folds:
             error.plot(history.iteration, seen, "--", color=line.get_color(), linewidth=0.8)
-    error.set_title("free run, RMS error [bar]" + (": held out (solid), trained on (dashed)" if folds else ""))
+    error.set_title(f"free run, RMS error [{told}]" + (": held out (solid), trained on (dashed)" if folds else ""))
     error.legend(ncols=2, fontsize=8, frameon=False)
     for axes in (loss, error):
         axes.set_yscale("log")

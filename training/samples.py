@@ -36,10 +36,14 @@ MOVES = 3
 
 @dataclass(frozen=True)
 class Stretch:
-    """Ticks in a row in which every signal was usable and in its operating region: samples `z` (K, nz)."""
+    """Ticks in a row in which every signal was usable and in its operating region: samples `z` (K, nz).
+
+    `begin_s` is the log time of the first.
+    """
 
     recording: str
     z: Array
+    begin_s: float
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def load_samples(
         vehicle = log.recording.vehicle if log.recording else vehicle
         table = compile_dbc(log.dbc, units, str(path))
         watched = [ticks_of(model, inputs, table, frames, _Blind()) for frames in _starts([*log.relative()], table)]
-        found = [Stretch(log.id, z) for ticks in watched for z in _stretches(ticks, inputs)]
+        found = [Stretch(log.id, z, begin_s) for ticks in watched for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / len(watched)
         seconds += kept
         say(f"{log.id}: {kept:.0f} s, seen from {len(watched)} starts of the vehicle")
@@ -102,22 +106,24 @@ def load_samples(
 
 
 def _starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Sequence[Frame]]:
-    """The frames as a vehicle would see them that is switched on after any message of the first seconds.
+    """The frames as a vehicle would see them that is switched on at any message of the first seconds; all if none is.
 
     Which message comes last before the first tick decides how old each signal is at every tick: an accident of the
     start. Networks that have seen one such accident only take it for physics.
     """
-    seen: set[int] = set()
+    seen: dict[int, float] = {}
     for k, (t_s, can_id, is_extended, data) in enumerate(frames):
-        if t_s > frames[0][0] + WITHIN_S:
+        if seen and t_s > min(seen.values()) + WITHIN_S:
             return
         if can_id not in seen and [*table.decode(can_id, is_extended, data)]:
-            seen.add(can_id)
+            seen[can_id] = t_s
             yield frames[k:]
+    if not seen:
+        yield frames
 
 
-def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[Array]:
-    """Runs of ticks that are usable and in the operating region, of `LEAST_S` at least."""
+def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[tuple[float, Array]]:
+    """Runs of ticks that are usable and in the operating region, of `LEAST_S` at least, with where they begin."""
     if not ticks:
         return []
     values, usable = np.array([tick.z for tick in ticks]), np.array([tick.usable for tick in ticks])
@@ -125,7 +131,7 @@ def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[Array]:
     good = usable.all(axis=1) & ((values >= lower) & (values <= upper)).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return [values[begin:end] for begin, end in runs if (end - begin) * PERIOD_S >= LEAST_S]
+    return [(ticks[begin].t_s, values[begin:end]) for begin, end in runs if (end - begin) * PERIOD_S >= LEAST_S]
 
 
 def _check(samples: Samples, recordings: Sequence[Path]) -> None:

@@ -1,17 +1,20 @@
 """Weights beside the graph, so that networks that were trained on a bench can be adapted to a truck (thesis 8.2.5)."""
 
+import hashlib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from analysis.graph.networks import GRAPH, Description
 from service.core.errors import InputError
+from training.checkpoint import UNREADABLE, reason
 from training.layout import Layout
 from training.loop import Training
+from training.network import Networks
 from training.recipe import RECIPES, Phase, Recipe
 from training.scaling import Scaling
 
@@ -24,19 +27,20 @@ RATE = 5e-3
 
 @dataclass(frozen=True)
 class Saved:
-    """Weights, the scaling that they are for, and the recipe that they were trained with."""
+    """Weights, the scaling that they are for, and the recipe and recordings that they were trained with."""
 
     weights: dict[str, Tensor]
     scaling: Scaling
     recipe: Recipe
+    recordings: tuple[str, ...]
 
     def adapting(self) -> Recipe:
         """The recipe that goes on from here."""
         return replace(self.recipe, phases=PHASES, rate=RATE)
 
 
-def save_weights(folder: Path, training: Training) -> None:
-    """Writes the weights of a training that is over.
+def save_weights(folder: Path, training: Training, description: Description) -> None:
+    """Writes the weights of a training that is over, of which networks were made.
 
     Raises:
         InputError: they cannot be written.
@@ -46,7 +50,15 @@ def save_weights(folder: Path, training: Training) -> None:
     shape = {"recipe": recipe.name, "hidden": list(recipe.hidden), "members": recipe.members}
     try:
         torch.save(
-            {"weights": training.best, "scaling": scaling, **shape, "functions": _functions(layout)}, folder / FILE
+            {
+                "weights": training.best,
+                "scaling": scaling,
+                **shape,
+                "functions": _functions(layout),
+                "recordings": list(description.recordings),
+                "graph_sha256": description.graph_sha256,
+            },
+            folder / FILE,
         )
     except (OSError, RuntimeError) as error:
         raise InputError(f"{folder / FILE}: cannot be written: {error}; give --out another place") from error
@@ -65,12 +77,17 @@ def load_weights(folder: Path, layout: Layout) -> Saved:
         state: dict[str, Any] = torch.load(path, weights_only=True)
         recipe = replace(RECIPES[state["recipe"]], hidden=tuple(state["hidden"]), members=state["members"])
         scaling = Scaling(**{name: np.asarray(value.numpy()) for name, value in state["scaling"].items()})
-        functions, weights = state["functions"], state["weights"]
-    except (RuntimeError, EOFError, UnpicklingError, OSError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: cannot be read, {str(error).splitlines()[0]}; train the networks anew") from error
+        functions, weights, recordings = state["functions"], state["weights"], tuple(state["recordings"])
+        fresh = hashlib.sha256((folder / GRAPH).read_bytes()).hexdigest() == state["graph_sha256"]
+        if functions == _functions(layout):
+            Networks(layout, recipe, recipe.members).load_state_dict(weights)
+    except UNREADABLE as error:
+        raise InputError(f"{path}: cannot be read, {reason(error)}; train the networks anew") from error
+    if not fresh:
+        raise InputError(f"{path}: is not of the graph beside it; copy the whole folder, or train anew")
     if functions != _functions(layout):
         raise InputError(f"{path}: is of other tests or of another model; give the same --tests and model as then")
-    return Saved(weights, scaling, recipe)
+    return Saved(weights, scaling, recipe, recordings)
 
 
 def _functions(layout: Layout) -> list[Any]:

@@ -26,9 +26,6 @@ SMALLEST = 1e-2
 
 COVERED = 0.99
 
-HALF = 250
-"""Ticks in a row of one half: longer than a residual remembers."""
-
 
 class Variances(NamedTuple):
     """The network (one member, T functions of `columns` (T, D)), and the factor (T,)."""
@@ -82,7 +79,7 @@ def cross_fit(layout: Layout, windows: Windows, course: Course) -> Residuals:
     fold, unseen = windows.fold[course.at], windows.of(members)
     nothing = torch.zeros(1, len(course.at))
     inputs = torch.cat([course.x.mean(dim=0), course.before.mean(dim=0), windows.z[course.at].T, nothing])
-    half = (course.at // HALF) % 2
+    half = windows.part[course.at] % 2
     if bool((fold < 0).all()):
         return Residuals(y - mean, among, inputs, half)
     hidden = (unseen[:, None] == fold).to(torch.float32)  # (M, K)

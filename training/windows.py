@@ -8,14 +8,21 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from analysis.graph.bank import PERIOD_S
 from training.layout import Layout
 from training.samples import Samples
 from training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
 
-BLOCK = 50
-"""Ticks in a row that belong to one fold: 10 s. With longer ones a member misses whole operating points."""
+BLOCK_S = 10.0
+"""Log time that belongs to one fold. With longer ones a member misses whole operating points."""
+
+PART_S = 50.0
+"""Log time of one part, for what is calibrated on some and judged on others: longer than a residual remembers."""
+
+APART_S = 1e5
+"""Between the clocks of two recordings; a whole number of parts and of blocks."""
 
 
 class Batch(NamedTuple):
@@ -27,9 +34,10 @@ class Batch(NamedTuple):
 
 
 class Windows:
-    """The samples of all stretches one after the other, scaled; `fold` (K,) is that of a tick, -1 without folds.
+    """The samples of all stretches one after the other, scaled.
 
-    `reckoned` (K, F) and `starts` (K, F) are the states as they are reckoned, and as the vehicle would start them.
+    `fold` (K,) is that of a tick, -1 without folds, and `part` (K,) the number of its part; `reckoned` (K, F) and
+    `starts` (K, F) are the states as they are reckoned, and as the vehicle would start them.
     """
 
     def __init__(
@@ -48,7 +56,9 @@ class Windows:
         self.starts = torch.tensor(scaling.x(layout.started(z)), dtype=torch.float32)
         ends = np.cumsum([len(part) for part in stretches])
         self.bounds = [(int(end - len(part)), int(end)) for part, end in zip(stretches, ends, strict=True)]
-        self.fold = torch.tensor(_folds([len(part) for part in stretches], folds, seed))
+        clock = _clock(samples)
+        self.fold = torch.tensor(_folds(clock, folds, seed))
+        self.part = torch.tensor((clock / PART_S).astype(np.int64))
         self._folds = folds
 
     def of(self, members: int) -> Tensor:
@@ -82,14 +92,23 @@ class Windows:
         return Batch(x[None].repeat(members, 1, 1), z, counts)
 
 
-def _folds(lengths: Sequence[int], folds: int, seed: int) -> npt.NDArray[np.int64]:
-    """Blocks in a row have different folds, in another order every round: none follows the cycle's own rhythm."""
+def _clock(samples: Samples) -> npt.NDArray[np.float64]:
+    """The log time [s] of every tick; recordings lie `APART_S` apart."""
+    number = {name: k for k, name in enumerate(dict.fromkeys(s.recording for s in samples.stretches))}
+    return np.concatenate(
+        [APART_S * number[s.recording] + s.begin_s + PERIOD_S * np.arange(len(s.z)) for s in samples.stretches]
+    )
+
+
+def _folds(clock: npt.NDArray[np.float64], folds: int, seed: int) -> npt.NDArray[np.int64]:
+    """Blocks in a row have different folds, in another order every round: none follows the cycle's own rhythm.
+
+    By log time: what is seen from several starts of the vehicle is in one fold each time.
+    """
     if not folds:
-        return np.full(sum(lengths), -1, dtype=np.int64)
+        return np.full(len(clock), -1, dtype=np.int64)
+    block = (clock / BLOCK_S).astype(np.int64)
+    rounds = int(block.max()) // folds + 1
     rng = np.random.default_rng(seed)
-    parts = []
-    for length in lengths:
-        blocks = -(-length // BLOCK)
-        order = np.concatenate([rng.permutation(folds) for _ in range(-(-blocks // folds))])[:blocks]
-        parts.append(np.repeat(order, BLOCK)[:length])
-    return np.concatenate(parts)
+    order = np.concatenate([rng.permutation(folds) for _ in range(rounds)])
+    return np.asarray(order[block], dtype=np.int64)

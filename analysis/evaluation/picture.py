@@ -163,7 +163,7 @@ def _told(axes: Axes, story: Story, live: Sequence[Event] | None) -> None:
         axes.text(0.5, 0.5, f"no alarm was told {where}", transform=axes.transAxes, ha="center", va="center")
     ends = [*(min(story.origin_s + event.t_s, story.end_s) for event in events), story.end_s]
     for event, (start, stop) in zip(events, pairwise(ends), strict=True):
-        blind = len(event.cannot_tell) / len(story.bundle.manifest.generators)
+        blind = len(event.cannot_tell) / len({generator.test for generator in story.bundle.manifest.generators})
         axes.axvspan(start, stop, color=ONSET, alpha=0.3 * blind, linewidth=0, zorder=0)
     words = "grey: tests that cannot tell, the more the darker"
     axes.text(0.995, 0.04, words, transform=axes.transAxes, ha="right", fontsize=8, color=ONSET)

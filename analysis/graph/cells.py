@@ -122,7 +122,6 @@ def cell_graph(c: Cells) -> bytes:
 
 def _functions(w: Writer, of: Functions, x: str, u: str, members: int, states: int) -> str:
     """The functions' values (B, M F) at scaled states x (B, M states) and signals u (B, nz)."""
-    len(of.columns)
     both = w.concat([x, u, _nothing(w, u)], axis=1)
     # a member's own states, then signals and the zero, which all members share
     own = [

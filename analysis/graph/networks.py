@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
+import numpy as np
 
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
 from analysis.structure import Test, find_tests
+from service.bundle import GRAPH_ERRORS
 from service.core.errors import InputError
+from service.core.generators import Graph
 from service.core.manifest import Generator, Sha256
 
 FILE, GRAPH = "networks.json", "rnn.onnx"
@@ -84,6 +87,7 @@ def load_networks(folder: Path, model: Model) -> Networks:
     if hashlib.sha256(graph).hexdigest() != found.graph_sha256:
         raise InputError(f"{folder / GRAPH}: is not the graph that {FILE} is of; copy the whole folder, or train again")
     _check(found, model, folder)
+    _check_shapes(found, graph, folder)
     return Networks(found, graph)
 
 
@@ -99,3 +103,16 @@ def _check(found: Description, model: Model, folder: Path) -> None:
             raise InputError(f"{folder}: {model.name} has no test {generator.test} like its own; train anew")
         if sorted(test.faults) != sorted(generator.faults):
             raise InputError(f"{folder}: {generator.test} has other faults in {model.name}; train anew")
+
+
+def _check_shapes(found: Description, graph: bytes, folder: Path) -> None:
+    """Whether the graph has the generators and states that are described."""
+    states = sum(len(generator.states) for generator in found.generators)
+    try:
+        r, *_, x = Graph(graph)(z=np.ones((1, len(found.signals))), x=np.ones((1, states)))
+    except GRAPH_ERRORS as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{folder / FILE}: describes another graph than {GRAPH}: {reason}; train anew") from error
+    if r.shape != (1, len(found.generators)) or x.shape != (1, states):
+        told = f"describes {len(found.generators)} generators, {GRAPH} has {r.shape[1]}"
+        raise InputError(f"{folder / FILE}: {told}; train anew")

@@ -63,9 +63,11 @@ class Decision:
 
     @property
     def cannot_tell(self) -> list[str]:
-        """Tests that cannot tell now: none of their generators can."""
-        telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
-        return [test for test in dict.fromkeys(self._tests) if test not in telling]
+        """Tests that cannot tell now: none of their generators can, or one that alarms cannot and no other alarms."""
+        rows = [*zip(self._tests, self._detectors, self._usable, strict=True)]
+        telling = {test for test, _, usable in rows if usable}
+        frozen = {test for test, detector, usable in rows if detector.alarm and not usable} - {*self.alarm}
+        return [test for test in dict.fromkeys(self._tests) if test not in telling or test in frozen]
 
     @property
     def since(self) -> int | None:

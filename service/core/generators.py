@@ -101,7 +101,7 @@ class GeneratorBank:
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
         self._restart(fed & (self._missed > HELD_TICKS))
         r, y_hat, sigma, novelty, x_next = self._run()
-        finite = np.isfinite(r)
+        finite = np.isfinite(r) & np.isfinite(sigma)
         finite[self._owner[~np.isfinite(x_next)]] = False
         advanced = fed & finite & (self._outside() <= OUTSIDE)
         self._x = np.where(advanced[self._owner], x_next, self._x)

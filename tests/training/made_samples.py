@@ -38,7 +38,7 @@ def circuit(seed: int, ticks: int = 1500, stretches: int = 1, noise: float = 1e-
             u_c = now + (u_c - now) * np.exp(-PERIOD_S / tau)
             y.append((now - u_c) / 200.0)
         z = np.column_stack([u, np.array(y) + rng.normal(0.0, noise, ticks)])
-        found.append(Stretch(f"made-{seed}-{number}", z))
+        found.append(Stretch(f"made-{seed}-{number}", z, 0.0))
     return Samples(("u", "y_i"), tuple(found), (f"{seed:064x}",), None, PERIOD_S * ticks)
 
 
@@ -50,4 +50,4 @@ def dosing(seed: int, ticks: int = 400) -> Samples:
     share = np.repeat(steps, 20, axis=0)[:ticks] + rng.normal(0.0, 0.01, (ticks, len(model.known)))
     lower, upper = (np.array([getattr(k, bound) for k in model.known.values()]) for bound in ("min", "max"))
     z = lower + share * (upper - lower)
-    return Samples(tuple(model.known), (Stretch(f"made-{seed}", z),), (f"{seed:064x}",), None, PERIOD_S * ticks)
+    return Samples(tuple(model.known), (Stretch(f"made-{seed}", z, 0.0),), (f"{seed:064x}",), None, PERIOD_S * ticks)

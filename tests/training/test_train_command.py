@@ -16,6 +16,7 @@ from analysis.tuning.command import main as tune
 from service.bundle import load_bundle, verify_golden
 from service.core.errors import InputError
 from service.diagnose import main as diagnose
+from service.logs import open_log
 from training.command import main as train
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
@@ -91,6 +92,31 @@ def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: 
     (damaged / "rnn.onnx").write_bytes(graph)
     with pytest.raises(InputError, match=r"rnn\.onnx: is not the graph that networks\.json is of; copy the"):
         load_networks(damaged, load_model("three_tank"))
+
+
+def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_path: Path) -> None:
+    short = tanks.record(tmp_path / "short", 7, 160.0)
+    given = ["three_tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
+    assert train(given) == 0
+    model = load_model("three_tank")
+    before, after = (load_networks(folder, model).description for folder in (made.networks, tmp_path / "adapted"))
+    assert after.recordings == [*before.recordings, open_log(short).sha256]
+    assert (after.members, after.recipe) == (before.members, before.recipe)
+    with pytest.raises(InputError, match=r"used to train the networks; tune on"):
+        tune(["three_tank", "--networks", str(tmp_path / "adapted"), str(made.logs[0]), "--out", str(tmp_path / "t")])
+    with pytest.raises(InputError, match=r"--recipe: networks that are adapted have their own; leave it out"):
+        train([*given, "--recipe", "thesis"])
+    with pytest.raises(InputError, match=r"weights\.pt: is of other tests or of another model; give the same --tests"):
+        train([*given, "--tests", before.generators[0].test])
+    damaged = tmp_path / "damaged"
+    shutil.copytree(made.networks, damaged)
+    for content in (b"", b"hello"):
+        (damaged / "weights.pt").write_bytes(content)
+        with pytest.raises(InputError, match=r"weights\.pt: cannot be read, .+; train the networks anew"):
+            train(["three_tank", str(short), "--from", str(damaged)])
+    shutil.copy(tmp_path / "adapted" / "weights.pt", damaged)
+    with pytest.raises(InputError, match=r"weights\.pt: is not of the graph beside it; copy the whole folder"):
+        train(["three_tank", str(short), "--from", str(damaged)])
 
 
 def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from training.free_run import free_run
 from training.loop import Training
 from training.recipe import THESIS, Phase, Recipe
 from training.reckoned import reckoned
-from training.samples import Samples
+from training.samples import Samples, Stretch
 from training.windows import Windows
 
 NOISE = 1e-4
@@ -91,9 +91,26 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path, "key", begun)
     with pytest.raises(InputError, match=r"checkpoint\.pt: is of another training .*; train without --resume"):
         load_checkpoint(tmp_path, key_of(begun.layout, samples, SHORT, 1), begun)
-    (tmp_path / "checkpoint.pt").write_bytes(b"PK\x03\x04 half of it")
-    with pytest.raises(InputError, match=r"checkpoint\.pt: cannot be read; train without --resume"):
+    for damaged in (b"PK\x03\x04 half of it", b"", b"hello"):
+        (tmp_path / "checkpoint.pt").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"checkpoint\.pt: cannot be read, .+; train without --resume"):
+            load_checkpoint(tmp_path, "key", begun)
+    torch.save({"key": "key"}, tmp_path / "checkpoint.pt")
+    with pytest.raises(InputError, match=r"checkpoint\.pt: cannot be read, .+; train without --resume"):
         load_checkpoint(tmp_path, "key", begun)
+
+
+def test_a_checkpoint_of_the_same_model_with_other_parameters_is_another_one() -> None:
+    """States that nothing measures begin where the parameters put them, and scales follow."""
+    layout, samples = rc(), circuit(1, 800)
+    changed = dataclasses.replace(layout, model=layout.model.with_parameters({"R": 210.0}, {}))
+    assert key_of(layout, samples, SHORT, 0) != key_of(changed, samples, SHORT, 0)
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"file: cannot be written: .*; give --out another place"):
+        save_checkpoint(tmp_path / "file", "key", training(circuit(1, 800)))
 
 
 def test_a_training_that_diverges_is_stopped_with_the_last_good_state() -> None:
@@ -131,6 +148,19 @@ def test_the_recipe_of_the_thesis_runs_and_learns() -> None:
     assert error_on(trained, circuit(6, 300)) < 0.8 * before
     assert np.isfinite(error_on(trained, circuit(6, 300)))
     assert len(graph_of(trained, samples)) > 1000
+
+
+def test_what_is_seen_from_several_starts_is_in_one_fold() -> None:
+    """The wound: what a member was blind to it had seen from another start."""
+    one = circuit(1, 1500)
+    [z] = [stretch.z for stretch in one.stretches]
+    starts = tuple(Stretch("log", z[k:], 3.0 + 0.2 * k) for k in (0, 7))
+    samples = dataclasses.replace(one, stretches=(*starts, Stretch("another log", z, 3.0)))
+    windows = training(samples).windows
+    first, second, other = (slice(begin, end) for begin, end in windows.bounds)
+    assert torch.equal(windows.fold[first][7:], windows.fold[second])
+    assert torch.equal(windows.part[first][7:], windows.part[second])
+    assert not torch.equal(windows.fold[first], windows.fold[other])
 
 
 def test_a_member_never_learns_from_its_own_fold() -> None:

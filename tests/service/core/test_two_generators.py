@@ -1,0 +1,62 @@
+"""A test with two generators: equations and networks beside each other."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from service.bundle import load_bundle
+from service.core.decision import Decision
+from service.core.generators import Residuals
+from service.core.manifest import Manifest
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
+
+
+def doubled() -> Manifest:
+    """The golden bundle's first test, twice."""
+    manifest = load_bundle(GOLDEN).manifest
+    first, detector = manifest.generators[0], manifest.detectors[0]
+    second = msgspec.structs.replace(first, name=f"{first.test}.rnn", graph="rnn.onnx")
+    return msgspec.structs.replace(
+        manifest,
+        generators=[*manifest.generators, second],
+        detectors=[*manifest.detectors, msgspec.structs.replace(detector, generator=second.name)],
+    )
+
+
+def seen(manifest: Manifest, *, last: float, mute: tuple[int, ...] = ()) -> Residuals:
+    """All residuals where they are without a fault, the last one so many spreads away; those `mute` cannot tell."""
+    offset, scale = (np.array([getattr(d, part)[1] for d in manifest.detectors]) for part in ("offset", "scale"))
+    r = offset.copy()
+    r[-1] += last * scale[-1]
+    usable = np.ones(len(r), dtype=np.bool_)
+    usable[list(mute)] = False
+    return Residuals(r, r, scale, usable)
+
+
+def test_a_test_alarms_with_one_and_cannot_tell_with_none() -> None:
+    manifest = doubled()
+    test, last = manifest.generators[-1].test, len(manifest.generators) - 1
+    decision = Decision(manifest)
+    decision.update(0, 1, seen(manifest, last=0.0, mute=(last,)))
+    assert decision.cannot_tell == []
+    decision.update(1, 1, seen(manifest, last=0.0, mute=(0, last)))
+    assert decision.cannot_tell == [test]
+    for tick in range(2, 60):
+        decision.update(tick, 1, seen(manifest, last=30.0))
+    assert decision.alarm == [test]
+    assert decision.cannot_tell == []
+
+
+def test_an_alarm_that_is_frozen_is_not_told_as_if_nothing_were_wrong() -> None:
+    """The wound: a fault was named with no test that alarms, and none that could not tell."""
+    manifest = doubled()
+    test, last = manifest.generators[-1].test, len(manifest.generators) - 1
+    decision = Decision(manifest)
+    for tick in range(60):
+        decision.update(tick, 1, seen(manifest, last=30.0))
+    decision.update(60, 1, seen(manifest, last=0.0, mute=(last,)))
+    assert decision.alarm == []
+    assert decision.cannot_tell == [test]
+    assert decision.diagnoses
