@@ -3,8 +3,9 @@
 import json
 import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -18,9 +19,13 @@ from service.core.errors import InputError
 from service.diagnose import main as diagnose
 from service.logs import open_log
 from training.command import main as train
+from training.recipe import DEFAULT, Phase
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
 import tanks
+
+QUICK = replace(DEFAULT, hidden=(8,), phases=(Phase(4, 0, 64, 50), Phase(30, 10, 16, 100)))
+"""Every xdist worker makes its own: seconds instead of a minute."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("networks")
     logs = tuple(tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
     networks, tuning, bundle = folder / "networks", folder / "tuning.json", folder / "bundle"
-    assert train(["three_tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
+    with patch.dict("training.command.RECIPES", {"default": QUICK}):
+        assert train(["three_tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
     given = ["three_tank", "--networks", str(networks)]
     assert tune([*given, *map(str, logs[1:]), "--out", str(tuning)]) == 0
     dbc = str(logs[0] / "tanks.dbc")
@@ -97,7 +103,8 @@ def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: 
 def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_path: Path) -> None:
     short = tanks.record(tmp_path / "short", 7, 160.0)
     given = ["three_tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
-    assert train(given) == 0
+    with patch("training.saved.PHASES", QUICK.phases):
+        assert train(given) == 0
     model = load_model("three_tank")
     before, after = (load_networks(folder, model).description for folder in (made.networks, tmp_path / "adapted"))
     assert after.recordings == [*before.recordings, open_log(short).sha256]
