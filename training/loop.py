@@ -26,8 +26,8 @@ Array = npt.NDArray[np.float64]
 EVERY = 50
 """Iterations between two looks at the free run."""
 
-LOST = 1e-8
-"""Adam's, in float32."""
+EPSILON = 1e-8
+"""Adam's, against division by zero."""
 
 
 @dataclass
@@ -90,7 +90,7 @@ class Training:
             {"params": [p for p in self._parameters if (id(p) in behind) is chosen], "weight_decay": decay}
             for chosen, decay in ((True, recipe.decay), (False, 0.0))
         ]
-        self._optimizer = torch.optim.AdamW(groups, lr=recipe.rate, eps=LOST)
+        self._optimizer = torch.optim.AdamW(groups, lr=recipe.rate, eps=EPSILON)
         self._random = torch.Generator().manual_seed(seed)
         self._targets = self._measured()
         self.history = History()

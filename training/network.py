@@ -32,7 +32,7 @@ class Networks(nn.Module):
         self.recipe, self.members = recipe, members
         self.rates = Stack(layout.rates.tolist(), members, recipe.hidden, SMALL, layout.padding)
         simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
-        hidden = () if simple and recipe.name != "thesis" else recipe.hidden
+        hidden = () if simple and not recipe.learns_h else recipe.hidden
         self.outputs = Stack(layout.outputs.tolist(), members, hidden, SMALL, layout.padding)
         self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
 

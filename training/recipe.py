@@ -24,18 +24,19 @@ class Recipe:
     """What a training does.
 
     Cell: `relaxation` x+ = x + s (f - x) with s learnt per state, or `increment` x+ = x + Ts g; of the `newest` input,
-    or of the one before (thesis 3.6). `linear` begins with the least-squares linear part. `rate` of Adam, falling as a
-    cosine to `last` of it, or by 2 % every ten iterations where `last` is None; the first `warm_up` iterations have
-    less. Gradients of a member's test are cut at norm `clip`; layers behind the first decay (AdamW) by `decay` times
-    the rate, towards functions that are linear. `latent` weighs measured states that are not what a test predicts. A
-    member does not see one of the `folds` of the recordings, by which its best weights are kept; 0: all see everything,
-    and the last weights stay.
+    or of the one before (thesis 3.6). `learns_h`: h is a network even where it is just a state. `linear` begins with
+    the least-squares linear part. `rate` of Adam, falling as a cosine to `last` of it, or by 2 % every ten iterations
+    where `last` is None; the first `warm_up` iterations have less. Gradients of a member's test are cut at norm `clip`;
+    layers behind the first decay (AdamW) by `decay` times the rate, towards functions that are linear. `latent` weighs
+    measured states that are not what a test predicts. A member does not see one of the `folds` of the recordings, by
+    which its best weights are kept; 0: all see everything, and the last weights stay.
     """
 
     name: str
     hidden: tuple[int, ...]
     cell: Literal["relaxation", "increment"]
     newest: bool
+    learns_h: bool
     linear: bool
     scale: Kind
     phases: tuple[Phase, ...]
@@ -54,6 +55,7 @@ DEFAULT = Recipe(
     hidden=(24, 24),
     cell="relaxation",
     newest=True,
+    learns_h=False,
     linear=True,
     scale="spread",
     phases=(Phase(4, 0, 128, 150), Phase(16, 6, 48, 300), Phase(40, 10, 32, 250), Phase(100, 20, 24, 80)),
@@ -72,6 +74,7 @@ THESIS = Recipe(
     hidden=(128, 128, 128),
     cell="increment",
     newest=False,
+    learns_h=True,
     linear=False,
     scale="range",
     phases=(Phase(None, 0, 1, 1500),),

@@ -68,6 +68,12 @@ def _errors(records: Sequence[Record]) -> str:
     cases = ", ".join(r["case"] for r in records)
     told = f"Of {', '.join(HARD)}, {met} of {len(hard)} ratios are at most {MARK}; the worst is {max(hard):.2f}."
     count = f"{len(records)} record{'s' if len(records) > 1 else ''}: {cases}."
+    refused = ", ".join(r["case"] for r in records if not r["calibrated"])
+    if refused:
+        count += (
+            f" **`calibrate` refuses {refused}**, as the equations do not describe the recording: they are judged with "
+            "the parameters of the model file; fitted ones might be nearer."
+        )
     return "\n\n".join([count, "\n".join(lines), told])
 
 

@@ -40,12 +40,12 @@ def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Pa
 def test_the_page_has_all_its_parts() -> None:
     tests = {test: {"equations": 2e3, "networks": 1e3, "covered": 0.99, "novel": 0.0} for test in ("t02", *HARD)}
     stamp = {"commit": "abc", "code": "def"}
-    common = {"kind": "compared", "vehicle": "bench", "seed": 0, "cpu_s": 50.0, "bytes": 500_000, **stamp}
+    common = {"kind": "compared", "vehicle": "bench", "seed": 0, "cpu_s": 50.0, "bytes": 500_000, "calibrated": True}
     of = dict.fromkeys(("validation", "drive", "controller"), tests)
     errors = {way: dict.fromkeys(tests, 1e3) for way in ("as they are", "adapted", "anew")}
     records = [
         {**common, "case": "bench-none-0", "effect": None, "judged": of},
-        {**common, "case": "bench-full_lift-0", "effect": "full_lift", "judged": of},
+        {**common, "case": "bench-full_lift-0", "effect": "full_lift", "judged": of, "calibrated": False},
         {"kind": "transfer", "case": "t", "seconds": 120.0, "cpu_s": {"adapted": 9.0, "anew": 50.0}, "errors": errors},
         {"kind": "thesis", "case": "thesis-t02", "test": "t02", "epoch_s": 1.3},
     ]
@@ -53,4 +53,5 @@ def test_the_page_has_all_its_parts() -> None:
     assert "Of t12, t13, t19, t21, 12 of 12 ratios are at most 0.75; the worst is 0.50." in told
     assert "| t02 | 1.30 | 1950 | 1950 |" in told
     assert "## Hidden in the vehicle: full_lift" in told
+    assert told.count("`calibrate` refuses") == 1
     assert "adapting 9 CPU-s, anew 50 CPU-s" in told
