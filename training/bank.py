@@ -13,6 +13,7 @@ from training.free_run import RUN_UP, free_run
 from training.layout import Layout
 from training.loop import Training
 from training.novelty import novelty_of
+from training.recipe import Recipe
 from training.samples import Samples
 from training.variance import cross_fit, variances
 from training.weights import cells_of
@@ -25,7 +26,7 @@ def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
     spread = variances(layout, training.windows, course, seed)
     cells = cells_of(layout, scaling, trained, spread, novelty_of(layout, training.windows, course))
     graph = cell_graph(cells)
-    left = cross_fit(layout, training.windows, course).left
+    left = cross_fit(training.windows, course).left
     error = left.pow(2).mean(dim=1).sqrt().to(torch.float64).numpy() * scaling.z_size[layout.predicts]
     members = training.recipe.members
     description = Description(
@@ -39,14 +40,16 @@ def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
         recordings=[*samples.digests],
         vehicle=samples.vehicle,
         graph_sha256=hashlib.sha256(graph).hexdigest(),
-        generators=[generator_of(layout, t, members) for t in range(len(layout.tests))],
+        generators=[generator_of(layout, t, training.recipe) for t in range(len(layout.tests))],
         error=error.tolist(),
     )
     return Networks(description, graph)
 
 
-def generator_of(layout: Layout, t: int, members: int) -> Generator:
-    """What the manifest says of the networks of a test: each member has states of its own."""
+def generator_of(layout: Layout, t: int, recipe: Recipe) -> Generator:
+    """What the manifest says of the networks of a test: each member has states of its own, all share what is held."""
+    members = recipe.members
+    held = [layout.signals[signal] for owner, signal in layout.held if owner == t and recipe.both_ends]
     test, own = layout.tests[t], np.flatnonzero(layout.owner == t)
     starts = [layout.starts[f] for f in own]
     return Generator(
@@ -56,9 +59,12 @@ def generator_of(layout: Layout, t: int, members: int) -> Generator:
         predicts=test.predicts,
         inputs=list(test.known),
         states=[
-            State(name=f"{state.name}.{m + 1}", offset=state.offset, gain=state.gain)
-            for m in range(members)
-            for state in starts
+            *(
+                State(name=f"{state.name}.{m + 1}", offset=state.offset, gain=state.gain)
+                for m in range(members)
+                for state in starts
+            ),
+            *(State(name=f"{signal}.before", offset=0.0, gain={signal: 1.0}) for signal in held),
         ],
         faults=list(test.faults),
         warm_up_ticks=max(RUN_UP, round(layout.model.warm_up_s / PERIOD_S)),

@@ -25,20 +25,20 @@ class Course(NamedTuple):
 
 
 def free_run(networks: Networks, windows: Windows) -> Course:
-    """The course over all samples; each stretch begins as the vehicle does, and counts once it has settled."""
+    """The course over all that was measured; a stretch begins as the vehicle does, and counts once it has settled."""
     starts, first = [], []
-    for begin, end in windows.bounds:
+    for begin, end in windows.measured:
         for k in range(begin, end, PIECE):
             start = max(begin, min(k - RUN_UP, end - PIECE - RUN_UP))
             starts.append(start)
             first.append(max(k, begin + RUN_UP))
     at = torch.tensor(starts)[:, None] + torch.arange(PIECE + RUN_UP)  # (P, L)
-    last = torch.tensor([next(end for begin, end in windows.bounds if begin <= s < end) for s in starts])
+    last = torch.tensor([next(end for begin, end in windows.measured if begin <= s < end) for s in starts])
     inside = torch.minimum(at, last[:, None] - 1)
-    z = windows.z[inside].permute(1, 2, 0)[:, None].expand(-1, networks.members, -1, -1)  # (L, M, nz, P)
+    u = windows.u[inside].permute(1, 2, 0)[:, None].expand(-1, networks.members, -1, -1)  # (L, M, C, P)
     x = windows.starts[torch.tensor(starts)].T[None].expand(networks.members, -1, -1)
     with torch.no_grad():
-        run = networks.run(x.contiguous(), z)
+        run = networks.run(x.contiguous(), u)
     told = torch.zeros(len(windows.z), dtype=torch.bool)
     numbers, places = [], []
     for p, (s, f) in enumerate(zip(starts, first, strict=True)):

@@ -2,12 +2,13 @@
 
 A test's dx/dt = g(x, u) has one function a state and its y = h(x, u) one function, with exactly the arguments that
 backtracking the computational graph gives (thesis 3.3, 5.10; `analysis.structure.arguments`). All functions of all
-tests are evaluated side by side: their arguments are columns of [states of all tests (F); signals (nz); 0], the last
-for those that have fewer than others.
+tests are evaluated side by side: their arguments are columns of [states of all tests (F); signals (nz); signals a tick
+before (nz); 0], the last for those that have fewer than others.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +29,9 @@ Columns = npt.NDArray[np.intp]
 class Layout:
     """The functions of T tests with F states over nz signals.
 
-    `rates` (F, D) and `outputs` (T, D') are columns of [states; signals; 0]. `owner` (F,) is the test of a state,
-    `predicts` (T,) the signal column of a test. `starts` are the states as the test's own signals give them on the
-    vehicle, `sensed` the signals of which the model says that they are the state, of whichever test.
+    `rates` (F, D) and `outputs` (T, D') are columns of [states; signals; signals before; 0]. `owner` (F,) is the test
+    of a state, `predicts` (T,) the signal column of a test. `starts` are the states as the test's own signals give them
+    on the vehicle, `sensed` the signals of which the model says that they are the state, of whichever test.
     """
 
     model: Model
@@ -47,7 +48,28 @@ class Layout:
     @property
     def padding(self) -> int:
         """The column that is zero."""
-        return len(self.states) + len(self.signals)
+        return len(self.states) + 2 * len(self.signals)
+
+    @cached_property
+    def since(self) -> Columns:
+        """The `rates` of the signals at both ends of a tick (F, D'')."""
+        first, size = len(self.states), len(self.signals)
+        used = [[int(c) for c in row if c != self.padding] for row in self.rates]
+        return _padded([[*row, *(c + size for c in row if c >= first)] for row in used], self.padding)
+
+    @cached_property
+    def held(self) -> tuple[tuple[int, int], ...]:
+        """Test and signal of every value a tick before that `since` takes."""
+        last = len(self.states) + len(self.signals)
+        found = {
+            (int(t), int(c) - last) for t, row in zip(self.owner, self.since, strict=True) for c in row if c >= last
+        }
+        return tuple(sorted(pair for pair in found if pair[1] < len(self.signals)))
+
+    def driven(self, test: int) -> Columns:
+        """The signals that a test's functions take: among them what it predicts only if its own equations use it."""
+        used = np.unique(np.concatenate([self.rates[self.owner == test].ravel(), self.outputs[test]]))
+        return np.asarray(used[(used >= len(self.states)) & (used != self.padding)] - len(self.states))
 
     def direct(self, test: int) -> int | None:
         """The state that a test's h returns as it is: it has no other argument, and the sensor is the state's."""
@@ -91,6 +113,7 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
     signals = tuple(model.known)
     place = {(t, name): k for k, (t, name) in enumerate((t, s) for t, test in enumerate(tests) for s in test.states)}
     size = len(place)
+    padding = size + 2 * len(signals)
 
     def columns(t: int, of: Arguments) -> list[int]:
         return [place[t, name] for name in of.states] + [size + signals.index(name) for name in of.known]
@@ -104,8 +127,8 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
         signals=signals,
         states=tuple(f"{tests[t].name}.{name}" for t, name in place),
         owner=np.array([t for t, _ in place], dtype=np.intp),
-        rates=_padded(rates, size + len(signals)),
-        outputs=_padded(outputs, size + len(signals)),
+        rates=_padded(rates, padding),
+        outputs=_padded(outputs, padding),
         predicts=np.array([signals.index(test.predicts) for test in tests], dtype=np.intp),
         starts=tuple(state_of(model, tests[t], name) for t, name in place),
         sensed=tuple(_sensed(model, name) for _, name in place),

@@ -7,10 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from training.layout import Layout
-from training.samples import Samples
+from training.reckoned import Example
 from training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
+Columns = npt.NDArray[np.intp]
 
 RIDGE = 1e-3
 """Of the squared size of the data: two signals that always moved together share their effect."""
@@ -23,24 +24,24 @@ class Linear(NamedTuple):
     constant: Array
 
 
-def linear_rates(layout: Layout, samples: Samples, known: Sequence[Array], scaling: Scaling, share: float) -> Linear:
-    """Of the state functions: relaxations by `share` of the way a tick.
-
-    `known` are the states (K, F) of every stretch, as they are reckoned.
-    """
+def linear_rates(
+    layout: Layout, columns: Columns, examples: Sequence[Example], scaling: Scaling, share: float
+) -> Linear:
+    """Of the state functions of these columns: relaxations by `share` of the way a tick."""
     tables, targets = [], []
-    for stretch, found in zip(samples.stretches, known, strict=True):
-        x, z = scaling.x(found), scaling.z(stretch.z)
-        tables.append(_table(x[:-1], z[1:]))
+    for example in examples:
+        x, z = scaling.x(example.x), scaling.z(example.z)
+        tables.append(_table(x[:-1], z[1:], z[:-1]))
         targets.append(x[:-1] + (x[1:] - x[:-1]) / share)
-    return _solved(layout.rates, layout.padding, np.concatenate(tables), np.concatenate(targets))
+    return _solved(columns, layout.padding, np.concatenate(tables), np.concatenate(targets))
 
 
-def linear_outputs(layout: Layout, samples: Samples, known: Sequence[Array], scaling: Scaling) -> Linear:
+def linear_outputs(layout: Layout, examples: Sequence[Example], scaling: Scaling) -> Linear:
     """Of the output functions; one that is a state is exactly that."""
-    x = np.concatenate([scaling.x(found) for found in known])
-    z = np.concatenate([scaling.z(stretch.z) for stretch in samples.stretches])
-    lin, constant = _solved(layout.outputs, layout.padding, _table(x, z), z[:, layout.predicts])
+    x = np.concatenate([scaling.x(example.x) for example in examples])
+    z = np.concatenate([scaling.z(example.z) for example in examples])
+    y = np.concatenate([scaling.y(example.y, layout.predicts) for example in examples])
+    lin, constant = _solved(layout.outputs, layout.padding, _table(x, z, z), y)
     for t, column in enumerate(layout.predicts):
         state = layout.direct(t)
         if state is not None:
@@ -50,11 +51,11 @@ def linear_outputs(layout: Layout, samples: Samples, known: Sequence[Array], sca
     return Linear(lin, constant)
 
 
-def _table(x: Array, z: Array) -> Array:
-    return np.hstack([x, z, np.zeros((len(z), 1))])
+def _table(x: Array, z: Array, before: Array) -> Array:
+    return np.hstack([x, z, before, np.zeros((len(z), 1))])
 
 
-def _solved(columns: npt.NDArray[np.intp], padding: int, table: Array, targets: Array) -> Linear:
+def _solved(columns: Columns, padding: int, table: Array, targets: Array) -> Linear:
     """Ridge regression of targets (K, N) on the columns (N, D) of the table (K, C)."""
     lin, constant = np.zeros(columns.shape), np.zeros(len(columns))
     for f, used in enumerate(columns):

@@ -16,9 +16,10 @@ from training.layout import Layout
 from training.linear import linear_outputs, linear_rates
 from training.network import SPEED, Networks
 from training.recipe import Phase, Recipe
-from training.reckoned import reckoned
+from training.reckoned import Equations, Example, reckoned
 from training.samples import Samples
 from training.scaling import Scaling, scaling_of
+from training.varied import varied
 from training.windows import Batch, Windows
 
 Array = npt.NDArray[np.float64]
@@ -72,17 +73,19 @@ class Training:
         self, layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: "Begin | None" = None
     ) -> None:
         torch.manual_seed(seed)
-        states = reckoned(layout, samples)
-        self.scaling = scaling = begin.scaling if begin else scaling_of(samples, states, recipe.scale)
+        equations = Equations(layout)
+        examples = reckoned(layout, samples, equations)
+        others = varied(layout, examples, equations, recipe.varied, recipe.copies, seed)
+        self.scaling = scaling = begin.scaling if begin else scaling_of(examples, recipe.scale)
         self.layout, self.recipe = layout, recipe
         self.recordings = [stretch.recording for stretch in samples.stretches]
         self.stopped: str | None = None  # why, if it was before the end
-        self.windows = Windows(layout, samples, states, scaling, recipe.folds, seed)
+        self.windows = Windows(layout, examples, others, scaling, recipe.folds, seed)
         self.networks = Networks(layout, recipe, recipe.members)
         if begin:
             self.networks.load_state_dict(begin.weights)
         else:
-            self._linear(samples, states)
+            self._linear([*examples, *others])
         fixed = () if self.networks.outputs.hidden else (self.networks.outputs.first,)  # h is a state: no gain to learn
         self._parameters = [p for p in self.networks.parameters() if all(p is not other for other in fixed)]
         behind = {id(p) for p in self.networks.rates.weights}
@@ -92,7 +95,7 @@ class Training:
         ]
         self._optimizer = torch.optim.AdamW(groups, lr=recipe.rate, eps=EPSILON)
         self._random = torch.Generator().manual_seed(seed)
-        self._targets = self._measured()
+        self._sensed = torch.tensor([float(name is not None) for name in layout.sensed])
         self.history = History()
         self.done = 0
         self.best = {name: value.clone() for name, value in self.networks.state_dict().items()}
@@ -146,13 +149,13 @@ class Training:
         self.best, self.best_error = state["best"], state["best_error"]
         self.history = History(**state["history"])
 
-    def _linear(self, samples: Samples, states: Sequence[Array]) -> None:
+    def _linear(self, examples: Sequence[Example]) -> None:
         """Begins with what least squares gives."""
         layout, networks = self.layout, self.networks
         share = 1.0 / (1.0 + math.exp(-SPEED))
-        starts = [(networks.outputs, linear_outputs(layout, samples, states, self.scaling))]
+        starts = [(networks.outputs, linear_outputs(layout, examples, self.scaling))]
         if self.recipe.linear:
-            starts.append((networks.rates, linear_rates(layout, samples, states, self.scaling, share)))
+            starts.append((networks.rates, linear_rates(layout, networks.columns, examples, self.scaling, share)))
         for stack, at in starts:
             parts = (torch.tensor(part, dtype=torch.float32) for part in at)
             stack.set_linear(*(part.expand(self.recipe.members, *part.shape) for part in parts))
@@ -178,26 +181,14 @@ class Training:
 
     def _loss(self, batch: Batch, burn: int) -> Tensor:
         """The mean squared error of what the tests predict, summed over members and tests: each learns by itself."""
-        run = self.networks.run(batch.x, batch.z)
+        run = self.networks.run(batch.x, batch.u)
         counts = batch.counts[burn:, :, None]
-        y = batch.z.index_select(2, torch.as_tensor(self.layout.predicts))[burn:]
         weight = counts / counts.sum(dim=(0, 3), keepdim=True).clamp(min=1.0)
-        loss = ((run.y[burn:] - y) ** 2 * weight).sum()
+        loss = ((run.y[burn:] - batch.y[burn:]) ** 2 * weight).sum()
         if self.recipe.latent:
-            column, gain, offset = self._targets
-            known = batch.z.index_select(2, column)[burn:] * gain[:, None] + offset[:, None]
-            wanted = self.recipe.latent * (gain != 0.0)[:, None]
-            loss = loss + (wanted * (run.x[burn:] - known) ** 2 * weight).sum()
+            wanted = self.recipe.latent * self._sensed[:, None]
+            loss = loss + (wanted * (run.x[burn:] - batch.known[burn:]) ** 2 * weight).sum()
         return loss
-
-    def _measured(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Per state the signal that measures it, if one does, and the map to it, all scaled: 0 where none does."""
-        layout, scaling = self.layout, self.scaling
-        column = np.array([layout.signals.index(name) if name else 0 for name in layout.sensed])
-        there = np.array([name is not None for name in layout.sensed])
-        gain = np.where(there, scaling.z_size[column] / scaling.x_size, 0.0)
-        offset = np.where(there, (scaling.z_offset[column] - scaling.x_offset) / scaling.x_size, 0.0)
-        return torch.tensor(column), torch.tensor(gain, dtype=torch.float32), torch.tensor(offset, dtype=torch.float32)
 
     def _rate(self) -> float:
         recipe, done = self.recipe, self.done
@@ -230,7 +221,7 @@ class Training:
     def _look(self, loss: float) -> float:
         """Free run; keeps what is better than ever. The median error over members and tests where it was not seen."""
         course = free_run(self.networks, self.windows)
-        y = self.windows.z[course.at][:, torch.as_tensor(self.layout.predicts)].T  # (T, K)
+        y = self.windows.y[course.at].T  # (T, K)
         square = (course.y - y).pow(2)
         hidden = (self.windows.fold[course.at] == self.windows.of(self.recipe.members)[:, None]).to(torch.float32)
         seen, held = (_rms(square, part[:, None]) for part in (1.0 - hidden, hidden))

@@ -25,45 +25,46 @@ class Run(NamedTuple):
 
 
 class Networks(nn.Module):
-    """M members of the networks of a layout, of a recipe's shape. All values are scaled; x (M, F, B), z (M, nz, B)."""
+    """M members of the networks of a layout, of a recipe's shape.
+
+    All values are scaled: states x (M, F, B), inputs u = [signals; signals a tick before; 0] (M, 2 nz + 1, B).
+    """
 
     def __init__(self, layout: Layout, recipe: Recipe, members: int) -> None:
         super().__init__()
         self.recipe, self.members = recipe, members
-        self.rates = Stack(layout.rates.tolist(), members, recipe.hidden, SMALL, layout.padding)
+        self.columns = layout.since if recipe.both_ends else layout.rates
+        self.rates = Stack(self.columns.tolist(), members, recipe.hidden, SMALL, layout.padding)
         simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
         hidden = () if simple and not recipe.learns_h else recipe.hidden
         self.outputs = Stack(layout.outputs.tolist(), members, hidden, SMALL, layout.padding)
         self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
 
-    def advanced(self, x: Tensor, z: Tensor) -> Tensor:
-        """The states after a tick with input z."""
-        f: Tensor = self.rates(self._columns(x, z))
+    def advanced(self, x: Tensor, u: Tensor) -> Tensor:
+        """The states after a tick with inputs u."""
+        f: Tensor = self.rates(torch.cat([x, u], dim=1))
         if self.recipe.cell == "increment":
             return x + PERIOD_S * f
         return torch.lerp(x, f, torch.sigmoid(self.logit))
 
-    def predicted(self, x: Tensor, z: Tensor) -> Tensor:
+    def predicted(self, x: Tensor, u: Tensor) -> Tensor:
         """What the tests predict (M, T, B)."""
-        out: Tensor = self.outputs(self._columns(x, z))
+        out: Tensor = self.outputs(torch.cat([x, u], dim=1))
         return out
 
-    def step(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+    def step(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction and states after a tick, in the recipe's order."""
         if self.recipe.newest:
-            x = self.advanced(x, z)
-            return self.predicted(x, z), x
-        return self.predicted(x, z), self.advanced(x, z)
+            x = self.advanced(x, u)
+            return self.predicted(x, u), x
+        return self.predicted(x, u), self.advanced(x, u)
 
-    def run(self, x: Tensor, z: Tensor) -> Run:
-        """From the states x over inputs z (L, M, nz, B), on the inputs alone."""
+    def run(self, x: Tensor, u: Tensor) -> Run:
+        """From the states x over inputs u (L, M, 2 nz + 1, B), on the inputs alone."""
         ys, xs = [], []
-        for now in z:
+        for now in u:
             y, after = self.step(x, now)
             ys.append(y)
             xs.append(after if self.recipe.newest else x)
             x = after
         return Run(torch.stack(ys), torch.stack(xs))
-
-    def _columns(self, x: Tensor, z: Tensor) -> Tensor:
-        return torch.cat([x, z, torch.zeros_like(z[:, :1])], dim=1)

@@ -49,12 +49,12 @@ def operating_points(windows: Windows, course: Course) -> Array:
 def novelty_columns(layout: Layout) -> Columns:
     """For each test: its states and the signals that its functions take, of [states (F); signals (nz); 0]."""
     size, rows = len(layout.states), []
+    padding = size + len(layout.signals)
     for t in range(len(layout.tests)):
         own = np.flatnonzero(layout.owner == t)
-        used = np.unique(np.concatenate([layout.rates[own].ravel(), layout.outputs[t]]))
-        rows.append([*own, *used[(used >= size) & (used < layout.padding)]])
+        rows.append([*own, *(layout.driven(t) + size)])
     width = max(len(row) for row in rows)
-    return np.array([[*row, *[layout.padding] * (width - len(row))] for row in rows], dtype=np.intp)
+    return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
 
 
 def novelty(of: Novelty, values: Array) -> Array:

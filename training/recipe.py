@@ -23,12 +23,14 @@ class Phase:
 class Recipe:
     """What a training does.
 
-    Cell: `relaxation` x+ = x + s (f - x) with s learnt per state, or `increment` x+ = x + Ts g; of the `newest` input,
-    or of the one before (thesis 3.6). `learns_h`: h is a network even where it is just a state. `linear` begins with
-    the least-squares linear part. `rate` of Adam, falling as a cosine to `last` of it, or by 2 % every ten iterations
+    Cell: `relaxation` x+ = x + s (f - x) with s learnt per state, or `increment` x+ = x + Ts g; of the `newest` inputs
+    or those before (thesis 3.6), or of those at `both_ends` of the tick: when in between an input changed, a sample
+    does not tell. `learns_h`: h is a network even where it is just a state. `linear` begins with the least-squares
+    linear part. `rate` of Adam, falling as a cosine to `last` of it, or by 2 % every ten iterations
     where `last` is None; the first `warm_up` iterations have less. Gradients of a member's test are cut at norm `clip`;
     layers behind the first decay (AdamW) by `decay` times the rate, towards functions that are linear. `latent` weighs
-    measured states that are not what a test predicts. A member does not see one of the `folds` of the recordings, by
+    measured states that are not what a test predicts. `copies` of the recordings are `varied` by so much of the
+    signals' spread (`training.varied`). A member does not see one of the `folds` of the recordings, by
     which its best weights are kept; 0: all see everything, and the last weights stay.
     """
 
@@ -36,6 +38,7 @@ class Recipe:
     hidden: tuple[int, ...]
     cell: Literal["relaxation", "increment"]
     newest: bool
+    both_ends: bool
     learns_h: bool
     linear: bool
     scale: Kind
@@ -46,6 +49,8 @@ class Recipe:
     clip: float
     decay: float
     latent: float
+    varied: float
+    copies: int
     folds: int
     members: int
 
@@ -55,6 +60,7 @@ DEFAULT = Recipe(
     hidden=(24, 24),
     cell="relaxation",
     newest=True,
+    both_ends=True,
     learns_h=False,
     linear=True,
     scale="spread",
@@ -65,6 +71,8 @@ DEFAULT = Recipe(
     clip=1.0,
     decay=0.1,
     latent=0.02,
+    varied=0.3,
+    copies=1,
     folds=5,
     members=5,
 )
@@ -74,6 +82,7 @@ THESIS = Recipe(
     hidden=(128, 128, 128),
     cell="increment",
     newest=False,
+    both_ends=False,
     learns_h=True,
     linear=False,
     scale="range",
@@ -84,6 +93,8 @@ THESIS = Recipe(
     clip=1.0,
     decay=0.0,
     latent=0.0,
+    varied=0.0,
+    copies=0,
     folds=0,
     members=1,
 )

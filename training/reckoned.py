@@ -5,11 +5,13 @@ file: a datasheet's will do, as a training only begins there.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import bank_of
+from analysis.graph.bank import Bank, bank_of
 from service.core.errors import InputError
 from service.core.generators import Graph
 from training.layout import Layout
@@ -18,27 +20,55 @@ from training.samples import Samples
 Array = npt.NDArray[np.float64]
 
 
-def reckoned(layout: Layout, samples: Samples) -> list[Array]:
-    """The states (K, F) of every stretch.
+class Example(NamedTuple):
+    """K ticks in a row to learn from: signals `z` (K, nz), states `x` (K, F), and predictions `y` (K, T) to be made.
+
+    `begin_s` is the log time of the first.
+    """
+
+    recording: str
+    begin_s: float
+    z: Array
+    x: Array
+    y: Array
+
+
+class Equations:
+    """The tests' own equations, run freely over signals."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._bank: Bank = bank_of(layout.model, layout.tests)
+
+    @cached_property
+    def _graph(self) -> Graph:
+        return Graph(self._bank.graph())
+
+    def course(self, z: Array) -> tuple[Array, Array]:
+        """States (K, F) and predictions (K, T) over signals (K, nz), from where the first of them put the states."""
+        x = self._bank.start(z[0])[None]
+        states, predictions = np.empty((len(z), len(self._layout.states))), np.empty((len(z), len(self._layout.tests)))
+        for k, now in enumerate(z):
+            _, predictions[k], _, _, x = self._graph(z=now[None], x=x)
+            states[k] = x[0]
+        return states, predictions
+
+
+def reckoned(layout: Layout, samples: Samples, equations: Equations) -> list[Example]:
+    """Every stretch.
 
     Raises:
         InputError: the model's equations cannot be solved, or run away.
     """
-    bank = bank_of(layout.model, layout.tests)
-    graph = Graph(bank.graph())
     column = [None if name is None else layout.signals.index(name) for name in layout.sensed]
     found = []
     for stretch in samples.stretches:
-        x = bank.start(stretch.z[0])[None]
-        states = np.empty((len(stretch.z), len(layout.states)))
-        for k, z in enumerate(stretch.z):
-            *_, x = graph(z=z[None], x=x)
-            states[k] = x[0]
+        states, _ = equations.course(stretch.z)
         for f, measured in enumerate(column):
             if measured is not None:
                 states[:, f] = stretch.z[:, measured]
         _check(layout, states, stretch.recording)
-        found.append(states)
+        found.append(Example(stretch.recording, stretch.begin_s, stretch.z, states, stretch.z[:, layout.predicts]))
     return found
 
 

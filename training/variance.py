@@ -47,7 +47,7 @@ class Residuals(NamedTuple):
 def variances(layout: Layout, windows: Windows, course: Course, seed: int) -> Variances:
     """The network of all tests, from a free run over the recordings that the members were trained on."""
     torch.manual_seed(seed)
-    residuals = cross_fit(layout, windows, course)
+    residuals = cross_fit(windows, course)
     columns = variance_columns(layout)
     everything = torch.ones_like(residuals.half)
     factors = []
@@ -59,20 +59,23 @@ def variances(layout: Layout, windows: Windows, course: Course, seed: int) -> Va
 
 
 def variance_columns(layout: Layout) -> Columns:
-    """For each test: its new states, its old states, and its signals, of [new (F); old (F); signals (nz); 0]."""
+    """For each test: its new states, its old states, and the signals it is driven by, of [new; old; signals; 0].
+
+    The signal that it predicts is not among them: beside the state that predicts it, it would tell the residual, and a
+    residual that makes its own sigma hides every fault.
+    """
     size, rows = len(layout.states), []
-    for t, test in enumerate(layout.tests):
+    for t in range(len(layout.tests)):
         own = np.flatnonzero(layout.owner == t)
-        signals = [2 * size + layout.signals.index(name) for name in test.known]
-        rows.append([*own, *(own + size), *signals])
+        rows.append([*own, *(own + size), *(layout.driven(t) + 2 * size)])
     width = max(len(row) for row in rows)
     padding = 2 * size + len(layout.signals)
     return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
 
 
-def cross_fit(layout: Layout, windows: Windows, course: Course) -> Residuals:
+def cross_fit(windows: Windows, course: Course) -> Residuals:
     """Of every tick that one member did not see, that member's residual; without folds, the mean's."""
-    y = windows.z[course.at][:, torch.as_tensor(layout.predicts)].T
+    y = windows.y[course.at].T
     mean = course.y.mean(dim=0)
     members = len(course.y)
     among = ((course.y - mean) ** 2).sum(dim=0) / max(members - 1, 1)

@@ -1,5 +1,7 @@
 """From trained networks to the arrays that a graph is written from."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -14,12 +16,14 @@ from training.stack import Stack
 from training.variance import Variances
 
 Array = npt.NDArray[np.float64]
+Columns = npt.NDArray[np.intp]
 
 
 def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Variances, novelty: Novelty) -> Cells:
     """The cells of trained networks."""
     relaxes = networks.recipe.cell == "relaxation"
     speed = torch.sigmoid(networks.logit[:, :, 0]) if relaxes else torch.full_like(networks.logit[:, :, 0], PERIOD_S)
+    held = layout.held if networks.recipe.both_ends else ()
     return Cells(
         members=networks.members,
         z_offset=scaling.z_offset,
@@ -27,8 +31,9 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
         x_offset=scaling.x_offset,
         x_size=scaling.x_size,
         owner=layout.owner,
-        rates=_functions(networks.rates, layout.rates),
-        outputs=_functions(networks.outputs, layout.outputs),
+        held=held,
+        rates=_functions(networks.rates, _columns(layout, networks.columns, layout.owner, held)),
+        outputs=_functions(networks.outputs, _columns(layout, layout.outputs, np.arange(len(layout.tests)), held)),
         speed=_array(speed),
         relaxes=relaxes,
         newest=networks.recipe.newest,
@@ -38,7 +43,17 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
     )
 
 
-def _functions(stack: Stack, columns: npt.NDArray[np.intp]) -> Functions:
+def _columns(layout: Layout, columns: Columns, owner: Columns, held: Sequence[tuple[int, int]]) -> Columns:
+    """The columns as a graph has them: of what was a tick before, only what each test holds."""
+    last = len(layout.states) + len(layout.signals)
+    found = np.full(columns.shape, last + len(held), dtype=np.intp)
+    for f, row in enumerate(columns):
+        for k, column in enumerate(row[row != layout.padding]):
+            found[f, k] = column if column < last else last + held.index((int(owner[f]), int(column) - last))
+    return found
+
+
+def _functions(stack: Stack, columns: Columns) -> Functions:
     layers = _layers(stack)
     return Functions(columns, _array(stack.first[:, 0]), _array(stack.bias[:, 0, 0]), layers)
 

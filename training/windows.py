@@ -10,7 +10,7 @@ from torch import Tensor
 
 from analysis.graph.bank import PERIOD_S
 from training.layout import Layout
-from training.samples import Samples
+from training.reckoned import Example
 from training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
@@ -26,37 +26,50 @@ APART_S = 1e5
 
 
 class Batch(NamedTuple):
-    """Windows, scaled: first states x (M, F, B), signals z (L, M, nz, B), and whether an output counts (L, M, B)."""
+    """Windows, scaled: the first states x (M, F, B), and what there is of every tick.
+
+    Inputs u (L, M, 2 nz + 1, B), `known` states (L, M, F, B), predictions to be made y (L, M, T, B), and whether they
+    count (L, M, B).
+    """
 
     x: Tensor
-    z: Tensor
+    u: Tensor
+    known: Tensor
+    y: Tensor
     counts: Tensor
 
 
 class Windows:
-    """The samples of all stretches one after the other, scaled.
+    """All examples one after the other, scaled: those that were measured, then those that were varied.
 
-    `fold` (K,) is that of a tick, -1 without folds, and `part` (K,) the number of its part; `reckoned` (K, F) and
-    `starts` (K, F) are the states as they are reckoned, and as the vehicle would start them.
+    Signals `z` (K, nz), inputs `u` = [signals; signals a tick before; 0] (K, 2 nz + 1), `known` states (K, F) and
+    predictions to be made `y` (K, T); `starts` (K, F) are the states as the
+    vehicle would start them, `fold` (K,) that of a tick, -1 without folds, and `part` (K,) the number of its part.
+    `bounds` are where examples begin and end, `measured` those that were.
     """
 
     def __init__(
         self,
         layout: Layout,
-        samples: Samples,
-        states: Sequence[Array],
+        examples: Sequence[Example],
+        varied: Sequence[Example],
         scaling: Scaling,
         folds: int,
         seed: int,
     ) -> None:
-        stretches = [stretch.z for stretch in samples.stretches]
-        z = np.concatenate(stretches)
+        every = [*examples, *varied]
+        z, x, y = (np.concatenate([getattr(example, name) for example in every]) for name in ("z", "x", "y"))
         self.z = torch.tensor(scaling.z(z), dtype=torch.float32)
-        self.reckoned = torch.tensor(scaling.x(np.concatenate(states)), dtype=torch.float32)
+        before = np.concatenate([example.z[np.maximum(np.arange(len(example.z)) - 1, 0)] for example in every])
+        nothing = torch.zeros(len(z), 1)
+        self.u = torch.cat([self.z, torch.tensor(scaling.z(before), dtype=torch.float32), nothing], dim=1)
+        self.known = torch.tensor(scaling.x(x), dtype=torch.float32)
+        self.y = torch.tensor(scaling.y(y, layout.predicts), dtype=torch.float32)
         self.starts = torch.tensor(scaling.x(layout.started(z)), dtype=torch.float32)
-        ends = np.cumsum([len(part) for part in stretches])
-        self.bounds = [(int(end - len(part)), int(end)) for part, end in zip(stretches, ends, strict=True)]
-        clock = _clock(samples)
+        ends = np.cumsum([len(example.z) for example in every])
+        self.bounds = [(int(end - len(example.z)), int(end)) for example, end in zip(every, ends, strict=True)]
+        self.measured = self.bounds[: len(examples)]
+        clock = _clock(every)
         self.fold = torch.tensor(_folds(clock, folds, seed))
         self.part = torch.tensor((clock / PART_S).astype(np.int64))
         self._folds = folds
@@ -75,28 +88,36 @@ class Windows:
         chosen = places[torch.randint(len(places), (members, count), generator=generator)]  # (M, B)
         at = chosen[None] + torch.arange(length)[:, None, None]  # (L, M, B)
         fold = self.of(members)[None, :, None]
+        u, known, y = (part[at].transpose(2, 3).contiguous() for part in self._parts)
         return Batch(
-            self.reckoned[chosen].transpose(1, 2).contiguous(),
-            self.z[at].transpose(2, 3).contiguous(),
+            self.known[chosen].transpose(1, 2).contiguous(),
+            u,
+            known,
+            y,
             (self.fold[at] != fold).to(torch.float32),
         )
 
     def _whole(self, members: int) -> Batch:
         longest = max(end - begin for begin, end in self.bounds)
-        z = torch.zeros(longest, members, self.z.shape[1], len(self.bounds))
+        u, known, y = (torch.zeros(longest, members, part.shape[1], len(self.bounds)) for part in self._parts)
         counts = torch.zeros(longest, members, len(self.bounds))
         for b, (begin, end) in enumerate(self.bounds):
-            z[: end - begin, :, :, b] = self.z[begin:end, None, :]
+            for to, part in zip((u, known, y), self._parts, strict=True):
+                to[: end - begin, :, :, b] = part[begin:end, None, :]
             counts[: end - begin, :, b] = (self.fold[begin:end, None] != self.of(members)).to(torch.float32)
         x = torch.stack([self.starts[begin] for begin, _ in self.bounds], dim=1)
-        return Batch(x[None].repeat(members, 1, 1), z, counts)
+        return Batch(x[None].repeat(members, 1, 1), u, known, y, counts)
+
+    @property
+    def _parts(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.u, self.known, self.y
 
 
-def _clock(samples: Samples) -> npt.NDArray[np.float64]:
+def _clock(examples: Sequence[Example]) -> npt.NDArray[np.float64]:
     """The log time [s] of every tick; recordings lie `APART_S` apart."""
-    number = {name: k for k, name in enumerate(dict.fromkeys(s.recording for s in samples.stretches))}
+    number = {name: k for k, name in enumerate(dict.fromkeys(e.recording for e in examples))}
     return np.concatenate(
-        [APART_S * number[s.recording] + s.begin_s + PERIOD_S * np.arange(len(s.z)) for s in samples.stretches]
+        [APART_S * number[e.recording] + e.begin_s + PERIOD_S * np.arange(len(e.z)) for e in examples]
     )
 
 

@@ -5,9 +5,10 @@ small network (thesis 3.3, 5.10):
 
     x+ = x + s (f(x, z) - x)   or   x + Ts f(x, z);        y = h(x+, z)   or, with the old input (thesis 3.6), h(x, z)
 
-of M members. What leaves the graph is the mean prediction of the members, sigma from a variance network and from the
-members' spread, and the novelty of the operating point: the distance from the nearest of some centres of what was
-trained, in parts of that centre's reach. Scaling is done in float64 at the edge, all else in float32.
+of M members; z are the signals now and, where a test holds them as further states, those a tick before. What leaves the
+graph is the mean prediction of the members, sigma from a variance network and from the members' spread, and the novelty
+of the operating point: the distance from the nearest of some centres of what was trained, in parts of that centre's
+reach. Scaling is done in float64 at the edge, all else in float32.
 """
 
 from dataclasses import dataclass
@@ -62,9 +63,10 @@ class Novelty:
 class Cells:
     """Trained networks of T tests with F states, M members; a value is offset + size * scaled.
 
-    `owner` (F,) is the test of a state, `predicts` (T,) the signal of each test. `speed` (M, F) is s, or Ts throughout
-    where `relaxes` is false; `newest` whether h sees the new states. Columns of functions count [states (F); signals
-    (nz); 0]; variance and novelty look at the ensemble's mean states.
+    `owner` (F,) is the test of a state, `held` are test and signal of H values a tick before, `predicts` (T,) the
+    signal of each test. `speed` (M, F) is s, or Ts throughout where `relaxes` is false; `newest` whether h sees the new
+    states. Columns of functions count [states (F); signals (nz); held (H); 0]; variance and novelty look at the
+    ensemble's mean states.
     """
 
     members: int
@@ -73,6 +75,7 @@ class Cells:
     x_offset: Array
     x_size: Array
     owner: Columns
+    held: tuple[tuple[int, int], ...]
     rates: Functions
     outputs: Functions
     speed: Array
@@ -84,28 +87,33 @@ class Cells:
 
 
 def cell_graph(c: Cells) -> bytes:
-    """The fused graph as ONNX bytes: z (B, nz), x (B, M F) -> r, y_hat, sigma, novelty (B, T), x_next (B, M F).
+    """The fused graph as ONNX bytes: z (B, nz), x (B, M F + H) -> r, y_hat, sigma, novelty (B, T), x_next as x.
 
-    States are those of the first test, member by member, then those of the second, and so on.
+    States are those of the first test, member by member, and what it holds; then those of the second, and so on.
     """
-    M, F, nz, T = c.members, len(c.x_offset), len(c.z_offset), len(c.predicts)
+    M, F, H, nz, T = c.members, len(c.x_offset), len(c.held), len(c.z_offset), len(c.predicts)
     w = Writer()
-    z, x = w.input("z", ["B", nz]), w.input("x", ["B", M * F])
-    x_offset, x_size = np.tile(c.x_offset, M), np.tile(c.x_size, M)
-    outside = np.argsort(np.tile(c.owner, M), kind="stable")  # inside, states are sorted by members
+    z, x = w.input("z", ["B", nz]), w.input("x", ["B", M * F + H])
+    test, signal = np.array(c.held, dtype=np.intp).reshape(-1, 2).T
+    x_offset = np.concatenate([np.tile(c.x_offset, M), c.z_offset[signal]])
+    x_size = np.concatenate([np.tile(c.x_size, M), c.z_size[signal]])
+    # inside, states are sorted by members, and what is held comes last
+    outside = np.argsort(np.concatenate([np.tile(c.owner, M), test]), kind="stable")
     u = _single(w, w("Div", w("Sub", z, w.constant(c.z_offset)), w.constant(c.z_size)))
     given = w.gather(x, np.argsort(outside), 1)
-    old = _single(w, w("Div", w("Sub", given, w.constant(x_offset)), w.constant(x_size)))
-    f = _functions(w, c.rates, old, u, M, F)
+    scaled = _single(w, w("Div", w("Sub", given, w.constant(x_offset)), w.constant(x_size)))
+    old = w.slice(scaled, 1, 0, M * F) if H else scaled
+    nothing = _nothing(w, u)
+    inputs = w.concat([u, w.slice(scaled, 1, M * F, M * F + H), nothing] if H else [u, nothing], axis=1)
+    f = _functions(w, c.rates, old, inputs, M, F)
     way = w("Sub", f, old) if c.relaxes else f
     new = w("Add", old, w("Mul", way, _float(w, c.speed.reshape(1, -1))))
     seen = new if c.newest else old
-    y = w.reshape(_functions(w, c.outputs, seen, u, M, F), [-1, M, T])
+    y = w.reshape(_functions(w, c.outputs, seen, inputs, M, F), [-1, M, T])
     mean = w.mean(y, 1)
     spread = w("Sub", y, w.reshape(mean, [-1, 1, T]))
     among = w("Mul", w.mean(w("Mul", spread, spread), 1), _float(w, np.array(M / max(M - 1, 1))))
     centre, before = (w.mean(w.reshape(part, [-1, M, F]), 1) for part in (seen, old))
-    nothing = _nothing(w, u)
     own = w.concat([centre, before, u, nothing], axis=1)
     log_v = _layers(w, _taken(w, own, c.variance.columns), c.variance.layers)
     sigma = w("Mul", w("Sqrt", w("Add", w("Exp", log_v), among)), _float(w, c.variance.factor[None]))
@@ -115,15 +123,17 @@ def cell_graph(c: Cells) -> bytes:
     w.output("y_hat", y_hat, ["B", T])
     w.output("sigma", w("Mul", w.cast(sigma, np.float64), w.constant(size)), ["B", T])
     w.output("novelty", w.cast(_novelty(w, c.novelty, w.concat([centre, u, nothing], axis=1)), np.float64), ["B", T])
-    scaled = w("Mul", w.cast(new, np.float64), w.constant(x_size))
-    w.output("x_next", w.gather(w("Add", scaled, w.constant(x_offset)), outside, 1), ["B", M * F])
+    after = w("Mul", w.cast(new, np.float64), w.constant(x_size[: M * F]))
+    after = w("Add", after, w.constant(x_offset[: M * F]))
+    after = w.concat([after, w.gather(z, signal, 1)], axis=1) if H else after
+    w.output("x_next", w.gather(after, outside, 1), ["B", M * F + H])
     return w.model("faultline-rnn")
 
 
-def _functions(w: Writer, of: Functions, x: str, u: str, members: int, states: int) -> str:
-    """The functions' values (B, M F) at scaled states x (B, M states) and signals u (B, nz)."""
-    both = w.concat([x, u, _nothing(w, u)], axis=1)
-    # a member's own states, then signals and the zero, which all members share
+def _functions(w: Writer, of: Functions, x: str, inputs: str, members: int, states: int) -> str:
+    """The functions' values (B, M F) at scaled states x (B, M states) and inputs [signals; held; 0] (B, nz + H + 1)."""
+    both = w.concat([x, inputs], axis=1)
+    # a member's own states, then the inputs, which all members share
     own = [
         np.where(of.columns < states, of.columns + m * states, of.columns + (members - 1) * states)
         for m in range(members)

@@ -35,7 +35,7 @@ from training.bank import networks_of
 from training.layout import layout_of
 from training.loop import Begin, Training
 from training.recipe import DEFAULT, THESIS, Phase, Recipe
-from training.samples import load_samples
+from training.samples import Samples, load_samples
 from training.saved import PHASES, RATE
 
 Array = npt.NDArray[np.float64]
@@ -57,6 +57,9 @@ SHORT_S = (120.0, 240.0)
 
 EPOCHS = 3
 """Of the thesis' recipe, for what one costs."""
+
+WHOLE = ("t02", "t13", "t21")
+"""Tests that the thesis' recipe trains to its end."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,16 @@ def made(case: Case, cycle: str, folder: Path, seed: int, duration_s: float, *, 
     return folder / "logs" / name
 
 
+def others(case: Case, folder: Path) -> dict[str, Path]:
+    """The recordings on which a case is judged."""
+    first = 100 * case.seed
+    return {
+        "validation": made(case, "validation", folder, first + 2, 480.0),
+        "drive": made(case, "drive", folder, first + 3, 480.0),
+        "controller": made(case, "validation", folder, first + 2, 480.0, slow=True),
+    }
+
+
 def trained(
     model: Model, recording: Path, recipe: Recipe, seed: int, begin: Begin | None = None
 ) -> tuple[Networks, Training, float]:
@@ -115,14 +128,18 @@ def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[
     table = compile_dbc(log.dbc, {c.signal: c.unit for c in runnable.bank.inputs}, str(recording))
     ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
     r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "usable"))
-    found, tests = {}, len(runnable.bank.tests)
-    for t, test in enumerate(runnable.bank.tests):
+    names = [generator.name for generator in runnable.generators]
+    found = {}
+    for n, generator in enumerate(runnable.generators):
+        if generator.name.endswith(".ode"):
+            continue
+        t = names.index(f"{generator.test}.ode")
         both = usable[:, t]
-        net = usable[:, t + tests] & both
-        found[test.name] = {
+        net = usable[:, n] & both
+        found[generator.test] = {
             "equations": _rms(r[both, t]),
-            "networks": _rms(r[net, t + tests]),
-            "covered": float((np.abs(r[net, t + tests]) < BAND * sigma[net, t + tests]).mean()),
+            "networks": _rms(r[net, n]),
+            "covered": float((np.abs(r[net, n]) < BAND * sigma[net, n]).mean()),
             "novel": 1.0 - float(net.sum() / both.sum()),
         }
     return found
@@ -144,11 +161,6 @@ def compared(case: Case) -> Record:
         )  # 1: it writes nothing, and says why
         model = load_model(str(calibrated) if calibrated.exists() else MODEL)
         networks, _, cpu_s = trained(model, training, DEFAULT, case.seed)
-        recordings = {
-            "validation": made(case, "validation", folder, first + 2, 480.0),
-            "drive": made(case, "drive", folder, first + 3, 480.0),
-            "controller": made(case, "validation", folder, first + 2, 480.0, slow=True),
-        }
         return {
             "kind": "compared",
             "case": case.name,
@@ -156,7 +168,7 @@ def compared(case: Case) -> Record:
             "cpu_s": cpu_s,
             "calibrated": calibrated.exists(),
             "bytes": len(networks.graph),
-            "judged": {name: judged(model, networks, recording) for name, recording in recordings.items()},
+            "judged": {name: judged(model, networks, recording) for name, recording in others(case, folder).items()},
         }
 
 
@@ -189,16 +201,36 @@ class _Weights:
 
 def thesis_cost(test: str) -> Record:
     """What an epoch of the thesis' recipe costs, one member of one test by itself, as the thesis ran it."""
-    model = load_model(MODEL)
     with tempfile.TemporaryDirectory() as scratch:
-        recording = made(Case("bench", None, 0), "training", Path(scratch), 1, 600.0)
-        samples = load_samples(model, build_bank(model).inputs, [recording], lambda _: None)
+        _, _, seconds = _as_the_thesis(test, Path(scratch), EPOCHS)
+    return {"kind": "thesis", "case": f"thesis-{test}", "test": test, "epoch_s": seconds / EPOCHS}
+
+
+def thesis_whole(test: str) -> Record:
+    """The thesis' recipe to its end: errors where `bench-none-0` is judged."""
+    case = Case("bench", None, 0)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, model = Path(scratch), load_model(MODEL)
+        training, samples, seconds = _as_the_thesis(test, folder, None)
+        networks = networks_of(training, samples, 0)
+        errors = {
+            name: judged(model, networks, recording)[test]["networks"]
+            for name, recording in others(case, folder).items()
+        }
+    return {"kind": "whole", "case": f"whole-{test}", "test": test, "cpu_s": seconds, "errors": errors}
+
+
+def _as_the_thesis(test: str, folder: Path, epochs: int | None) -> tuple[Training, Samples, float]:
+    """A training by its recipe, of one member of one test, and the CPU time [s]."""
+    model = load_model(MODEL)
+    recording = made(Case("bench", None, 0), "training", folder, 1, 600.0)
+    samples = load_samples(model, build_bank(model).inputs, [recording], lambda _: None)
     one = replace(samples, stretches=samples.stretches[:1])  # of one start, as the thesis had
-    training = Training(layout_of(model, [test]), one, replace(THESIS, phases=(Phase(None, 0, 1, EPOCHS),)), 0)
+    recipe = replace(THESIS, phases=(Phase(None, 0, 1, epochs),)) if epochs else THESIS
+    training = Training(layout_of(model, [test]), one, recipe, 0)
     start = time.process_time()
-    training.run(lambda _: None, lambda: None)
-    epoch_s = (time.process_time() - start) / EPOCHS
-    return {"kind": "thesis", "case": f"thesis-{test}", "test": test, "epoch_s": epoch_s}
+    training.run(lambda report: print(test, report, flush=True), lambda: None)
+    return training, one, time.process_time() - start
 
 
 def work() -> list[tuple[str, Any, Any]]:
@@ -206,7 +238,8 @@ def work() -> list[tuple[str, Any, Any]]:
     tests = [test.name for test in layout_of(load_model(MODEL)).tests]
     found: list[tuple[str, Any, Any]] = [(case.name, compared, case) for case in cases()]
     found += [(f"transfer-{seconds:.0f}", transferred, seconds) for seconds in SHORT_S]
-    return found + [(f"thesis-{test}", thesis_cost, test) for test in tests]
+    found += [(f"thesis-{test}", thesis_cost, test) for test in tests]
+    return found + [(f"whole-{test}", thesis_whole, test) for test in WHOLE]
 
 
 def kept() -> list[Record]:

@@ -6,7 +6,7 @@ from made_samples import circuit, rc
 
 from training.free_run import Course
 from training.novelty import novelty, novelty_of, operating_points
-from training.reckoned import reckoned
+from training.reckoned import Equations, reckoned
 from training.scaling import scaling_of
 from training.windows import Windows
 
@@ -15,8 +15,8 @@ def walk(seed: int, inside: bool, ticks: int = 3000) -> tuple[Windows, Course]:
     """A state and an input that wander in an L (thesis Fig. 6.15): both are never large together, where `inside`."""
     layout, samples = rc(), circuit(1, ticks)
     rng = np.random.default_rng(seed)
-    states = reckoned(layout, samples)
-    windows = Windows(layout, samples, states, scaling_of(samples, states, "spread"), 0, 0)
+    examples = reckoned(layout, samples, Equations(layout))
+    windows = Windows(layout, examples, [], scaling_of(examples, "spread"), 0, 0)
     t = np.arange(ticks) / 40.0
     one, two = (1.0 + np.sin(t * f + rng.uniform(0, 6)) for f in (0.7, 0.31))
     if inside:

@@ -17,7 +17,7 @@ from training.layout import Layout, layout_of
 from training.network import Networks
 from training.novelty import novelty, novelty_of, operating_points
 from training.recipe import DEFAULT, THESIS, Recipe
-from training.reckoned import reckoned
+from training.reckoned import Equations, reckoned
 from training.samples import Samples
 from training.scaling import scaling_of
 from training.variance import variances
@@ -39,18 +39,18 @@ PARITY = 1e-5
 )
 def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Recipe) -> None:
     torch.manual_seed(7)
-    states = reckoned(layout, samples)
-    scaling = scaling_of(samples, states, recipe.scale)
+    examples = reckoned(layout, samples, Equations(layout))
+    scaling = scaling_of(examples, recipe.scale)
     networks = Networks(layout, recipe, recipe.members)
     with torch.no_grad():
         for parameter in networks.parameters():  # nothing may be zero by chance of how it begins
             parameter.add_(0.05 * torch.randn_like(parameter))
-    windows = Windows(layout, samples, states, scaling, recipe.folds, 0)
+    windows = Windows(layout, examples, [], scaling, recipe.folds, 0)
     course = free_run(networks, windows)
     spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
     graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
     z = samples.stretches[0].z
-    generators = [generator_of(layout, t, recipe.members) for t in range(len(layout.tests))]
+    generators = [generator_of(layout, t, recipe) for t in range(len(layout.tests))]
     start = [
         s.offset + sum(g * z[0, layout.signals.index(n)] for n, g in s.gain.items())
         for o in generators
@@ -62,7 +62,7 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
         r[k : k + 1], _, sigma[k : k + 1], novel[k : k + 1], x = graph(z=sample[None], x=x)
     x0 = windows.starts[0][None, :, None].expand(recipe.members, -1, -1)
     with torch.no_grad():
-        run = networks.run(x0, windows.z[:, None, :, None].expand(-1, recipe.members, -1, -1))
+        run = networks.run(x0, windows.u[:, None, :, None].expand(-1, recipe.members, -1, -1))
     size, offset = scaling.z_size[layout.predicts], scaling.z_offset[layout.predicts]
     y = run.y[:, :, :, 0].mean(dim=1).numpy() * size + offset
     assert np.abs(z[:, layout.predicts] - r - y).max() < PARITY * np.abs(y).max()
@@ -74,15 +74,15 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
 
 def test_recordings_side_by_side_are_each_by_itself() -> None:
     layout, samples = layout_of(load_model("uds4"), ["t06", "t21"]), dosing(3)
-    states = reckoned(layout, samples)
-    scaling = scaling_of(samples, states, "spread")
+    examples = reckoned(layout, samples, Equations(layout))
+    scaling = scaling_of(examples, "spread")
     networks = Networks(layout, dataclasses.replace(DEFAULT, folds=2), 2)
-    windows = Windows(layout, samples, states, scaling, 2, 0)
+    windows = Windows(layout, examples, [], scaling, 2, 0)
     course = free_run(networks, windows)
     spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
     graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
     z = samples.stretches[0].z[[0, 30, 77]]
-    x = np.random.default_rng(0).uniform(5e5, 1e6, (3, 2 * len(layout.states)))
+    x = np.random.default_rng(0).uniform(5e5, 1e6, (3, 2 * len(layout.states) + len(layout.held)))
     together = graph(z=z, x=x)
     for row in range(3):
         for found, alone in zip(together, graph(z=z[row : row + 1], x=x[row : row + 1]), strict=True):

@@ -15,7 +15,7 @@ from training.checkpoint import key_of, load_checkpoint, save_checkpoint
 from training.free_run import free_run
 from training.loop import Training
 from training.recipe import THESIS, Phase, Recipe
-from training.reckoned import reckoned
+from training.reckoned import Equations, reckoned
 from training.samples import Samples, Stretch
 from training.windows import Windows
 
@@ -40,7 +40,7 @@ def graph_of(trained: Training, samples: Samples) -> bytes:
 def error_on(trained: Training, other: Samples) -> float:
     """The free-run error [A] of the members' mean on other samples."""
     layout, scaling = trained.layout, trained.scaling
-    windows = Windows(layout, other, reckoned(layout, other), scaling, 0, 0)
+    windows = Windows(layout, reckoned(layout, other, Equations(layout)), [], scaling, 0, 0)
     course = free_run(trained.finish(), windows)
     left = course.y.mean(dim=0) - windows.z[course.at][:, torch.as_tensor(trained.layout.predicts)].T
     return float(left.pow(2).mean().sqrt()) * float(scaling.z_size[1])
@@ -158,7 +158,7 @@ def test_what_is_seen_from_several_starts_is_in_one_fold() -> None:
     starts = tuple(Stretch("log", z[k:], 3.0 + 0.2 * k) for k in (0, 7))
     samples = dataclasses.replace(one, stretches=(*starts, Stretch("another log", z, 3.0)))
     windows = training(samples).windows
-    first, second, other = (slice(begin, end) for begin, end in windows.bounds)
+    first, second, other = (slice(begin, end) for begin, end in windows.measured)
     assert torch.equal(windows.fold[first][7:], windows.fold[second])
     assert torch.equal(windows.part[first][7:], windows.part[second])
     assert not torch.equal(windows.fold[first], windows.fold[other])

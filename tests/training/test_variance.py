@@ -5,7 +5,7 @@ import torch
 from made_samples import circuit, rc
 
 from training.free_run import Course
-from training.reckoned import reckoned
+from training.reckoned import Equations, reckoned
 from training.scaling import scaling_of
 from training.variance import Variances, variances
 from training.windows import Windows
@@ -16,12 +16,12 @@ MEMBERS = 3
 def made(seed: int, folds: int, ticks: int = 6000) -> tuple[Windows, Course, torch.Tensor]:
     """A perfect model with noise that grows with the voltage, up to tenfold; and the true deviation."""
     layout, samples = rc(), circuit(seed, ticks)
-    states = reckoned(layout, samples)
-    windows = Windows(layout, samples, states, scaling_of(samples, states, "spread"), folds, 0)
+    examples = reckoned(layout, samples, Equations(layout))
+    windows = Windows(layout, examples, [], scaling_of(examples, "spread"), folds, 0)
     truth = 0.1 * torch.exp(0.7 * windows.z[:, 0])
     noise = truth * torch.tensor(np.random.default_rng(seed).normal(size=ticks), dtype=torch.float32)
     y = (windows.z[:, 1] - noise)[None, None].repeat(MEMBERS, 1, 1)
-    x = windows.reckoned.T[None].repeat(MEMBERS, 1, 1)
+    x = windows.known.T[None].repeat(MEMBERS, 1, 1)
     return windows, Course(torch.arange(ticks), y, x, x), truth
 
 

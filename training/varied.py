@@ -1,0 +1,55 @@
+"""What the recordings would have been with other inputs: a network shall learn the plant, not the loop around it.
+
+Where a controller drives the plant, its inputs follow from its outputs, and a network learns to tell one from the
+other: under another controller that is wrong. A recording cannot say what it would have been had the pump turned
+differently. The equations can, nearly: a varied example is the recording with its signals moved by a smooth noise, its
+states and predictions moved by as much as the equations say that they move.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.graph.bank import PERIOD_S
+from training.layout import Layout
+from training.reckoned import Equations, Example
+
+Array = npt.NDArray[np.float64]
+
+BAND_HZ = (0.02, 0.2)
+"""Of the noise, with a power that falls as 1/f: faster than that, recordings know better how signals are delayed."""
+
+
+def varied(
+    layout: Layout, examples: Sequence[Example], equations: Equations, amplitude: float, copies: int, seed: int
+) -> list[Example]:
+    """So many copies of every example, varied by `amplitude` of the spread of every signal.
+
+    Copies over which the equations run away are left out.
+    """
+    rng = np.random.default_rng([seed, copies])
+    z = np.concatenate([example.z for example in examples])
+    spread = z.std(axis=0)
+    lower, upper = (np.array([getattr(layout.model.known[s], name) for s in layout.signals]) for name in ("min", "max"))
+    found = []
+    for example in examples:
+        states, predictions = equations.course(example.z)
+        for _ in range(copies):
+            moved = example.z + amplitude * spread * _noise(len(example.z), len(spread), rng)
+            moved = np.clip(moved, lower, upper)
+            there, told = equations.course(moved)
+            x, y = example.x + there - states, example.y + told - predictions
+            if np.isfinite(x).all() and np.isfinite(y).all():
+                found.append(Example(example.recording, example.begin_s, moved, x, y))
+    return found
+
+
+def _noise(ticks: int, signals: int, rng: np.random.Generator) -> Array:
+    """Independent noises (K, nz) of the band, of spread one."""
+    frequency = np.fft.rfftfreq(ticks, PERIOD_S)
+    inside = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
+    size = inside / np.sqrt(np.maximum(frequency, BAND_HZ[0]))
+    parts = rng.normal(size=(2, signals, len(frequency)))
+    noise = np.fft.irfft(size * (parts[0] + 1j * parts[1]), ticks, axis=1).T
+    return np.asarray(noise / noise.std(axis=0))
