@@ -44,14 +44,17 @@ class Equations:
     def _graph(self) -> Graph:
         return Graph(self._bank.graph())
 
-    def course(self, z: Array) -> tuple[Array, Array]:
-        """States (K, F) and predictions (K, T) over signals (K, nz), from where the first of them put the states."""
-        x = self._bank.start(z[0])[None]
-        states, predictions = np.empty((len(z), len(self._layout.states))), np.empty((len(z), len(self._layout.tests)))
-        for k, now in enumerate(z):
-            _, predictions[k], _, _, x = self._graph(z=now[None], x=x)
-            states[k] = x[0]
-        return states, predictions
+    def courses(self, over: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """States (K, F) and predictions (K, T) over each signals (K, nz), whose first tick puts the states."""
+        longest = max(len(z) for z in over)
+        padded = np.stack([np.pad(z, ((0, longest - len(z)), (0, 0)), mode="edge") for z in over], axis=1)
+        x = np.stack([self._bank.start(z[0]) for z in over])
+        states = np.empty((longest, len(over), len(self._layout.states)))
+        predictions = np.empty((longest, len(over), len(self._layout.tests)))
+        for k, now in enumerate(padded):
+            _, predictions[k], _, _, x = self._graph(z=now, x=x)
+            states[k] = x
+        return [(states[: len(z), b], predictions[: len(z), b]) for b, z in enumerate(over)]
 
 
 def reckoned(layout: Layout, samples: Samples, equations: Equations) -> list[Example]:
@@ -62,8 +65,8 @@ def reckoned(layout: Layout, samples: Samples, equations: Equations) -> list[Exa
     """
     column = [None if name is None else layout.signals.index(name) for name in layout.sensed]
     found = []
-    for stretch in samples.stretches:
-        states, _ = equations.course(stretch.z)
+    courses = equations.courses([stretch.z for stretch in samples.stretches])
+    for stretch, (states, _) in zip(samples.stretches, courses, strict=True):
         for f, measured in enumerate(column):
             if measured is not None:
                 states[:, f] = stretch.z[:, measured]

@@ -1,6 +1,6 @@
 """What networks are trained on: the samples of recordings, as the vehicle's own sampler sees them at its ticks."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from analysis.calibration.provenance import check_vehicle
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
 from analysis.recordings.observe import open_known, ticks_of
-from service.core.decode import DecodeTable, compile_dbc
+from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.generators import Residuals
 from service.core.manifest import Input
 from service.core.observer import Tick
 from service.core.signals import Mask, Vector
-from service.logs import Frame
+from training.phases import starts
 
 Array = npt.NDArray[np.float64]
 
@@ -26,9 +26,6 @@ LEAST_S = 30.0
 
 ENOUGH_S = 120.0
 """Of all stretches: with less, a network knows a few operating points by heart."""
-
-WITHIN_S = 2.0
-"""Of a log's beginning: by then every message has come, or is a rare one."""
 
 MOVES = 3
 """Distinct values that a signal must have: with two it may as well be a switch that was thrown once."""
@@ -50,7 +47,7 @@ class Stretch:
 class Samples:
     """The stretches of some recordings, with the SHA-256 of their logs; columns are `signals`.
 
-    The `seconds` of the recordings are there once for each start (see `_starts`).
+    The `seconds` of the recordings are there once for each start (`training.phases`).
     """
 
     signals: tuple[str, ...]
@@ -92,7 +89,7 @@ def load_samples(
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle
         table = compile_dbc(log.dbc, units, str(path))
-        watched = [ticks_of(model, inputs, table, frames, _Blind()) for frames in _starts([*log.relative()], table)]
+        watched = [ticks_of(model, inputs, start, start.frames, _Blind()) for start in starts([*log.relative()], table)]
         found = [Stretch(log.id, z, begin_s) for ticks in watched for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / len(watched)
         seconds += kept
@@ -103,23 +100,6 @@ def load_samples(
     samples = Samples(signals, tuple(stretches), tuple(digests), vehicle, seconds)
     _check(samples, recordings)
     return samples
-
-
-def _starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Sequence[Frame]]:
-    """The frames as a vehicle would see them that is switched on at any message of the first seconds; all if none is.
-
-    Which message comes last before the first tick decides how old each signal is at every tick: an accident of the
-    start. Networks that have seen one such accident only take it for physics.
-    """
-    seen: dict[int, float] = {}
-    for k, (t_s, can_id, is_extended, data) in enumerate(frames):
-        if seen and t_s > min(seen.values()) + WITHIN_S:
-            return
-        if can_id not in seen and [*table.decode(can_id, is_extended, data)]:
-            seen[can_id] = t_s
-            yield frames[k:]
-    if not seen:
-        yield frames
 
 
 def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[tuple[float, Array]]:

@@ -32,16 +32,20 @@ def varied(
     z = np.concatenate([example.z for example in examples])
     spread = z.std(axis=0)
     lower, upper = (np.array([getattr(layout.model.known[s], name) for s in layout.signals]) for name in ("min", "max"))
+    moved = [
+        (example, np.clip(example.z + amplitude * spread * _noise(len(example.z), len(spread), rng), lower, upper))
+        for example in examples
+        for _ in range(copies)
+    ]
+    if not moved:
+        return []
+    usual = dict(zip(map(id, examples), equations.courses([example.z for example in examples]), strict=True))
     found = []
-    for example in examples:
-        states, predictions = equations.course(example.z)
-        for _ in range(copies):
-            moved = example.z + amplitude * spread * _noise(len(example.z), len(spread), rng)
-            moved = np.clip(moved, lower, upper)
-            there, told = equations.course(moved)
-            x, y = example.x + there - states, example.y + told - predictions
-            if np.isfinite(x).all() and np.isfinite(y).all():
-                found.append(Example(example.recording, example.begin_s, moved, x, y))
+    for (example, other), (there, told) in zip(moved, equations.courses([z for _, z in moved]), strict=True):
+        states, predictions = usual[id(example)]
+        x, y = example.x + there - states, example.y + told - predictions
+        if np.isfinite(x).all() and np.isfinite(y).all():
+            found.append(Example(example.recording, example.begin_s, other, x, y))
     return found
 
 

@@ -11,7 +11,7 @@ from service.core.decode import DecodeTable
 from service.core.generators import Generators
 from service.core.manifest import Input
 from service.core.modes import ModeTracker
-from service.core.observer import Observer, Tick
+from service.core.observer import Decoder, Observer, Tick
 from service.core.sampling import Sampler
 from service.logs import Frame, Log, LogError, open_log
 
@@ -38,7 +38,7 @@ def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tic
 
 
 def ticks_of(
-    model: Model, inputs: Sequence[Input], table: DecodeTable, frames: Iterable[Frame], generators: Generators
+    model: Model, inputs: Sequence[Input], table: Decoder, frames: Iterable[Frame], generators: Generators
 ) -> list[Tick]:
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs)

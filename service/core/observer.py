@@ -5,15 +5,14 @@ known, or `start_within_s` after the first frame where a signal never appears. C
 same object.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from service.core.decode import DecodeTable
 from service.core.generators import Generators, Residuals
 from service.core.modes import ModeTracker
 from service.core.sampling import Sampler
-from service.core.signals import Mask, Vector
+from service.core.signals import Mask, Quality, Vector
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
@@ -31,12 +30,19 @@ class Tick(NamedTuple):
     residuals: Residuals
 
 
+class Decoder(Protocol):
+    """What frames mean."""
+
+    def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
+        """Name, value and quality of every wanted signal in a frame."""
+
+
 class Observer:
     """Frames and the clock in, ticks out. The clock is an argument."""
 
     def __init__(
         self,
-        table: DecodeTable,
+        table: Decoder,
         sampler: Sampler,
         modes: ModeTracker,
         bank: Generators,

@@ -1,0 +1,108 @@
+"""The messages of a recording as another start of the vehicle would have had them.
+
+Every ECU begins its cycle when it is ready, so that with every start messages lie otherwise to each other: how much
+older one signal is at a tick than another is an accident, the same throughout a recording. Networks that have seen one
+such accident take it for physics. Here every message but the slowest is moved by parts of its period, as if its ECU
+had sampled then: between two messages, a value lies on the straight line.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.decode import DecodeTable
+from service.core.signals import Quality
+from service.logs import Frame
+
+PHASES, STARTS = 3, 4
+"""Parts of a period by which messages are moved, and instants at which the vehicle is switched on then."""
+
+WITHIN_S = 2.0
+"""Of a log's beginning: by then every message has come, or is a rare one."""
+
+GAP = 1.5
+"""Periods between two messages: with more, one was lost, and nothing is known in between."""
+
+Signals = list[tuple[str, float, Quality]]
+
+
+class Start(NamedTuple):
+    """Frames, and what they say: `decoded` has an entry for each, which is the frame's data as a number."""
+
+    frames: list[Frame]
+    decoded: list[Signals]
+
+    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
+        """The signals of a frame of `frames`."""
+        del can_id, is_extended
+        return self.decoded[int.from_bytes(data, "big")]
+
+
+class _Message(NamedTuple):
+    """A frame that carries signals."""
+
+    t_s: float
+    key: tuple[int, bool]
+    signals: Signals
+
+
+def starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Start]:
+    """What the vehicle would see, switched on at any instant of the slowest message's period, with any phases."""
+    messages = [
+        _Message(t_s, (can_id, is_extended), signals)
+        for t_s, can_id, is_extended, data in frames
+        if (signals := [*table.decode(can_id, is_extended, data)])
+    ]
+    streams: dict[tuple[int, bool], list[_Message]] = {}
+    for message in messages:
+        streams.setdefault(message.key, []).append(message)
+    periods = {key: _period(stream) for key, stream in streams.items()}
+    slowest = max(periods, key=lambda key: periods[key], default=None)
+    for part in range(PHASES if len(streams) > 1 else 1):
+        moved = [
+            _moved(stream, 0.0 if key == slowest else periods[key] * _share(part), periods[key])
+            for key, stream in streams.items()
+        ]
+        together = sorted((message for stream in moved for message in stream), key=lambda message: message.t_s)
+        within = min(periods[slowest], WITHIN_S) if slowest else 0.0
+        for k in range(STARTS):
+            begin = together[0].t_s + within * k / STARTS if together else 0.0
+            yield _start([message for message in together if message.t_s >= begin])
+
+
+def _share(part: int) -> float:
+    """Of a period: 0, 1/3, -1/3."""
+    share = part / PHASES
+    return share if share <= 0.5 else share - 1.0
+
+
+def _period(stream: Sequence[_Message]) -> float:
+    return float(np.median(np.diff([message.t_s for message in stream]))) if len(stream) > 1 else np.inf
+
+
+def _moved(stream: list[_Message], shift_s: float, period_s: float) -> list[_Message]:
+    """The messages as they would be, sampled and sent `shift_s` later."""
+    if shift_s == 0.0 or not np.isfinite(shift_s):
+        return stream
+    return [
+        _between(before, after, (before if shift_s > 0.0 else after).t_s + shift_s, period_s)
+        for before, after in pairwise(stream)
+    ]
+
+
+def _between(before: _Message, after: _Message, t_s: float, period_s: float) -> _Message:
+    gap = after.t_s - before.t_s
+    signals: Signals = []
+    for (name, first, good), (_, second, also) in zip(before.signals, after.signals, strict=True):
+        if good is also is Quality.GOOD and gap <= GAP * period_s:
+            signals.append((name, first + (second - first) * (t_s - before.t_s) / max(gap, 1e-6), good))
+        else:
+            signals.append((name, second, also) if t_s - before.t_s > gap / 2 else (name, first, good))
+    return _Message(t_s, before.key, signals)
+
+
+def _start(messages: Sequence[_Message]) -> Start:
+    frames = [Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(messages)]
+    return Start(frames, [message.signals for message in messages])
