@@ -13,7 +13,6 @@ from training.free_run import RUN_UP, free_run
 from training.layout import Layout
 from training.loop import Training
 from training.novelty import novelty_of
-from training.recipe import Recipe
 from training.samples import Samples
 from training.variance import cross_fit, variances
 from training.weights import cells_of
@@ -40,16 +39,15 @@ def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
         recordings=[*samples.digests],
         vehicle=samples.vehicle,
         graph_sha256=hashlib.sha256(graph).hexdigest(),
-        generators=[generator_of(layout, t, training.recipe) for t in range(len(layout.tests))],
+        generators=[generator_of(layout, t, members) for t in range(len(layout.tests))],
         error=error.tolist(),
     )
     return Networks(description, graph)
 
 
-def generator_of(layout: Layout, t: int, recipe: Recipe) -> Generator:
+def generator_of(layout: Layout, t: int, members: int) -> Generator:
     """What the manifest says of the networks of a test: each member has states of its own, all share what is held."""
-    members = recipe.members
-    held = [layout.signals[signal] for owner, signal in layout.held if owner == t and recipe.both_ends]
+    held = [layout.signals[signal] for owner, signal in layout.held if owner == t]
     test, own = layout.tests[t], np.flatnonzero(layout.owner == t)
     starts = [layout.starts[f] for f in own]
     return Generator(

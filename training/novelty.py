@@ -20,6 +20,9 @@ CENTRES = 64
 QUANTILE = 0.995
 """Of ticks that a fold's centres have not seen: what is further away is called new."""
 
+PARTS, PART_S = 4, 50.0
+"""Parts in turn, and log time of one: longer than a state remembers."""
+
 MARGIN = 1.3
 LEAST_REACH = 0.5
 """Of the median reach: a centre of a single tick would make its neighbours novel."""
@@ -29,7 +32,7 @@ def novelty_of(layout: Layout, windows: Windows, course: Course) -> Novelty:
     """The measure of every test, such that 1 is the limit."""
     columns = novelty_columns(layout)
     values = operating_points(windows, course)
-    part = windows.part[course.at].numpy() % 4
+    part = (windows.clock[course.at].numpy() / PART_S).astype(np.intp) % PARTS
     centres, reaches = [], []
     for own in columns:
         points = values[:, own]

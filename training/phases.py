@@ -29,10 +29,14 @@ Signals = list[tuple[str, float, Quality]]
 
 
 class Start(NamedTuple):
-    """Frames, and what they say: `decoded` has an entry for each, which is the frame's data as a number."""
+    """Frames, and what they say: `decoded` has an entry for each, which is the frame's data as a number.
+
+    They are `natural` where no message was moved.
+    """
 
     frames: list[Frame]
     decoded: list[Signals]
+    natural: bool
 
     def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
         """The signals of a frame of `frames`."""
@@ -69,7 +73,7 @@ def starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Start]:
         within = min(periods[slowest], WITHIN_S) if slowest else 0.0
         for k in range(STARTS):
             begin = together[0].t_s + within * k / STARTS if together else 0.0
-            yield _start([message for message in together if message.t_s >= begin])
+            yield _start([message for message in together if message.t_s >= begin], natural=part == 0)
 
 
 def _share(part: int) -> float:
@@ -103,6 +107,6 @@ def _between(before: _Message, after: _Message, t_s: float, period_s: float) -> 
     return _Message(t_s, before.key, signals)
 
 
-def _start(messages: Sequence[_Message]) -> Start:
+def _start(messages: Sequence[_Message], natural: bool) -> Start:
     frames = [Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(messages)]
-    return Start(frames, [message.signals for message in messages])
+    return Start(frames, [message.signals for message in messages], natural)

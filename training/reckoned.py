@@ -23,11 +23,12 @@ Array = npt.NDArray[np.float64]
 class Example(NamedTuple):
     """K ticks in a row to learn from: signals `z` (K, nz), states `x` (K, F), and predictions `y` (K, T) to be made.
 
-    `begin_s` is the log time of the first.
+    `begin_s` is the log time of the first. It is `natural` where nothing is but as it was recorded.
     """
 
     recording: str
     begin_s: float
+    natural: bool
     z: Array
     x: Array
     y: Array
@@ -71,7 +72,16 @@ def reckoned(layout: Layout, samples: Samples, equations: Equations) -> list[Exa
             if measured is not None:
                 states[:, f] = stretch.z[:, measured]
         _check(layout, states, stretch.recording)
-        found.append(Example(stretch.recording, stretch.begin_s, stretch.z, states, stretch.z[:, layout.predicts]))
+        found.append(
+            Example(
+                stretch.recording,
+                stretch.begin_s,
+                stretch.natural,
+                stretch.z,
+                states,
+                stretch.z[:, layout.predicts],
+            )
+        )
     return found
 
 

@@ -35,12 +35,13 @@ MOVES = 3
 class Stretch:
     """Ticks in a row in which every signal was usable and in its operating region: samples `z` (K, nz).
 
-    `begin_s` is the log time of the first.
+    `begin_s` is the log time of the first. They are `natural` where messages came as they were recorded.
     """
 
     recording: str
     z: Array
     begin_s: float
+    natural: bool = True
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,15 @@ def load_samples(
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle
         table = compile_dbc(log.dbc, units, str(path))
-        watched = [ticks_of(model, inputs, start, start.frames, _Blind()) for start in starts([*log.relative()], table)]
-        found = [Stretch(log.id, z, begin_s) for ticks in watched for begin_s, z in _stretches(ticks, inputs)]
+        watched = [
+            (start.natural, ticks_of(model, inputs, start, start.frames, _Blind()))
+            for start in starts([*log.relative()], table)
+        ]
+        found = [
+            Stretch(log.id, z, begin_s, natural)
+            for natural, ticks in watched
+            for begin_s, z in _stretches(ticks, inputs)
+        ]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / len(watched)
         seconds += kept
         say(f"{log.id}: {kept:.0f} s, seen from {len(watched)} starts of the vehicle")

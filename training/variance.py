@@ -1,8 +1,9 @@
 """How large a residual is where nothing is wrong: a network of the operating point, from residuals nobody trained on.
 
 A member's residuals where it was trained are too small. Those of each tick are taken from the member that did not see
-it (cross-fit); log v is fitted to them by the likelihood of a normal distribution, and a factor on top brings the
-`COVERED` quantile of the standardised residuals of the half that was left out to where a normal one has it.
+it (cross-fit). What is learnt is the limit below which `COVERED` of them are, in parts of where a normal distribution
+has it (the pinball loss of the logarithm, Koenker and Bassett 1978): ticks at which a dose changes are rare and large.
+A factor on top brings as many below the limit in the half that was left out.
 """
 
 from typing import NamedTuple
@@ -20,11 +21,21 @@ from training.windows import Windows
 
 Columns = npt.NDArray[np.intp]
 
-HIDDEN, STEPS, RATE, DECAY = (16,), 400, 1e-2, 1e-3
+HIDDEN, STEPS, RATE, DECAY = (16,), 100, 1e-2, 3.0
+"""Few steps and a strong decay: of rare ticks more would be learnt by heart."""
+
+ENOUGH = 12000
+"""Ticks: of more, some are left out, as neighbours say the same."""
+
+HALF_S = 10.0
+"""Log time that is in the same half: with more, a half misses whole operating points."""
+
 SMALLEST = 1e-2
 """Of an output's spread: a residual that is less was learnt by heart."""
 
 COVERED = 0.99
+NORMAL = float(norm.ppf(0.5 + COVERED / 2))
+"""Deviations within which a normal residual has that share."""
 
 
 class Variances(NamedTuple):
@@ -36,18 +47,28 @@ class Variances(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Of K ticks: `left` (T, K), what members say differently `among` (T, K), inputs (C, K), and the `half` (K,)."""
+    """Of K ticks: `left` (T, K), what members say differently `among` (T, K), inputs (C, K), the `half` (K,).
+
+    And whether a tick is `natural` (K,): what was moved between messages has less noise, and another age.
+    """
 
     left: Tensor
     among: Tensor
     inputs: Tensor
     half: Tensor
+    natural: Tensor
+
+    def some(self, chosen: Tensor) -> "Residuals":
+        """Of the chosen ticks."""
+        return Residuals(*(part[..., chosen] for part in self))
 
 
 def variances(layout: Layout, windows: Windows, course: Course, seed: int) -> Variances:
     """The network of all tests, from a free run over the recordings that the members were trained on."""
     torch.manual_seed(seed)
     residuals = cross_fit(windows, course)
+    every = -(-residuals.left.shape[1] // ENOUGH)
+    residuals = residuals.some(torch.arange(0, residuals.left.shape[1], every))
     columns = variance_columns(layout)
     everything = torch.ones_like(residuals.half)
     factors = []
@@ -59,7 +80,9 @@ def variances(layout: Layout, windows: Windows, course: Course, seed: int) -> Va
 
 
 def variance_columns(layout: Layout) -> Columns:
-    """For each test: its new states, its old states, and the signals it is driven by, of [new; old; signals; 0].
+    """For each test: its states and the signals it is driven by, now and a tick before.
+
+    Of [new states; old states; signals; signals before; 0].
 
     The signal that it predicts is not among them: beside the state that predicts it, it would tell the residual, and a
     residual that makes its own sigma hides every fault.
@@ -67,9 +90,11 @@ def variance_columns(layout: Layout) -> Columns:
     size, rows = len(layout.states), []
     for t in range(len(layout.tests)):
         own = np.flatnonzero(layout.owner == t)
-        rows.append([*own, *(own + size), *(layout.driven(t) + 2 * size)])
+        driven = layout.driven(t)
+        held = [signal for test, signal in layout.held if test == t]
+        rows.append([*own, *(own + size), *(driven + 2 * size), *(2 * size + len(layout.signals) + s for s in held)])
     width = max(len(row) for row in rows)
-    padding = 2 * size + len(layout.signals)
+    padding = 2 * size + 2 * len(layout.signals)
     return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
 
 
@@ -79,27 +104,30 @@ def cross_fit(windows: Windows, course: Course) -> Residuals:
     mean = course.y.mean(dim=0)
     members = len(course.y)
     among = ((course.y - mean) ** 2).sum(dim=0) / max(members - 1, 1)
+    natural = windows.natural[course.at]
     fold, unseen = windows.fold[course.at], windows.of(members)
-    nothing = torch.zeros(1, len(course.at))
-    inputs = torch.cat([course.x.mean(dim=0), course.before.mean(dim=0), windows.z[course.at].T, nothing])
-    half = windows.part[course.at] % 2
+    inputs = torch.cat([course.x.mean(dim=0), course.before.mean(dim=0), windows.u[course.at].T])
+    half = (windows.clock[course.at] / HALF_S).to(torch.int64) % 2
     if bool((fold < 0).all()):
-        return Residuals(y - mean, among, inputs, half)
+        return Residuals(y - mean, among, inputs, half, natural)
     hidden = (unseen[:, None] == fold).to(torch.float32)  # (M, K)
     told = hidden.sum(dim=0) > 0
     one = (course.y * hidden[:, None]).sum(dim=0) / hidden.sum(dim=0).clamp(min=1.0)
-    return Residuals((y - one)[:, told], among[:, told], inputs[:, told], half[told])
+    return Residuals(y - one, among, inputs, half, natural).some(told)
 
 
 def _fitted(columns: Columns, of: Residuals, weight: Tensor) -> Stack:
     stack = Stack(columns.tolist(), 1, HIDDEN, 0.1, len(of.inputs) - 1)
     with torch.no_grad():
-        stack.bias[:, 0, 0] = (of.left.pow(2) * weight).sum(dim=1).div(weight.sum()).clamp(min=SMALLEST**2).log()
+        whole = of.left[:, weight > 0].abs().quantile(COVERED, dim=1) / NORMAL
+        stack.bias[:, 0, 0] = 2.0 * whole.clamp(min=SMALLEST).log()
+    size = (of.left.abs() / NORMAL).clamp(min=1e-6).log()
     optimizer = torch.optim.AdamW(stack.parameters(), lr=RATE, weight_decay=DECAY)
     for _ in range(STEPS):
         log_v = stack(of.inputs[None])[0]
-        v = log_v.exp() + of.among + SMALLEST**2
-        loss = ((of.left.pow(2) / v + v.log()) * weight).sum() / weight.sum()
+        limit = 0.5 * (log_v.exp() + of.among + SMALLEST**2).log()
+        beyond = size - limit
+        loss = (torch.maximum(COVERED * beyond, (COVERED - 1.0) * beyond) * weight).sum() / weight.sum()
         optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         optimizer.step()
@@ -110,4 +138,5 @@ def _factor(stack: Stack, of: Residuals, judged: Tensor) -> Tensor:
     with torch.no_grad():
         log_v: Tensor = stack(of.inputs[None])[0]
         standard = of.left.abs() / (log_v.exp() + of.among).sqrt()
-        return standard[:, judged].quantile(COVERED, dim=1) / float(norm.ppf(0.5 + COVERED / 2))
+    kinds = [standard[:, judged & kind] for kind in (of.natural, ~of.natural) if bool((judged & kind).any())]
+    return torch.stack([kind.quantile(COVERED, dim=1) / NORMAL for kind in kinds]).amax(dim=0)

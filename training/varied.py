@@ -45,7 +45,7 @@ def varied(
         states, predictions = usual[id(example)]
         x, y = example.x + there - states, example.y + told - predictions
         if np.isfinite(x).all() and np.isfinite(y).all():
-            found.append(Example(example.recording, example.begin_s, other, x, y))
+            found.append(example._replace(natural=False, z=other, x=x, y=y))
     return found
 
 

@@ -1,7 +1,5 @@
 """From trained networks to the arrays that a graph is written from."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -23,7 +21,6 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
     """The cells of trained networks."""
     relaxes = networks.recipe.cell == "relaxation"
     speed = torch.sigmoid(networks.logit[:, :, 0]) if relaxes else torch.full_like(networks.logit[:, :, 0], PERIOD_S)
-    held = layout.held if networks.recipe.both_ends else ()
     return Cells(
         members=networks.members,
         z_offset=scaling.z_offset,
@@ -31,25 +28,27 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
         x_offset=scaling.x_offset,
         x_size=scaling.x_size,
         owner=layout.owner,
-        held=held,
-        rates=_functions(networks.rates, _columns(layout, networks.columns, layout.owner, held)),
-        outputs=_functions(networks.outputs, _columns(layout, layout.outputs, np.arange(len(layout.tests)), held)),
+        held=layout.held,
+        rates=_functions(networks.rates, _columns(layout, networks.columns, layout.owner, len(layout.states))),
+        outputs=_functions(
+            networks.outputs, _columns(layout, layout.outputs, np.arange(len(layout.tests)), len(layout.states))
+        ),
         speed=_array(speed),
         relaxes=relaxes,
         newest=networks.recipe.newest,
         predicts=layout.predicts,
-        variance=_variance(variances),
+        variance=_variance(layout, variances),
         novelty=novelty,
     )
 
 
-def _columns(layout: Layout, columns: Columns, owner: Columns, held: Sequence[tuple[int, int]]) -> Columns:
-    """The columns as a graph has them: of what was a tick before, only what each test holds."""
-    last = len(layout.states) + len(layout.signals)
-    found = np.full(columns.shape, last + len(held), dtype=np.intp)
+def _columns(layout: Layout, columns: Columns, owner: Columns, states: int) -> Columns:
+    """Columns of [states; signals; signals before; 0] as a graph has them: before, only what each test holds."""
+    last = states + len(layout.signals)
+    found = np.full(columns.shape, last + len(layout.held), dtype=np.intp)
     for f, row in enumerate(columns):
-        for k, column in enumerate(row[row != layout.padding]):
-            found[f, k] = column if column < last else last + held.index((int(owner[f]), int(column) - last))
+        for k, column in enumerate(row[row != last + len(layout.signals)]):
+            found[f, k] = column if column < last else last + layout.held.index((int(owner[f]), int(column) - last))
     return found
 
 
@@ -66,7 +65,7 @@ def _layers(stack: Stack) -> tuple[tuple[Array, Array], ...]:
     return (first, *((_array(weight), _array(bias[:, :, 0])) for weight, bias in rest))
 
 
-def _variance(of: Variances) -> Variance:
+def _variance(layout: Layout, of: Variances) -> Variance:
     """The linear part and the network as one: a linear part is a pair of ReLUs."""
     stack, layers = of.stack, list(_layers(of.stack))
     lin, bias = _array(stack.first[:, :1]), _array(stack.bias[:, :1, 0])
@@ -75,7 +74,8 @@ def _variance(of: Variances) -> Variance:
     after, constant = layers[1]
     ones = np.ones((*after.shape[:2], 1))
     layers[1] = (np.concatenate([after, ones, -ones], axis=2), constant)
-    return Variance(of.columns, tuple(layers), _array(of.factor))
+    columns = _columns(layout, of.columns, np.arange(len(layout.tests)), 2 * len(layout.states))
+    return Variance(columns, tuple(layers), _array(of.factor))
 
 
 def _array(value: Tensor) -> Array:

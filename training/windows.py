@@ -18,11 +18,8 @@ Array = npt.NDArray[np.float64]
 BLOCK_S = 10.0
 """Log time that belongs to one fold. With longer ones a member misses whole operating points."""
 
-PART_S = 50.0
-"""Log time of one part, for what is calibrated on some and judged on others: longer than a residual remembers."""
-
 APART_S = 1e5
-"""Between the clocks of two recordings; a whole number of parts and of blocks."""
+"""Between the clocks of two recordings; a whole number of blocks."""
 
 
 class Batch(NamedTuple):
@@ -44,7 +41,8 @@ class Windows:
 
     Signals `z` (K, nz), inputs `u` = [signals; signals a tick before; 0] (K, 2 nz + 1), `known` states (K, F) and
     predictions to be made `y` (K, T); `starts` (K, F) are the states as the
-    vehicle would start them, `fold` (K,) that of a tick, -1 without folds, and `part` (K,) the number of its part.
+    vehicle would start them, `fold` (K,) that of a tick, -1 without folds, `clock` (K,) its log time [s],
+    and whether it is `natural` (K,), as it was recorded.
     `bounds` are where examples begin and end, `measured` those that were.
     """
 
@@ -71,7 +69,8 @@ class Windows:
         self.measured = self.bounds[: len(examples)]
         clock = _clock(every)
         self.fold = torch.tensor(_folds(clock, folds, seed))
-        self.part = torch.tensor((clock / PART_S).astype(np.int64))
+        self.clock = torch.tensor(clock)
+        self.natural = torch.tensor(np.concatenate([np.full(len(e.z), e.natural) for e in every]))
         self._folds = folds
 
     def of(self, members: int) -> Tensor:

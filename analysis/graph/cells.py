@@ -40,9 +40,9 @@ class Functions:
 
 @dataclass(frozen=True)
 class Variance:
-    """log v of each test by a network of `columns` (T, D) of [new states; old states; signals; 0]: layers as above.
+    """log v of each test by a network with layers as above.
 
-    Then sigma = `factor` (T,) sqrt(v + spread^2), all scaled.
+    It is of `columns` (T, D) of [new states; old states; signals; held; 0]. Then sigma = `factor` (T,) sqrt(v + spread^2), all scaled.
     """
 
     columns: Columns
@@ -114,7 +114,7 @@ def cell_graph(c: Cells) -> bytes:
     spread = w("Sub", y, w.reshape(mean, [-1, 1, T]))
     among = w("Mul", w.mean(w("Mul", spread, spread), 1), _float(w, np.array(M / max(M - 1, 1))))
     centre, before = (w.mean(w.reshape(part, [-1, M, F]), 1) for part in (seen, old))
-    own = w.concat([centre, before, u, nothing], axis=1)
+    own = w.concat([centre, before, inputs], axis=1)
     log_v = _layers(w, _taken(w, own, c.variance.columns), c.variance.layers)
     sigma = w("Mul", w("Sqrt", w("Add", w("Exp", log_v), among)), _float(w, c.variance.factor[None]))
     size, offset = c.z_size[c.predicts], c.z_offset[c.predicts]

@@ -50,7 +50,7 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
     spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
     graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
     z = samples.stretches[0].z
-    generators = [generator_of(layout, t, recipe) for t in range(len(layout.tests))]
+    generators = [generator_of(layout, t, recipe.members) for t in range(len(layout.tests))]
     start = [
         s.offset + sum(g * z[0, layout.signals.index(n)] for n, g in s.gain.items())
         for o in generators

@@ -26,7 +26,7 @@ def made(seed: int, folds: int, ticks: int = 6000) -> tuple[Windows, Course, tor
 
 
 def sigma(of: Variances, windows: Windows, course: Course) -> torch.Tensor:
-    parts = [course.x.mean(dim=0), course.before.mean(dim=0), windows.z.T, torch.zeros(1, len(course.at))]
+    parts = [course.x.mean(dim=0), course.before.mean(dim=0), windows.u.T]
     with torch.no_grad():
         log_v: torch.Tensor = of.stack(torch.cat(parts)[None])[0, 0]
         return of.factor * (0.5 * log_v).exp()
