@@ -42,7 +42,8 @@ class Functions:
 class Variance:
     """log v of each test by a network with layers as above.
 
-    It is of `columns` (T, D) of [new states; old states; signals; held; 0]. Then sigma = `factor` (T,) sqrt(v + spread^2), all scaled.
+    It is of `columns` (T, D) of [new states; old states; signals; held; 0]. Then sigma is `factor` (T,) times
+    sqrt(v + spread^2), all scaled.
     """
 
     columns: Columns

@@ -31,6 +31,7 @@ from service.core.decode import compile_dbc
 from service.logs import open_log
 from testbench import ecu
 from testbench.command import main as rig
+from testbench.sizes import frozen
 from training.bank import networks_of
 from training.layout import layout_of
 from training.loop import Begin, Training
@@ -46,17 +47,24 @@ MODEL = "uds4"
 BAND = 2.576
 """Of sigma: the adaptive band that 99 % shall lie within."""
 
-JUDGED = ("validation", "drive", "controller")
-"""Recordings on which both are judged; in the last, another controller drives the same cycle as in the first."""
-
-GAIN, INTEGRAL_TIME = 0.5, 2.0
-"""Of that controller, in parts of the usual one's."""
+USUAL, SLOW, BRISK = (1.0, 1.0), (0.5, 2.0), (2.0, 0.7)
+"""Pressure controllers: gain and integral time, in parts of the usual one's."""
 
 SHORT_S = (120.0, 240.0)
 """Recordings of a truck to which a bench's networks are adapted."""
 
 EPOCHS = 3
 """Of the thesis' recipe, for what one costs."""
+
+ONSET_S = 100.0
+CLOGGED = ("--fault", "fA_p", "--size", "0.85", "--onset", str(ONSET_S))
+CORNER_PA = 9.0e5
+"""Below it, and above the operating region's end, no recording of `drive` has a pressure."""
+
+ALARM = 20.0
+"""Of a CUSUM, in parts of sigma."""
+
+WAYS = ("not varied", "with the fault", "default")
 
 WHOLE = ("t02", "t13", "t21")
 """Tests that the thesis' recipe trains to its end."""
@@ -83,16 +91,23 @@ def cases() -> Iterator[Case]:
     yield from (Case("bench", effect, 0) for effect in ("full_lift", "stiff_hose"))
 
 
-def made(case: Case, cycle: str, folder: Path, seed: int, duration_s: float, *, slow: bool = False) -> Path:
-    """An instrumented recording of the case, fault-free."""
-    name = f"{case.name}-{cycle}-{seed}{'-slow' if slow else ''}"
+def made(
+    case: Case,
+    cycle: str,
+    folder: Path,
+    seed: int,
+    duration_s: float,
+    controller: tuple[float, float] = USUAL,
+    *words: str,
+) -> Path:
+    """An instrumented recording of the case; `words` are further options of the rig, a fault for one."""
+    name = "-".join([case.name, cycle, str(seed), *(f"{part:g}" for part in controller), *words[1:4:2]])
     given = ["record", "--cycle", cycle, "--vehicle", case.vehicle, "--kind", "instrumented", "--profile", "ideal"]
     given += ["--seed", str(seed), "--duration", str(duration_s), "--id", name, "--out", str(folder / "logs")]
-    given += ["--truth", str(folder / "truth"), *(["--effect", case.effect] if case.effect else [])]
-    gains = (GAIN, INTEGRAL_TIME) if slow else (1.0, 1.0)
+    given += ["--truth", str(folder / "truth"), *(["--effect", case.effect] if case.effect else []), *words]
     with (
-        patch.object(ecu, "GAIN", ecu.GAIN * gains[0]),
-        patch.object(ecu, "INTEGRAL_TIME", ecu.INTEGRAL_TIME * gains[1]),
+        patch.object(ecu, "GAIN", ecu.GAIN * controller[0]),
+        patch.object(ecu, "INTEGRAL_TIME", ecu.INTEGRAL_TIME * controller[1]),
     ):
         assert rig(given) == 0
     return folder / "logs" / name
@@ -104,16 +119,23 @@ def others(case: Case, folder: Path) -> dict[str, Path]:
     return {
         "validation": made(case, "validation", folder, first + 2, 480.0),
         "drive": made(case, "drive", folder, first + 3, 480.0),
-        "controller": made(case, "validation", folder, first + 2, 480.0, slow=True),
+        "slow": made(case, "validation", folder, first + 2, 480.0, SLOW),
+        "brisk": made(case, "drive", folder, first + 4, 480.0, BRISK),
     }
 
 
 def trained(
-    model: Model, recording: Path, recipe: Recipe, seed: int, begin: Begin | None = None
+    model: Model,
+    recordings: Path | Sequence[Path],
+    recipe: Recipe,
+    seed: int,
+    begin: Begin | None = None,
+    tests: Sequence[str] | None = None,
 ) -> tuple[Networks, Training, float]:
-    """Networks from a recording, and the CPU time [s] that they took."""
-    bank, layout = build_bank(model), layout_of(model)
-    samples = load_samples(model, bank.inputs, [recording], lambda _: None)
+    """Networks from recordings, and the CPU time [s] that they took."""
+    bank, layout = build_bank(model), layout_of(model, tests)
+    of = [recordings] if isinstance(recordings, Path) else recordings
+    samples = load_samples(model, bank.inputs, of, lambda _: None)
     start = time.process_time()
     training = Training(layout, samples, recipe, seed, begin)
     training.run(lambda _: None, lambda: None)
@@ -123,25 +145,48 @@ def trained(
 
 def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[str, float]]:
     """By test: RMS error [Pa] of equations and networks, coverage of the band, share of novel ticks; and the inputs."""
+    return {
+        test: {
+            "equations": _rms(of.equations[of.usable]),
+            "networks": _rms(of.r[of.tells]),
+            "covered": float((np.abs(of.r[of.tells]) < BAND * of.sigma[of.tells]).mean()),
+            "novel": 1.0 - float(of.tells.sum() / of.usable.sum()),
+        }
+        for test, of in watched(model, networks, recording).items()
+    }
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A test over K ticks at `t_s`, samples `z` (K, nz), and the residuals [Pa] of its `equations` and networks (`r`).
+
+    `usable` is where the test can be run, `tells` where the operation is not new to its networks besides.
+    """
+
+    t_s: Array
+    z: Array
+    equations: Array
+    r: Array
+    sigma: Array
+    usable: npt.NDArray[np.bool_]
+    tells: npt.NDArray[np.bool_]
+
+
+def watched(model: Model, networks: Networks, recording: Path) -> dict[str, Watched]:
+    """By test: what the vehicle would see."""
     runnable = Runnable(build_bank(model), networks)
     log = open_log(recording)
     table = compile_dbc(log.dbc, {c.signal: c.unit for c in runnable.bank.inputs}, str(recording))
     ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
+    t_s, z = np.array([tick.t_s for tick in ticks]), np.array([tick.z for tick in ticks])
     r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "usable"))
     names = [generator.name for generator in runnable.generators]
     found = {}
     for n, generator in enumerate(runnable.generators):
-        if generator.name.endswith(".ode"):
-            continue
-        t = names.index(f"{generator.test}.ode")
-        both = usable[:, t]
-        net = usable[:, n] & both
-        found[generator.test] = {
-            "equations": _rms(r[both, t]),
-            "networks": _rms(r[net, n]),
-            "covered": float((np.abs(r[net, n]) < BAND * sigma[net, n]).mean()),
-            "novel": 1.0 - float(net.sum() / both.sum()),
-        }
+        if generator.name.endswith(".rnn"):
+            t = names.index(f"{generator.test}.ode")
+            both = usable[:, t] & usable[:, n]
+            found[generator.test] = Watched(t_s, z, r[:, t], r[:, n], sigma[:, n], usable[:, t], both)
     return found
 
 
@@ -170,6 +215,74 @@ def compared(case: Case) -> Record:
             "bytes": len(networks.graph),
             "judged": {name: judged(model, networks, recording) for name, recording in others(case, folder).items()},
         }
+
+
+def cornered(way: str) -> Record:
+    """Thesis Fig. 6.15 and 6.16: a clogged pump filter brings doses at pressures that t02 has never seen.
+
+    It decouples that fault: what its residual would show there is false. Shares are of the ticks at such a pressure.
+    """
+    model, case, test = load_model(MODEL), Case("bench", None, 0), "t02"
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        usual = made(case, "drive", folder, 3, 600.0)  # no ladder: pressures are those at which doses are given
+        clogged, other = (made(case, "validation", folder, seed, 300.0, USUAL, *CLOGGED) for seed in (31, 32))
+        recipe = DEFAULT if way == "default" else replace(DEFAULT, copies=0)
+        recordings = [usual, clogged] if way == "with the fault" else [usual]
+        networks, _, _ = trained(model, recordings, recipe, 0, tests=[test])
+        found = watched(model, networks, other)[test]
+    column = [*model.known].index("y_p_ap")
+    there = found.usable & (found.t_s > ONSET_S) & (found.z[:, column] < CORNER_PA)
+    beyond = np.abs(found.r) > BAND * found.sigma
+    told = there & found.tells
+    return {
+        "kind": "corner",
+        "case": f"corner-{way.replace(' ', '-')}",
+        "way": way,
+        "ticks": int(there.sum()),
+        "beyond": float(beyond[there].mean()),
+        "novel": 1.0 - float(told.sum() / there.sum()),
+        "told_beyond": float(beyond[told].mean()) if told.any() else None,
+        "error": _rms(found.r[there]),
+    }
+
+
+def muted(case: Case) -> Record:
+    """What novelty silences: by fault and test the share of *cannot tell*, and what is detected with it and without."""
+    model = load_model(MODEL)
+    faults: Record = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        networks, _, _ = trained(model, made(case, "training", folder, 1, 600.0), DEFAULT, case.seed)
+        usual = _silenced(model, networks, made(case, "validation", folder, 33, 300.0))
+        for fault, (_, size) in frozen().items():
+            words = ("--fault", fault, "--size", str(size), "--onset", str(ONSET_S))
+            faults[fault] = _silenced(model, networks, made(case, "validation", folder, 33, 300.0, USUAL, *words))
+    sizes = {fault: size for fault, (_, size) in frozen().items()}
+    return {"kind": "muted", "case": "muted", "sizes": sizes, "faults": faults, "usual": usual}
+
+
+def _silenced(model: Model, networks: Networks, recording: Path) -> Record:
+    """By test: the share of *cannot tell*, and the first alarm with the gate and without."""
+    found = {}
+    for test, of in watched(model, networks, recording).items():
+        after = of.usable & (of.t_s > ONSET_S)
+        found[test] = {
+            "novel": 1.0 - float((after & of.tells).sum() / max(after.sum(), 1)),
+            "gated": _first_alarm(of, after & of.tells),
+            "ungated": _first_alarm(of, after),
+        }
+    return found
+
+
+def _first_alarm(of: Watched, tells: npt.NDArray[np.bool_]) -> float | None:
+    """Seconds after the onset at which a CUSUM of what lies beyond the band alarms; None: never."""
+    total = 0.0
+    for k in np.flatnonzero(tells):
+        total = max(0.0, total + abs(of.r[k]) / of.sigma[k] - BAND)
+        if total > ALARM:
+            return float(of.t_s[k] - ONSET_S)
+    return None
 
 
 def transferred(seconds: float) -> Record:
@@ -238,6 +351,8 @@ def work() -> list[tuple[str, Any, Any]]:
     tests = [test.name for test in layout_of(load_model(MODEL)).tests]
     found: list[tuple[str, Any, Any]] = [(case.name, compared, case) for case in cases()]
     found += [(f"transfer-{seconds:.0f}", transferred, seconds) for seconds in SHORT_S]
+    found += [(f"corner-{way.replace(' ', '-')}", cornered, way) for way in WAYS]
+    found.append(("muted", muted, Case("bench", None, 0)))
     found += [(f"thesis-{test}", thesis_cost, test) for test in tests]
     return found + [(f"whole-{test}", thesis_whole, test) for test in WHOLE]
 
