@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.decode import DecodeTable
+from service.core.observer import Decoder
 from service.core.signals import Quality
 from service.logs import Frame
 
@@ -52,7 +52,7 @@ class _Message(NamedTuple):
     signals: Signals
 
 
-def starts(frames: Sequence[Frame], table: DecodeTable) -> Iterator[Start]:
+def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
     """What the vehicle would see, switched on at any instant of the slowest message's period, with any phases."""
     messages = [
         _Message(t_s, (can_id, is_extended), signals)

@@ -21,7 +21,7 @@ from training.windows import Windows
 
 Columns = npt.NDArray[np.intp]
 
-HIDDEN, STEPS, RATE, DECAY = (16,), 100, 1e-2, 3.0
+HIDDEN, STEPS, RATE, DECAY = (16,), 100, 1e-2, 1.0
 """Few steps and a strong decay: of rare ticks more would be learnt by heart."""
 
 ENOUGH = 12000

@@ -4,10 +4,12 @@ import numpy as np
 import torch
 from made_samples import circuit, rc
 
+from analysis.model import load_model
 from training.free_run import Course
+from training.layout import layout_of
 from training.reckoned import Equations, reckoned
 from training.scaling import scaling_of
-from training.variance import Variances, variances
+from training.variance import Variances, variance_columns, variances
 from training.windows import Windows
 
 MEMBERS = 3
@@ -42,3 +44,14 @@ def test_sigma_is_that_of_the_operating_point() -> None:
     left = again.y[0, 0] - other.z[:, 1]
     covered = float((left.abs() < 2.576 * told).to(torch.float32).mean())
     assert 0.98 < covered < 0.995
+
+
+def test_the_predicted_signal_takes_no_part() -> None:
+    """The wound: beside the state that predicts it, it told the residual, and sigma grew with a fault."""
+    layout = layout_of(load_model("uds4"))
+    size = len(layout.states)
+    for t, row in enumerate(variance_columns(layout)):
+        signals = {int(c) - 2 * size for c in row if c >= 2 * size}
+        assert layout.predicts[t] not in signals
+        assert layout.predicts[t] + len(layout.signals) not in signals
+        assert {*layout.driven(t)} < signals

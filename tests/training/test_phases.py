@@ -1,0 +1,95 @@
+"""Messages in other phases: as if their ECU had begun its cycle at another instant."""
+
+import numpy as np
+import pytest
+
+from service.core.signals import Quality
+from service.logs import Frame
+from training.phases import PHASES, STARTS, Signals, Start, starts
+
+FAST, SLOW = 1, 2
+PERIODS = {FAST: 0.1, SLOW: 0.2}
+LOST, BAD = b"lost", b"bad"
+
+
+class Ramps:
+    """A table: every message says the time at which it was sent, that of FAST as `a`, that of SLOW as `b`."""
+
+    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
+        del is_extended
+        if can_id not in PERIODS:
+            return []
+        if data == BAD:
+            return [("a", 0.0, Quality.NOT_AVAILABLE)]
+        return [("a" if can_id == FAST else "b", float(data), Quality.GOOD)]
+
+
+def frames(which: tuple[int, ...] = (FAST, SLOW), lost: float = -1.0, bad: float = -1.0) -> list[Frame]:
+    found = [Frame(0.005, 99, True, b"other traffic")]
+    for can_id in which:
+        for k in range(50):
+            t_s = round(0.02 + 0.037 * can_id + k * PERIODS[can_id], 6)
+            if can_id == SLOW or abs(t_s - lost) > 1e-3:
+                found.append(Frame(t_s, can_id, True, BAD if abs(t_s - bad) < 1e-3 else f"{t_s}".encode()))
+    return sorted(found, key=lambda frame: frame.t)
+
+
+def sent(start: Start, can_id: int) -> list[tuple[float, float, Quality]]:
+    """Time, value and quality of every message of an identifier."""
+    return [
+        (f.t, value, quality)
+        for f in start.frames
+        if f.can_id == can_id
+        for _, value, quality in start.decode(f.can_id, f.is_extended, f.data)
+    ]
+
+
+def test_a_moved_message_says_what_was_between() -> None:
+    found = [*starts(frames(), Ramps())]
+    assert len(found) == PHASES * STARTS
+    for start in found:
+        for can_id in PERIODS:
+            assert all(value == pytest.approx(t_s, abs=1e-9) for t_s, value, _ in sent(start, can_id))
+
+
+def test_messages_lie_otherwise_to_each_other_and_the_slowest_stays() -> None:
+    found = [*starts(frames(), Ramps())]
+    phases = {round((sent(start, FAST)[0][0] - sent(start, SLOW)[0][0]) % 0.1, 4) for start in found}
+    assert len(phases) == PHASES
+    slow = {round(sent(start, SLOW)[0][0] % 0.2, 4) for start in found}
+    assert len(slow) == 1
+    assert sum(start.natural for start in found) == STARTS
+
+
+def test_switched_on_at_instants_of_the_slowest_period() -> None:
+    natural = [start for start in starts(frames(), Ramps()) if start.natural]
+    firsts = [start.frames[0].t for start in natural]
+    assert firsts == sorted(firsts)
+    assert firsts[-1] - firsts[0] < 0.2
+    assert len({*firsts}) > 2
+
+
+def test_nothing_is_made_up_where_a_message_was_lost() -> None:
+    """Beside the gap a moved message repeats a neighbour."""
+    moved = [start for start in starts(frames(lost=1.057), Ramps()) if not start.natural]
+    for start in moved:
+        values = np.array([(t_s, value) for t_s, value, _ in sent(start, FAST)])
+        beside = values[np.abs(values[:, 0] - 1.057) < 0.1]
+        assert {round(value, 3) for value in beside[:, 1]} <= {0.957, 1.157}
+
+
+def test_what_is_not_available_stays_so() -> None:
+    for start in starts(frames(bad=1.057), Ramps()):
+        qualities = [quality for t_s, _, quality in sent(start, FAST) if abs(t_s - 1.057) < 0.05]
+        assert Quality.NOT_AVAILABLE in qualities
+        assert 0.0 not in {value for _, value, quality in sent(start, FAST) if quality is Quality.GOOD}
+
+
+def test_one_message_alone_is_not_moved() -> None:
+    found = [*starts(frames((SLOW,)), Ramps())]
+    assert len(found) == STARTS
+    assert all(start.natural for start in found)
+
+
+def test_a_log_without_signals_has_starts_without_frames() -> None:
+    assert all(not start.frames for start in starts([Frame(0.0, 99, True, b"")], Ramps()))
