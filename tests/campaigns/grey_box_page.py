@@ -176,7 +176,7 @@ def _muted(r: Record) -> str:
 
 def _whole(whole: Sequence[Record], compared: Sequence[Record]) -> str:
     """Its errors beside those of the same recordings' `bench-none-0`."""
-    ours = next((r["judged"] for r in compared if r["case"] == "bench-none-0"), {})
+    ours: Record = next((r["judged"] for r in compared if r["case"] == "bench-none-0"), {})
     head = f"{EPOCHS} epochs, one member, the training recording of bench-none-0 from one start; RMS errors [bar]."
     lines = ["| test | CPU-s | recording | thesis' recipe | ours | equations |", "|" + "---|" * 6]
     for r in sorted(whole, key=lambda r: str(r["test"])):

@@ -1,11 +1,12 @@
 """A fixed sample of the campaign: one vehicle, its hard tests, and every part of the page."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from grey_box import Case, judged, made, trained
-from grey_box_page import HARD, MARK, page
+from grey_box import SLOW, Case, judged, made, trained
+from grey_box_page import HARD, page
 
 from analysis.calibration.command import main as calibrate
 from analysis.model import load_model
@@ -18,7 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Path) -> None:
-    """The whole bank, as the campaign has it: on a drive, within the band, and hardly anywhere novel.
+    """The whole bank, as the campaign has it: also where another controller drives; within the band, hardly novel.
 
     Limits leave room for what another processor's rounding makes of a training: the campaign's seeds differ by as much.
     """
@@ -29,12 +30,14 @@ def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Pa
     model = load_model(str(folder / "model.toml"))
     networks, _, _ = trained(model, training, DEFAULT, 0)
     assert len(networks.graph) < 1.5e6
-    found = judged(model, networks, made(case, "drive", folder, 3, 480.0))
-    for test, told in found.items():
-        limit = MARK if test in HARD else 1.3
-        assert told["networks"] < limit * told["equations"], test
-        assert told["covered"] > 0.97, test
-        assert told["novel"] < 0.03, test
+    drive = made(case, "drive", folder, 3, 480.0), 0.9
+    slow = made(case, "validation", folder, 2, 480.0, SLOW), 1.1
+    for recording, hard in (drive, slow):
+        for test, told in judged(model, networks, recording).items():
+            limit = hard if test in HARD else 1.35
+            assert told["networks"] < limit * told["equations"], test
+            assert told["covered"] > 0.96, test
+            assert told["novel"] < 0.03, test
 
 
 def test_the_page_has_all_its_parts() -> None:
@@ -43,7 +46,14 @@ def test_the_page_has_all_its_parts() -> None:
     common = {"kind": "compared", "vehicle": "bench", "seed": 0, "cpu_s": 50.0, "bytes": 500_000, "calibrated": True}
     of = dict.fromkeys(("validation", "drive", "slow"), tests)
     errors = {way: dict.fromkeys(tests, 1e3) for way in ("as they are", "adapted", "anew")}
-    corner = {"kind": "corner", "case": "corner", "ticks": 467, "beyond": 0.1, "novel": 0.98, "error": 2.6e3}
+    corner: dict[str, Any] = {
+        "kind": "corner",
+        "case": "corner",
+        "ticks": 467,
+        "beyond": 0.1,
+        "novel": 0.98,
+        "error": 2.6e3,
+    }
     silent = {"t02": {"novel": 0.0, "gated": None, "ungated": None}}
     loud = {"t02": {"novel": 0.2, "gated": None, "ungated": 81.0}, "t08": {"novel": 0.0, "gated": 1.0, "ungated": 1.0}}
     records = [
