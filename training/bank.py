@@ -17,6 +17,9 @@ from training.samples import Samples
 from training.variance import cross_fit, variances
 from training.weights import cells_of
 
+HELD = ".before"
+"""Behind the name of a signal: its value a tick before, as a state."""
+
 
 def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
     """The networks of a training that is over."""
@@ -62,7 +65,7 @@ def generator_of(layout: Layout, t: int, members: int) -> Generator:
                 for m in range(members)
                 for state in starts
             ),
-            *(State(name=f"{signal}.before", offset=0.0, gain={signal: 1.0}) for signal in held),
+            *(State(name=f"{signal}{HELD}", offset=0.0, gain={signal: 1.0}) for signal in held),
         ],
         faults=list(test.faults),
         warm_up_ticks=max(RUN_UP, round(layout.model.warm_up_s / PERIOD_S)),

@@ -12,7 +12,8 @@ from analysis.graph.networks import Networks, save_networks
 from analysis.model import Model
 from analysis.structure.lint import sound_model
 from service.core.errors import InputError
-from training.bank import networks_of
+from service.core.manifest import Generator
+from training.bank import HELD, networks_of
 from training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
 from training.layout import layout_of
 from training.loop import Training
@@ -101,12 +102,17 @@ def _recipe(options: argparse.Namespace) -> Recipe:
     return recipe
 
 
+def _states(generator: Generator) -> int:
+    """Those of the members: what all of them hold of the tick before is none."""
+    return sum(not state.name.endswith(HELD) for state in generator.states)
+
+
 def _table(networks: Networks, model: Model, out: Path) -> str:
     d = networks.description
     where = "where it was held out" if RECIPES[d.recipe].folds else "where it was trained"
     lines = [f"{'generator':<12}{'predicts':<10}{'states':>7}   free run, RMS error {where}"]
     lines += [
-        f"{g.name:<12}{g.predicts:<10}{len(g.states) // d.members:>7}   {error:.4g} {model.known[g.predicts].unit}"
+        f"{g.name:<12}{g.predicts:<10}{_states(g) // d.members:>7}   {error:.4g} {model.known[g.predicts].unit}"
         for g, error in zip(d.generators, d.error, strict=True)
     ]
     size = len(networks.graph) / 1024

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -73,6 +73,8 @@ class Training:
         self, layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: "Begin | None" = None
     ) -> None:
         torch.manual_seed(seed)
+        if not recipe.moved:
+            samples = replace(samples, stretches=tuple(s for s in samples.stretches if s.natural))
         equations = Equations(layout)
         examples = reckoned(layout, samples, equations)
         others = varied(layout, examples, equations, recipe.varied, recipe.copies, seed)
@@ -171,7 +173,7 @@ class Training:
     def _iteration(self, phase: Phase) -> float:
         for group in self._optimizer.param_groups:
             group["lr"] = self._rate()
-        batch = self.windows.batch(phase.length, phase.batch, self.recipe.members, self._random)
+        batch = self.windows.batch(phase, self.recipe, self._random)
         loss = self._loss(batch, phase.burn)
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)

@@ -25,6 +25,9 @@ WITHIN_S = 2.0
 GAP = 1.5
 """Periods between two messages: with more, one was lost, and nothing is known in between."""
 
+APART = 0.382
+"""Of a period, by which messages are moved otherwise than each other: the golden section, as no two fall together."""
+
 Signals = list[tuple[str, float, Quality]]
 
 
@@ -53,7 +56,10 @@ class _Message(NamedTuple):
 
 
 def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
-    """What the vehicle would see, switched on at any instant of the slowest message's period, with any phases."""
+    """What the vehicle would see, with messages in several phases, switched on at several instants.
+
+    Instants lie evenly in the slowest message's period: as often as not two begin alike, as they would.
+    """
     messages = [
         _Message(t_s, (can_id, is_extended), signals)
         for t_s, can_id, is_extended, data in frames
@@ -64,9 +70,10 @@ def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
         streams.setdefault(message.key, []).append(message)
     periods = {key: _period(stream) for key, stream in streams.items()}
     slowest = max(periods, key=lambda key: periods[key], default=None)
+    rank = {key: n for n, key in enumerate(key for key in streams if key != slowest)}
     for part in range(PHASES if len(streams) > 1 else 1):
         moved = [
-            _moved(stream, 0.0 if key == slowest else periods[key] * _share(part), periods[key])
+            _moved(stream, periods[key] * _share(part, rank[key]) if key in rank else 0.0, periods[key])
             for key, stream in streams.items()
         ]
         together = sorted((message for stream in moved for message in stream), key=lambda message: message.t_s)
@@ -76,9 +83,9 @@ def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
             yield _start([message for message in together if message.t_s >= begin], natural=part == 0)
 
 
-def _share(part: int) -> float:
-    """Of a period: 0, 1/3, -1/3."""
-    share = part / PHASES
+def _share(part: int, rank: int) -> float:
+    """Of a period: 0, 1/3, -1/3 for the first message that is moved, others otherwise."""
+    share = part * (1.0 / PHASES + rank * APART) % 1.0
     return share if share <= 0.5 else share - 1.0
 
 
@@ -98,10 +105,11 @@ def _moved(stream: list[_Message], shift_s: float, period_s: float) -> list[_Mes
 
 def _between(before: _Message, after: _Message, t_s: float, period_s: float) -> _Message:
     gap = after.t_s - before.t_s
+    there = 0.0 <= t_s - before.t_s <= gap <= GAP * period_s and gap > 0.0
     signals: Signals = []
     for (name, first, good), (_, second, also) in zip(before.signals, after.signals, strict=True):
-        if good is also is Quality.GOOD and gap <= GAP * period_s:
-            signals.append((name, first + (second - first) * (t_s - before.t_s) / max(gap, 1e-6), good))
+        if there and good is also is Quality.GOOD:
+            signals.append((name, first + (second - first) * (t_s - before.t_s) / gap, good))
         else:
             signals.append((name, second, also) if t_s - before.t_s > gap / 2 else (name, first, good))
     return _Message(t_s, before.key, signals)

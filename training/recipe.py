@@ -26,12 +26,12 @@ class Recipe:
     Cell: `relaxation` x+ = x + s (f - x) with s learnt per state, or `increment` x+ = x + Ts g; of the `newest` inputs
     or those before (thesis 3.6), or of those at `both_ends` of the tick: when in between an input changed, a sample
     does not tell. `learns_h`: h is a network even where it is just a state. `linear` begins with the least-squares
-    linear part. `rate` of Adam, falling as a cosine to `last` of it, or by 2 % every ten iterations
-    where `last` is None; the first `warm_up` iterations have less. Gradients of a member's test are cut at norm `clip`;
-    layers behind the first decay (AdamW) by `decay` times the rate, towards functions that are linear. `latent` weighs
-    measured states that are not what a test predicts. `copies` of the recordings are `varied` by so much of the
-    signals' spread (`training.varied`). A member does not see one of the `folds` of the recordings, by
-    which its best weights are kept; 0: all see everything, and the last weights stay.
+    linear part. `rate` of Adam, falling as a cosine to `last` of it, or by 2 % every ten iterations where `last` is
+    None; the first `warm_up` iterations have less. Gradients of a member's test are cut at norm `clip`; layers behind
+    the first decay (AdamW) by `decay` times the rate, towards functions that are linear. `latent` weighs measured
+    states that are not what a test predicts. Messages may be `moved` to other phases, `copies` of the recordings are
+    `varied` by so much of the signals' spread (`training.varied`). A member does not see one of the `folds` of the
+    recordings, by which its best weights are kept; 0: all see everything, and the last weights stay.
     """
 
     name: str
@@ -49,6 +49,7 @@ class Recipe:
     clip: float
     decay: float
     latent: float
+    moved: bool
     varied: float
     copies: int
     folds: int
@@ -71,6 +72,7 @@ DEFAULT = Recipe(
     clip=1.0,
     decay=0.1,
     latent=0.02,
+    moved=True,
     varied=0.3,
     copies=1,
     folds=5,
@@ -93,6 +95,7 @@ THESIS = Recipe(
     clip=1.0,
     decay=0.0,
     latent=0.0,
+    moved=False,
     varied=0.0,
     copies=0,
     folds=0,

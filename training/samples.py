@@ -90,18 +90,15 @@ def load_samples(
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle
         table = compile_dbc(log.dbc, units, str(path))
-        watched = [
-            (start.natural, ticks_of(model, inputs, start, start.frames, _Blind()))
-            for start in starts([*log.relative()], table)
-        ]
-        found = [
-            Stretch(log.id, z, begin_s, natural)
-            for natural, ticks in watched
-            for begin_s, z in _stretches(ticks, inputs)
-        ]
-        kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / len(watched)
+        found: list[Stretch] = []
+        count = 0
+        for start in starts([*log.relative()], table):
+            count += 1
+            ticks = ticks_of(model, inputs, start, start.frames, _Blind())
+            found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
+        kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept
-        say(f"{log.id}: {kept:.0f} s, seen from {len(watched)} starts of the vehicle")
+        say(f"{log.id}: {kept:.0f} s, seen from {count} starts of the vehicle")
         stretches += found
         digests.append(log.sha256)
     signals = tuple(channel.signal for channel in inputs)

@@ -85,10 +85,13 @@ def load_weights(folder: Path, layout: Layout) -> Saved:
         raise InputError(f"{path}: cannot be read, {reason(error)}; train the networks anew") from error
     if not fresh:
         raise InputError(f"{path}: is not of the graph beside it; copy the whole folder, or train anew")
+    if len(functions) != len(_functions(layout)):
+        raise InputError(f"{path}: was written by another version; train the networks anew")
     if functions != _functions(layout):
         raise InputError(f"{path}: is of other tests or of another model; give the same --tests and model as then")
     return Saved(weights, scaling, recipe, recordings)
 
 
 def _functions(layout: Layout) -> list[Any]:
-    return [[*layout.signals], [*layout.states], layout.rates.tolist(), layout.outputs.tolist()]
+    columns = [np.where(of == layout.padding, -1, of).tolist() for of in (layout.since, layout.rates, layout.outputs)]
+    return [[*layout.signals], [*layout.states], *columns]

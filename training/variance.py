@@ -122,7 +122,12 @@ def _fitted(columns: Columns, of: Residuals, weight: Tensor) -> Stack:
         whole = of.left[:, weight > 0].abs().quantile(COVERED, dim=1) / NORMAL
         stack.bias[:, 0, 0] = 2.0 * whole.clamp(min=SMALLEST).log()
     size = (of.left.abs() / NORMAL).clamp(min=1e-6).log()
-    optimizer = torch.optim.AdamW(stack.parameters(), lr=RATE, weight_decay=DECAY)
+    free = {id(p) for p in (stack.bias, *stack.biases)}  # a level that decays is won back by weights
+    groups = [
+        {"params": [p for p in stack.parameters() if (id(p) in free) is chosen], "weight_decay": decay}
+        for chosen, decay in ((False, DECAY), (True, 0.0))
+    ]
+    optimizer = torch.optim.AdamW(groups, lr=RATE)
     for _ in range(STEPS):
         log_v = stack(of.inputs[None])[0]
         limit = 0.5 * (log_v.exp() + of.among + SMALLEST**2).log()

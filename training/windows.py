@@ -10,6 +10,7 @@ from torch import Tensor
 
 from analysis.graph.bank import PERIOD_S
 from training.layout import Layout
+from training.recipe import Phase, Recipe
 from training.reckoned import Example
 from training.scaling import Scaling
 
@@ -77,19 +78,25 @@ class Windows:
         """The fold (M,) that each member does not see."""
         return torch.arange(members) % max(self._folds, 1)
 
-    def batch(self, length: int | None, count: int, members: int, generator: torch.Generator) -> Batch:
-        """So many random windows for each member, of which its own fold does not count; all stretches for None."""
+    def batch(self, phase: Phase, recipe: Recipe, generator: torch.Generator) -> Batch:
+        """Random windows for each member, of which its own fold does not count; all stretches where a phase says so."""
+        members, length = recipe.members, phase.length
         if length is None:
             return self._whole(members)
+        before = int(recipe.newest)  # the first step is the first tick's: from the states a tick before
         places = torch.cat(
-            [torch.arange(begin, end - length + 1) for begin, end in self.bounds if end - begin >= length]
+            [
+                torch.arange(begin + before, end - length + 1)
+                for begin, end in self.bounds
+                if end - begin >= length + before
+            ]
         )
-        chosen = places[torch.randint(len(places), (members, count), generator=generator)]  # (M, B)
+        chosen = places[torch.randint(len(places), (members, phase.batch), generator=generator)]  # (M, B)
         at = chosen[None] + torch.arange(length)[:, None, None]  # (L, M, B)
         fold = self.of(members)[None, :, None]
         u, known, y = (part[at].transpose(2, 3).contiguous() for part in self._parts)
         return Batch(
-            self.known[chosen].transpose(1, 2).contiguous(),
+            self.known[chosen - before].transpose(1, 2).contiguous(),
             u,
             known,
             y,

@@ -338,7 +338,9 @@ def _as_the_thesis(test: str, folder: Path, epochs: int | None) -> tuple[Trainin
     model = load_model(MODEL)
     recording = made(Case("bench", None, 0), "training", folder, 1, 600.0)
     samples = load_samples(model, build_bank(model).inputs, [recording], lambda _: None)
-    one = replace(samples, stretches=samples.stretches[:1])  # of one start, as the thesis had
+    begins = [stretch.begin_s for stretch in samples.stretches]
+    first = next((k for k in range(1, len(begins)) if begins[k] <= begins[k - 1]), len(begins))
+    one = replace(samples, stretches=samples.stretches[:first])  # of one start, as the thesis had
     recipe = replace(THESIS, phases=(Phase(None, 0, 1, epochs),)) if epochs else THESIS
     training = Training(layout_of(model, [test]), one, recipe, 0)
     start = time.process_time()

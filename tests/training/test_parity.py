@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 from made_samples import circuit, dosing, rc
@@ -14,13 +15,13 @@ from service.core.generators import Graph
 from training.bank import generator_of
 from training.free_run import Course, free_run
 from training.layout import Layout, layout_of
-from training.network import Networks
+from training.network import Networks, Run
 from training.novelty import novelty, novelty_of, operating_points
 from training.recipe import DEFAULT, THESIS, Recipe
 from training.reckoned import Equations, reckoned
 from training.samples import Samples
 from training.scaling import scaling_of
-from training.variance import variances
+from training.variance import Variances, variances
 from training.weights import cells_of
 from training.windows import Windows
 
@@ -68,8 +69,21 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
     assert np.abs(z[:, layout.predicts] - r - y).max() < PARITY * np.abs(y).max()
     whole = Course(torch.arange(len(z)), run.y[..., 0].permute(1, 2, 0), run.x[..., 0].permute(1, 2, 0), run.x[..., 0])
     assert novel == pytest.approx(novelty(measure, operating_points(windows, whole)), rel=1e-3, abs=1e-3)
-    assert (sigma > 0).all()
+    assert sigma == pytest.approx(sigma_of(spread, windows, run, recipe.newest) * size, rel=1e-3)
     assert all(generator.graph == GRAPH for generator in generators)
+
+
+def sigma_of(spread: Variances, windows: Windows, run: Run, newest: bool) -> npt.NDArray[np.float64]:
+    """Sigma (K, T), scaled, as `training.variance` has it, from states now and a tick before."""
+    y = run.y[..., 0]  # (K, M, T)
+    among = ((y - y.mean(dim=1, keepdim=True)) ** 2).sum(dim=1) / max(y.shape[1] - 1, 1)
+    states = run.x[..., 0].mean(dim=1).T  # (F, K)
+    before = torch.cat([windows.starts[:1].T, states[:, :-1]], dim=1)
+    old = before if newest else states
+    with torch.no_grad():
+        log_v = spread.stack(torch.cat([states, old, windows.u.T])[None])[0].T
+        found = spread.factor * (log_v.exp() + among).sqrt()
+    return np.asarray(found.numpy(), dtype=np.float64)
 
 
 def test_recordings_side_by_side_are_each_by_itself() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from service.core.signals import Quality
 from service.logs import Frame
-from training.phases import PHASES, STARTS, Signals, Start, starts
+from training.phases import PHASES, STARTS, Signals, Start, _share, starts
 
 FAST, SLOW = 1, 2
 PERIODS = {FAST: 0.1, SLOW: 0.2}
@@ -76,6 +76,25 @@ def test_nothing_is_made_up_where_a_message_was_lost() -> None:
         values = np.array([(t_s, value) for t_s, value, _ in sent(start, FAST)])
         beside = values[np.abs(values[:, 0] - 1.057) < 0.1]
         assert {round(value, 3) for value in beside[:, 1]} <= {0.957, 1.157}
+
+
+@pytest.mark.parametrize("late_s", [0.0995, 0.1])
+def test_a_late_message_makes_no_value_that_never_was(late_s: float) -> None:
+    """The wound: a message just before the next one, or of the same instant, was drawn out to a spike."""
+    found = [f._replace(t=f.t + late_s) if abs(f.t - 1.057) < 1e-3 else f for f in frames()]
+    for start in starts(sorted(found, key=lambda frame: frame.t), Ramps()):
+        values = [value for t_s, value, _ in sent(start, FAST) if abs(t_s - 1.1) < 0.2]
+        assert min(values) > 0.85
+        assert max(values) < 1.35
+
+
+def test_three_messages_lie_otherwise_each_to_each() -> None:
+    shares = {(part, rank): _share(part, rank) for part in range(PHASES) for rank in range(4)}
+    assert all(abs(share) <= 0.5 for share in shares.values())
+    for one in range(4):
+        for other in range(one):
+            apart = {round((shares[part, one] - shares[part, other]) % 1.0, 3) for part in range(PHASES)}
+            assert len(apart) == PHASES
 
 
 def test_what_is_not_available_stays_so() -> None:

@@ -166,7 +166,7 @@ def test_what_is_seen_from_several_starts_is_in_one_fold() -> None:
 
 def test_a_member_never_learns_from_its_own_fold() -> None:
     windows = training(circuit(1)).windows
-    batch = windows.batch(40, 32, 2, torch.Generator().manual_seed(0))
+    batch = windows.batch(Phase(40, 0, 32, 1), SHORT, torch.Generator().manual_seed(0))
     assert {0.0, 1.0} == {*batch.counts.flatten().tolist()}
     assert not torch.equal(batch.counts[:, 0], batch.counts[:, 1])
     share = [float((windows.fold == fold).to(torch.float32).mean()) for fold in (0, 1)]
