@@ -144,7 +144,7 @@ def trained(
 
 
 def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[str, float]]:
-    """By test: RMS error [Pa] of equations and networks, coverage of the band, share of novel ticks; and the inputs."""
+    """By test: RMS error [Pa] of equations and networks, coverage of the band, share of novel ticks."""
     return {
         test: {
             "equations": _rms(of.equations[of.usable]),
@@ -200,10 +200,8 @@ def compared(case: Case) -> Record:
         folder, first = Path(scratch), 100 * case.seed
         training = made(case, "training", folder, first + 1, 600.0)
         calibrated = folder / "model.toml"
-        assert calibrate([MODEL, str(training), "--out", str(calibrated)]) in (
-            0,
-            1,
-        )  # 1: it writes nothing, and says why
+        refused = calibrate([MODEL, str(training), "--out", str(calibrated)])  # then it writes nothing, and says why
+        assert refused in (0, 1)
         model = load_model(str(calibrated) if calibrated.exists() else MODEL)
         networks, _, cpu_s = trained(model, training, DEFAULT, case.seed)
         return {

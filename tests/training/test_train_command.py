@@ -66,10 +66,8 @@ def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> N
     assert not (made.networks / "checkpoint.pt").exists()
 
 
-def test_networks_tell_a_leak_as_the_equations_do(
-    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """At first. Later the leak has brought the tanks where networks err, and their alarms cost the right name.
+def test_networks_name_a_leak_at_first(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Later the leak has brought the tanks where networks err, and their alarms cost the right name.
 
     It was so before, and hidden: the last event alone was looked at (docs/training.md).
     """
