@@ -61,7 +61,7 @@ def load_checkpoint(folder: Path, key: str, training: Training) -> bool:
     if not path.is_file():
         return False
     try:
-        state = torch.load(path, weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
         there = state["key"]
         if there == key:
             training.restore(state)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
-import torch
 
 from analysis.graph.bank import inputs_of
 from analysis.graph.networks import Networks, save_networks
@@ -15,6 +14,7 @@ from service.core.errors import InputError
 from service.core.manifest import Generator
 from training.bank import HELD, networks_of
 from training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
+from training.device import device_of
 from training.layout import layout_of
 from training.loop import Training
 from training.picture import picture
@@ -51,6 +51,7 @@ def main(argv: list[str]) -> int:
         help="adapt these networks to a short recording",
     )
     parser.add_argument("--resume", action="store_true", help="go on where an interrupted call with the same --out was")
+    parser.add_argument("--device", choices=["cpu", "cuda"], help="default: CUDA when there is one")
     parser.add_argument("--json", action="store_true", help="print the description as JSON")
     options = parser.parse_args(argv)
     for name, value in (("members", options.members), ("epochs", options.epochs), ("recipe", options.recipe)):
@@ -58,7 +59,6 @@ def main(argv: list[str]) -> int:
             raise InputError(f"--{name} {value}: at least 1")
         if value is not None and options.begin:
             raise InputError(f"--{name}: networks that are adapted have their own; leave it out")
-    torch.set_num_threads(1)  # products are small: a second thread costs six times the CPU time and saves none
     model = sound_model(options.model)
     networks = _trained(options, model)
     described = msgspec.json.encode(networks.description).decode()
@@ -67,6 +67,7 @@ def main(argv: list[str]) -> int:
 
 
 def _trained(options: argparse.Namespace, model: Model) -> Networks:
+    device = device_of(options.device)
     layout = layout_of(model, options.tests)
     begin = load_weights(options.begin, layout) if options.begin else None
     recipe = begin.adapting() if begin else _recipe(options)
@@ -74,7 +75,7 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
         samples = load_samples(model, inputs_of(model), options.recording, progress.note)
         if begin:  # what they have seen before is no evidence either
             samples = replace(samples, digests=tuple(dict.fromkeys([*begin.recordings, *samples.digests])))
-        training = Training(layout, samples, recipe, options.seed, begin)
+        training = Training(layout, samples, recipe, options.seed, begin, device)
         key = key_of(layout, samples, recipe, options.seed, begin)
         if options.resume and load_checkpoint(options.out, key, training):
             progress.note(f"goes on after {training.done} of {training.iterations} iterations")

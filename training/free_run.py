@@ -35,8 +35,9 @@ def free_run(networks: Networks, windows: Windows) -> Course:
     at = torch.tensor(starts)[:, None] + torch.arange(PIECE + RUN_UP)  # (P, L)
     last = torch.tensor([next(end for begin, end in windows.measured if begin <= s < end) for s in starts])
     inside = torch.minimum(at, last[:, None] - 1)
-    u = windows.u[inside].permute(1, 2, 0)[:, None].expand(-1, networks.members, -1, -1)  # (L, M, C, P)
-    x = windows.starts[torch.tensor(starts)].T[None].expand(networks.members, -1, -1)
+    near = windows.u.device
+    u = windows.u[inside.to(near)].permute(1, 2, 0)[:, None].expand(-1, networks.members, -1, -1)  # (L, M, C, P)
+    x = windows.starts[torch.tensor(starts, device=near)].T[None].expand(networks.members, -1, -1)
     with torch.no_grad():
         run = networks.run(x.contiguous(), u)
     told = torch.zeros(len(windows.z), dtype=torch.bool)
@@ -47,8 +48,8 @@ def free_run(networks: Networks, windows: Windows) -> Course:
                 told[k] = True
                 numbers.append(k)
                 places.append((k - s, p))
-    step, piece = torch.tensor(places).T
-    order = torch.tensor(numbers)
+    step, piece = torch.tensor(places, device=near).T
+    order = torch.tensor(numbers, device=near)
     y, states = run.y.permute(1, 2, 0, 3), run.x.permute(1, 2, 0, 3)
     earlier = step - 1 if networks.recipe.newest else step
     return Course(order, y[:, :, step, piece], states[:, :, step, piece], states[:, :, earlier, piece])

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from service.core.errors import InputError
+from training.device import CPU
 from training.free_run import free_run
 from training.layout import Layout
 from training.linear import linear_outputs, linear_rates
@@ -67,10 +68,19 @@ class Begin(Protocol):
 
 
 class Training:
-    """A training with all that it takes to go on: weights, optimizer, random numbers, best weights, history."""
+    """A training with all that it takes to go on: weights, optimizer, random numbers, best weights, history.
+
+    On a `device`; random numbers are the CPU's on any, and `windows` stay there.
+    """
 
     def __init__(
-        self, layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: "Begin | None" = None
+        self,
+        layout: Layout,
+        samples: Samples,
+        recipe: Recipe,
+        seed: int,
+        begin: "Begin | None" = None,
+        device: torch.device = CPU,
     ) -> None:
         torch.manual_seed(seed)
         if not recipe.moved:
@@ -88,6 +98,8 @@ class Training:
             self.networks.load_state_dict(begin.weights)
         else:
             self._linear([*examples, *others])
+        self.networks.to(device)
+        self._near, self._owner = self.windows.to(device), torch.as_tensor(layout.owner, device=device)
         fixed = () if self.networks.outputs.hidden else (self.networks.outputs.first,)  # h is a state: no gain to learn
         self._parameters = [p for p in self.networks.parameters() if all(p is not other for other in fixed)]
         behind = {id(p) for p in self.networks.rates.weights}
@@ -97,11 +109,11 @@ class Training:
         ]
         self._optimizer = torch.optim.AdamW(groups, lr=recipe.rate, eps=EPSILON)
         self._random = torch.Generator().manual_seed(seed)
-        self._sensed = torch.tensor([float(name is not None) for name in layout.sensed])
+        self._sensed = torch.tensor([float(name is not None) for name in layout.sensed], device=device)
         self.history = History()
         self.done = 0
         self.best = {name: value.clone() for name, value in self.networks.state_dict().items()}
-        self.best_error = torch.full((recipe.members, len(layout.tests)), math.inf)
+        self.best_error = torch.full((recipe.members, len(layout.tests)), math.inf, device=device)
 
     @property
     def iterations(self) -> int:
@@ -115,7 +127,7 @@ class Training:
             InputError: it diverges, and nothing good was found before.
         """
         while self.done < self.iterations:
-            loss = self._iteration(self._phase())
+            loss = float(self.step())
             self.done += 1
             if not math.isfinite(loss):
                 self._stop(f"the loss is {loss}")
@@ -126,9 +138,9 @@ class Training:
                 keep()
 
     def finish(self) -> Networks:
-        """The networks with the best weights of every member's test."""
+        """The networks with the best weights of every member's test, on the CPU."""
         self.networks.load_state_dict(self.best)
-        return self.networks
+        return self.networks.to(CPU)
 
     def state(self) -> dict[str, Any]:
         """All that `restore` needs."""
@@ -148,7 +160,9 @@ class Training:
         self.networks.load_state_dict(state["weights"])
         self._optimizer.load_state_dict(state["optimizer"])
         self._random.set_state(state["random"])
-        self.best, self.best_error = state["best"], state["best_error"]
+        device = self.best_error.device
+        self.best = {name: value.to(device) for name, value in state["best"].items()}
+        self.best_error = state["best_error"].to(device)
         self.history = History(**state["history"])
 
     def _linear(self, examples: Sequence[Example]) -> None:
@@ -170,16 +184,18 @@ class Training:
                 return phase
         return self.recipe.phases[-1]
 
-    def _iteration(self, phase: Phase) -> float:
+    def step(self) -> Tensor:
+        """An iteration; returns its loss."""
+        phase = self._phase()
         for group in self._optimizer.param_groups:
             group["lr"] = self._rate()
-        batch = self.windows.batch(phase, self.recipe, self._random)
+        batch = self._near.batch(phase, self.recipe, self._random)
         loss = self._loss(batch, phase.burn)
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self._clip()
         self._optimizer.step()
-        return float(loss.detach())
+        return loss.detach()
 
     def _loss(self, batch: Batch, burn: int) -> Tensor:
         """The mean squared error of what the tests predict, summed over members and tests: each learns by itself."""
@@ -202,30 +218,31 @@ class Training:
 
     def _clip(self) -> None:
         """Cuts the gradient of every member's test at the recipe's norm."""
-        members, owner = self.recipe.members, torch.as_tensor(self.layout.owner)
-        square = torch.zeros(members, len(self.layout.tests))
-        for parameter, test in self._owned(owner):
+        members = self.recipe.members
+        square = torch.zeros_like(self.best_error)
+        for parameter, test in self._owned():
             if parameter.grad is None:  # an increment has no speed to learn
                 continue
             square.index_add_(1, test, parameter.grad.reshape(members, len(test), -1).pow(2).sum(dim=2))
         scale = (self.recipe.clip / square.sqrt().clamp(min=1e-12)).clamp(max=1.0)
-        for parameter, test in self._owned(owner):
+        for parameter, test in self._owned():
             if parameter.grad is None:
                 continue
             parameter.grad.view(members, len(test), -1).mul_(scale[:, test, None])
 
-    def _owned(self, owner: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def _owned(self) -> list[tuple[Tensor, Tensor]]:
         """The parameters, each with the test of each of its functions."""
-        tests = torch.arange(len(self.layout.tests))
+        tests = torch.arange(len(self.layout.tests), device=self._owner.device)
         outputs = {id(p) for p in self.networks.outputs.parameters()}
-        return [(p, tests if id(p) in outputs else owner) for p in self._parameters]
+        return [(p, tests if id(p) in outputs else self._owner) for p in self._parameters]
 
     def _look(self, loss: float) -> float:
         """Free run; keeps what is better than ever. The median error over members and tests where it was not seen."""
-        course = free_run(self.networks, self.windows)
-        y = self.windows.y[course.at].T  # (T, K)
+        near = self._near
+        course = free_run(self.networks, near)
+        y = near.y[course.at].T  # (T, K)
         square = (course.y - y).pow(2)
-        hidden = (self.windows.fold[course.at] == self.windows.of(self.recipe.members)[:, None]).to(torch.float32)
+        hidden = (near.fold[course.at] == near.of(self.recipe.members)[:, None]).to(torch.float32)
         seen, held = (_rms(square, part[:, None]) for part in (1.0 - hidden, hidden))
         judged = torch.where(torch.isinf(held), seen, held)  # a fold may have no tick with a run-up
         better = judged < self.best_error if self.recipe.folds else torch.isfinite(judged)  # else the last ones stay
@@ -239,9 +256,10 @@ class Training:
 
     def _keep(self, better: Tensor) -> None:
         """Takes the weights of the members' tests (M, T) that are `better` than ever."""
-        owner = torch.as_tensor(self.layout.owner)
         for name, now in self.networks.state_dict().items():
-            mask = better if name.startswith("outputs") else better[:, owner]  # of the functions that are a test's
+            mask = (
+                better if name.startswith("outputs") else better[:, self._owner]
+            )  # of the functions that are a test's
             new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))
             self.best[name] = torch.where(mask[:, :, None], new, old).reshape(now.shape)
 

@@ -6,7 +6,7 @@ such accident take it for physics. Here every message but the slowest is moved b
 had sampled then: between two messages, a value lies on the straight line.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -31,23 +31,7 @@ APART = 0.382
 Signals = list[tuple[str, float, Quality]]
 
 
-class Start(NamedTuple):
-    """Frames, and what they say: `decoded` has an entry for each, which is the frame's data as a number.
-
-    They are `natural` where no message was moved.
-    """
-
-    frames: list[Frame]
-    decoded: list[Signals]
-    natural: bool
-
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
-        """The signals of a frame of `frames`."""
-        del can_id, is_extended
-        return self.decoded[int.from_bytes(data, "big")]
-
-
-class _Message(NamedTuple):
+class Message(NamedTuple):
     """A frame that carries signals."""
 
     t_s: float
@@ -55,17 +39,33 @@ class _Message(NamedTuple):
     signals: Signals
 
 
-def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
+class Start(NamedTuple):
+    """What the vehicle would see; `natural` where no message was moved."""
+
+    messages: list[Message]
+    natural: bool
+
+    def frames(self) -> Iterator[Frame]:
+        """The messages as frames, whose data is the message's number."""
+        return (Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(self.messages))
+
+    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
+        """The signals of one of the frames."""
+        del can_id, is_extended
+        return self.messages[int.from_bytes(data, "big")].signals
+
+
+def starts(frames: Iterable[Frame], table: Decoder) -> Iterator[Start]:
     """What the vehicle would see, with messages in several phases, switched on at several instants.
 
     Instants lie evenly in the slowest message's period: as often as not two begin alike, as they would.
     """
     messages = [
-        _Message(t_s, (can_id, is_extended), signals)
+        Message(t_s, (can_id, is_extended), signals)
         for t_s, can_id, is_extended, data in frames
         if (signals := [*table.decode(can_id, is_extended, data)])
     ]
-    streams: dict[tuple[int, bool], list[_Message]] = {}
+    streams: dict[tuple[int, bool], list[Message]] = {}
     for message in messages:
         streams.setdefault(message.key, []).append(message)
     periods = {key: _period(stream) for key, stream in streams.items()}
@@ -80,7 +80,7 @@ def starts(frames: Sequence[Frame], table: Decoder) -> Iterator[Start]:
         within = min(periods[slowest], WITHIN_S) if slowest else 0.0
         for k in range(STARTS):
             begin = together[0].t_s + within * k / STARTS if together else 0.0
-            yield _start([message for message in together if message.t_s >= begin], natural=part == 0)
+            yield Start([message for message in together if message.t_s >= begin], natural=part == 0)
 
 
 def _share(part: int, rank: int) -> float:
@@ -89,11 +89,11 @@ def _share(part: int, rank: int) -> float:
     return share if share <= 0.5 else share - 1.0
 
 
-def _period(stream: Sequence[_Message]) -> float:
+def _period(stream: Sequence[Message]) -> float:
     return float(np.median(np.diff([message.t_s for message in stream]))) if len(stream) > 1 else np.inf
 
 
-def _moved(stream: list[_Message], shift_s: float, period_s: float) -> list[_Message]:
+def _moved(stream: list[Message], shift_s: float, period_s: float) -> list[Message]:
     """The messages as they would be, sampled and sent `shift_s` later."""
     if shift_s == 0.0 or not np.isfinite(shift_s):
         return stream
@@ -103,7 +103,7 @@ def _moved(stream: list[_Message], shift_s: float, period_s: float) -> list[_Mes
     ]
 
 
-def _between(before: _Message, after: _Message, t_s: float, period_s: float) -> _Message:
+def _between(before: Message, after: Message, t_s: float, period_s: float) -> Message:
     gap = after.t_s - before.t_s
     there = 0.0 <= t_s - before.t_s <= gap <= GAP * period_s and gap > 0.0
     signals: Signals = []
@@ -112,9 +112,4 @@ def _between(before: _Message, after: _Message, t_s: float, period_s: float) -> 
             signals.append((name, first + (second - first) * (t_s - before.t_s) / gap, good))
         else:
             signals.append((name, second, also) if t_s - before.t_s > gap / 2 else (name, first, good))
-    return _Message(t_s, before.key, signals)
-
-
-def _start(messages: Sequence[_Message], natural: bool) -> Start:
-    frames = [Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(messages)]
-    return Start(frames, [message.signals for message in messages], natural)
+    return Message(t_s, before.key, signals)

@@ -58,7 +58,7 @@ class Recipe:
 
 DEFAULT = Recipe(
     name="default",
-    hidden=(24, 24),
+    hidden=(22, 22),  # with the linear part, that makes 24 in the graph: a multiple of 8 is a tenth faster there
     cell="relaxation",
     newest=True,
     both_ends=True,

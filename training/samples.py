@@ -92,9 +92,9 @@ def load_samples(
         table = compile_dbc(log.dbc, units, str(path))
         found: list[Stretch] = []
         count = 0
-        for start in starts([*log.relative()], table):
+        for start in starts(log.relative(), table):
             count += 1
-            ticks = ticks_of(model, inputs, start, start.frames, _Blind())
+            ticks = ticks_of(model, inputs, start, start.frames(), _Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept

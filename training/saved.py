@@ -51,7 +51,7 @@ def save_weights(folder: Path, training: Training, description: Description) -> 
     try:
         torch.save(
             {
-                "weights": training.best,
+                "weights": {name: value.cpu() for name, value in training.best.items()},
                 "scaling": scaling,
                 **shape,
                 "functions": _functions(layout),
@@ -74,7 +74,7 @@ def load_weights(folder: Path, layout: Layout) -> Saved:
     if not path.is_file():
         raise InputError(f"{path}: not found; give the folder that `faultline train` wrote")
     try:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         recipe = replace(RECIPES[state["recipe"]], hidden=tuple(state["hidden"]), members=state["members"])
         scaling = Scaling(**{name: np.asarray(value.numpy()) for name, value in state["scaling"].items()})
         functions, weights, recordings = state["functions"], state["weights"], tuple(state["recordings"])

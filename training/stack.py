@@ -26,7 +26,8 @@ class Stack(nn.Module):
     ) -> None:
         super().__init__()
         index = torch.tensor(columns, dtype=torch.long)  # (F, D)
-        self.index = index.reshape(-1)
+        self.index: Tensor
+        self.register_buffer("index", index.reshape(-1), persistent=False)
         self.functions, self.arguments = index.shape
         self.members, self.hidden = members, tuple(hidden)
         used = (index != padding).to(torch.float32)  # what pads takes no part in how large weights begin

@@ -20,6 +20,7 @@ Columns = npt.NDArray[np.intp]
 def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Variances, novelty: Novelty) -> Cells:
     """The cells of trained networks."""
     relaxes = networks.recipe.cell == "relaxation"
+    states, tests = len(layout.states), len(layout.tests)
     speed = torch.sigmoid(networks.logit[:, :, 0]) if relaxes else torch.full_like(networks.logit[:, :, 0], PERIOD_S)
     return Cells(
         members=networks.members,
@@ -29,10 +30,8 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
         x_size=scaling.x_size,
         owner=layout.owner,
         held=layout.held,
-        rates=_functions(networks.rates, _columns(layout, networks.columns, layout.owner, len(layout.states))),
-        outputs=_functions(
-            networks.outputs, _columns(layout, layout.outputs, np.arange(len(layout.tests)), len(layout.states))
-        ),
+        rates=Functions(_columns(layout, networks.columns, layout.owner, states), _layers(networks.rates)),
+        outputs=Functions(_columns(layout, layout.outputs, np.arange(tests), states), _layers(networks.outputs)),
         speed=_array(speed),
         relaxes=relaxes,
         newest=networks.recipe.newest,
@@ -52,30 +51,32 @@ def _columns(layout: Layout, columns: Columns, owner: Columns, states: int) -> C
     return found
 
 
-def _functions(stack: Stack, columns: Columns) -> Functions:
-    layers = _layers(stack)
-    return Functions(columns, _array(stack.first[:, 0]), _array(stack.bias[:, 0, 0]), layers)
-
-
 def _layers(stack: Stack) -> tuple[tuple[Array, Array], ...]:
+    """The linear part and the network as one: a linear part is a pair of ReLUs, handed on from layer to layer."""
+    lin, bias = _array(stack.first[:, :1]), _array(stack.bias[:, :1, 0])
     if not stack.hidden:
-        return ()
-    first = (_array(stack.first[:, 1:]), _array(stack.bias[:, 1:, 0]))
-    rest = zip(stack.weights, stack.biases, strict=True)
-    return (first, *((_array(weight), _array(bias[:, :, 0])) for weight, bias in rest))
+        return ((lin, bias),)
+    weight, shift = _array(stack.first[:, 1:]), _array(stack.bias[:, 1:, 0])
+    layers = [(np.concatenate([weight, lin, -lin], axis=1), np.concatenate([shift, bias, -bias], axis=1))]
+    for after, constant in zip(stack.weights, stack.biases, strict=True):
+        layers.append(_beside(_array(after), _array(constant[:, :, 0]), last=after is stack.weights[-1]))
+    return tuple(layers)
+
+
+def _beside(weight: Array, bias: Array, last: bool) -> tuple[Array, Array]:
+    """A layer (N, after, before) that hands on two inputs more as they are, or takes their difference at last."""
+    count, after, before = weight.shape
+    pair = np.array([[1.0, -1.0]]) if last else np.eye(2)
+    rows = after if last else after + 2
+    out = np.zeros((count, rows, before + 2))
+    out[:, :after, :before] = weight
+    out[:, -len(pair) :, before:] = pair
+    return out, bias if last else np.concatenate([bias, np.zeros((count, 2))], axis=1)
 
 
 def _variance(layout: Layout, of: Variances) -> Variance:
-    """The linear part and the network as one: a linear part is a pair of ReLUs."""
-    stack, layers = of.stack, list(_layers(of.stack))
-    lin, bias = _array(stack.first[:, :1]), _array(stack.bias[:, :1, 0])
-    weight, shift = layers[0]
-    layers[0] = (np.concatenate([weight, lin, -lin], axis=1), np.concatenate([shift, bias, -bias], axis=1))
-    after, constant = layers[1]
-    ones = np.ones((*after.shape[:2], 1))
-    layers[1] = (np.concatenate([after, ones, -ones], axis=2), constant)
     columns = _columns(layout, of.columns, np.arange(len(layout.tests)), 2 * len(layout.states))
-    return Variance(columns, tuple(layers), _array(of.factor))
+    return Variance(Functions(columns, _layers(of.stack)), _array(of.factor))
 
 
 def _array(value: Tensor) -> Array:

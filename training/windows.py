@@ -1,5 +1,6 @@
 """Windows of the samples to train on, and what of them each member may look at."""
 
+import copy
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -74,9 +75,17 @@ class Windows:
         self.natural = torch.tensor(np.concatenate([np.full(len(e.z), e.natural) for e in every]))
         self._folds = folds
 
+    def to(self, device: torch.device) -> "Windows":
+        """The same, where networks are trained."""
+        near = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                setattr(near, name, value.to(device))
+        return near
+
     def of(self, members: int) -> Tensor:
         """The fold (M,) that each member does not see."""
-        return torch.arange(members) % max(self._folds, 1)
+        return torch.arange(members, device=self.fold.device) % max(self._folds, 1)
 
     def batch(self, phase: Phase, recipe: Recipe, generator: torch.Generator) -> Batch:
         """Random windows for each member, of which its own fold does not count; all stretches where a phase says so."""
@@ -92,11 +101,11 @@ class Windows:
             ]
         )
         chosen = places[torch.randint(len(places), (members, phase.batch), generator=generator)]  # (M, B)
-        at = chosen[None] + torch.arange(length)[:, None, None]  # (L, M, B)
+        at = (chosen[None] + torch.arange(length)[:, None, None]).to(self.fold.device)  # (L, M, B)
         fold = self.of(members)[None, :, None]
         u, known, y = (part[at].transpose(2, 3).contiguous() for part in self._parts)
         return Batch(
-            self.known[chosen - before].transpose(1, 2).contiguous(),
+            self.known[at[0] - before].transpose(1, 2).contiguous(),
             u,
             known,
             y,
@@ -105,8 +114,8 @@ class Windows:
 
     def _whole(self, members: int) -> Batch:
         longest = max(end - begin for begin, end in self.bounds)
-        u, known, y = (torch.zeros(longest, members, part.shape[1], len(self.bounds)) for part in self._parts)
-        counts = torch.zeros(longest, members, len(self.bounds))
+        u, known, y = (part.new_zeros(longest, members, part.shape[1], len(self.bounds)) for part in self._parts)
+        counts = self.u.new_zeros(longest, members, len(self.bounds))
         for b, (begin, end) in enumerate(self.bounds):
             for to, part in zip((u, known, y), self._parts, strict=True):
                 to[: end - begin, :, :, b] = part[begin:end, None, :]

@@ -27,27 +27,23 @@ Columns = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Functions:
-    """F functions of M members: of `columns` (F, D), linear parts `lin` (M F, D) and `bias` (M F,).
+    """N functions, the first member's first, of `columns` (N / M, D), which all members share.
 
-    `layers` are weights (M F, after, before) and biases (M F, after) of the network: hidden layers and the last one.
+    `layers` are weights (N, after, before) and biases (N, after), with ReLU in between; the last one has one output.
     """
 
     columns: Columns
-    lin: Array
-    bias: Array
     layers: tuple[tuple[Array, Array], ...]
 
 
 @dataclass(frozen=True)
 class Variance:
-    """log v of each test by a network with layers as above.
+    """log v of each test; sigma is `factor` (T,) times sqrt(v + spread^2), all scaled.
 
-    It is of `columns` (T, D) of [new states; old states; signals; held; 0]. Then sigma is `factor` (T,) times
-    sqrt(v + spread^2), all scaled.
+    The columns of `functions` are of [new states; old states; signals; held; 0].
     """
 
-    columns: Columns
-    layers: tuple[tuple[Array, Array], ...]
+    functions: Functions
     factor: Array
 
 
@@ -67,7 +63,7 @@ class Cells:
     `owner` (F,) is the test of a state, `held` are test and signal of H values a tick before, `predicts` (T,) the
     signal of each test. `speed` (M, F) is s, or Ts throughout where `relaxes` is false; `newest` whether h sees the new
     states. Columns of functions count [states (F); signals (nz); held (H); 0]; variance and novelty look at the
-    ensemble's mean states.
+    ensemble's mean states. Weights of the column that is 0 are zero.
     """
 
     members: int
@@ -96,64 +92,73 @@ def cell_graph(c: Cells) -> bytes:
     w = Writer()
     z, x = w.input("z", ["B", nz]), w.input("x", ["B", M * F + H])
     test, signal = np.array(c.held, dtype=np.intp).reshape(-1, 2).T
-    x_offset = np.concatenate([np.tile(c.x_offset, M), c.z_offset[signal]])
-    x_size = np.concatenate([np.tile(c.x_size, M), c.z_size[signal]])
     # inside, states are sorted by members, and what is held comes last
     outside = np.argsort(np.concatenate([np.tile(c.owner, M), test]), kind="stable")
-    u = _single(w, w("Div", w("Sub", z, w.constant(c.z_offset)), w.constant(c.z_size)))
-    given = w.gather(x, np.argsort(outside), 1)
-    scaled = _single(w, w("Div", w("Sub", given, w.constant(x_offset)), w.constant(x_size)))
-    old = w.slice(scaled, 1, 0, M * F) if H else scaled
-    nothing = _nothing(w, u)
-    inputs = w.concat([u, w.slice(scaled, 1, M * F, M * F + H), nothing] if H else [u, nothing], axis=1)
-    f = _functions(w, c.rates, old, inputs, M, F)
-    way = w("Sub", f, old) if c.relaxes else f
-    new = w("Add", old, w("Mul", way, _float(w, c.speed.reshape(1, -1))))
-    seen = new if c.newest else old
-    y = w.reshape(_functions(w, c.outputs, seen, inputs, M, F), [-1, M, T])
-    mean = w.mean(y, 1)
-    spread = w("Sub", y, w.reshape(mean, [-1, 1, T]))
-    among = w("Mul", w.mean(w("Mul", spread, spread), 1), _float(w, np.array(M / max(M - 1, 1))))
-    centre, before = (w.mean(w.reshape(part, [-1, M, F]), 1) for part in (seen, old))
-    own = w.concat([centre, before, inputs], axis=1)
-    log_v = _layers(w, _taken(w, own, c.variance.columns), c.variance.layers)
-    sigma = w("Mul", w("Sqrt", w("Add", w("Exp", log_v), among)), _float(w, c.variance.factor[None]))
+    every = _scaled(w, w.concat([x, z], axis=1), c, np.argsort(outside), signal)
+    old = w.slice(every, 1, 0, M * F)
+    way = _functions(w, every, _columns(c.rates, M, F, M * F), _slowed(c.rates.layers, c.speed))
+    new = w("Add", w("Mul", old, _float(w, 1.0 - c.speed.reshape(1, -1))) if c.relaxes else old, way)
+    seen, first = (w.concat([new, every], axis=1), 2 * M * F) if c.newest else (every, M * F)
+    y = _functions(w, seen, _columns(c.outputs, M, F, first), c.outputs.layers)
+    mean, among = _mean(w, y, M, T), _spread(w, y, M, T)
+    centre = _mean(w, new if c.newest else old, M, F)
+    known = w.slice(every, 1, M * F, M * F + nz + H + 1)
+    own = w.concat([centre, _mean(w, old, M, F), known], axis=1)
+    log_v = _functions(w, own, c.variance.functions.columns, c.variance.functions.layers)
+    sigma = w.cast(w("Sqrt", w("Add", w("Exp", log_v), among)), np.float64)
     size, offset = c.z_size[c.predicts], c.z_offset[c.predicts]
     y_hat = w("Add", w("Mul", w.cast(mean, np.float64), w.constant(size)), w.constant(offset))
     w.output("r", w("Sub", w.gather(z, c.predicts, 1), y_hat), ["B", T])
     w.output("y_hat", y_hat, ["B", T])
-    w.output("sigma", w("Mul", w.cast(sigma, np.float64), w.constant(size)), ["B", T])
-    w.output("novelty", w.cast(_novelty(w, c.novelty, w.concat([centre, u, nothing], axis=1)), np.float64), ["B", T])
-    after = w("Mul", w.cast(new, np.float64), w.constant(x_size[: M * F]))
-    after = w("Add", after, w.constant(x_offset[: M * F]))
-    after = w.concat([after, w.gather(z, signal, 1)], axis=1) if H else after
-    w.output("x_next", w.gather(after, outside, 1), ["B", M * F + H])
+    w.output("sigma", w("Mul", sigma, w.constant(size * c.variance.factor)), ["B", T])
+    w.output("novelty", w.cast(_novelty(w, c.novelty, own, F, nz, H), np.float64), ["B", T])
+    after = w("Mul", w.cast(new, np.float64), w.constant(np.tile(c.x_size, M)))
+    after = w.concat([w("Add", after, w.constant(np.tile(c.x_offset, M))), z], axis=1)
+    held_next = np.concatenate([np.arange(M * F), M * F + signal])
+    w.output("x_next", w.gather(after, held_next[outside], 1), ["B", M * F + H])
     return w.model("faultline-rnn")
 
 
-def _functions(w: Writer, of: Functions, x: str, inputs: str, members: int, states: int) -> str:
-    """The functions' values (B, M F) at scaled states x (B, M states) and inputs [signals; held; 0] (B, nz + H + 1)."""
-    both = w.concat([x, inputs], axis=1)
-    # a member's own states, then the inputs, which all members share
-    own = [
-        np.where(of.columns < states, of.columns + m * states, of.columns + (members - 1) * states)
-        for m in range(members)
-    ]
-    a = _taken(w, both, np.concatenate(own))
-    out = w("Add", _dot(w, a, of.lin), _float(w, of.bias))
-    return w("Add", out, _layers(w, a, of.layers)) if of.layers else out
+def _scaled(w: Writer, given: str, c: Cells, inside: Columns, signal: Columns) -> str:
+    """[states (M F); signals (nz); held (H); 0] in float32, of what is given: x as it is outside, and z."""
+    M, F, H, nz = c.members, len(c.x_offset), len(c.held), len(c.z_offset)
+    states, held = np.split(inside, [M * F])
+    first = M * F + H
+    places = np.concatenate([states, first + np.arange(nz), held, [first]])
+    offset = np.concatenate([np.tile(c.x_offset, M), c.z_offset, c.z_offset[signal], [0.0]])
+    size = np.concatenate([np.tile(c.x_size, M), c.z_size, c.z_size[signal], [np.inf]])
+    shifted = w("Sub", w.gather(given, places, 1), w.constant(offset))
+    return w.cast(w("Mul", shifted, w.constant(1.0 / size)), np.float32)
 
 
-def _layers(w: Writer, a: str, layers: tuple[tuple[Array, Array], ...]) -> str:
-    """The networks' values (B, N) at a (B, N, D): ReLU between the layers."""
-    for weight, bias in layers[:-1]:
-        count, after, before = weight.shape
-        together = _neighbours(count, before)
-        a = w.reshape(a, [-1, count // together, 1, together * before])
-        a = w("MatMul", a, _float(w, _blocks(weight.swapaxes(1, 2), together)))
-        a = w("Relu", w("Add", w.reshape(a, [-1, count, after]), _float(w, bias)))
+def _columns(of: Functions, members: int, states: int, first: int) -> Columns:
+    """Columns (N, D) of all members where their states come one after the other, and from `first` on the rest."""
+    own = of.columns < states
+    return np.concatenate([np.where(own, of.columns + m * states, of.columns - states + first) for m in range(members)])
+
+
+def _slowed(layers: tuple[tuple[Array, Array], ...], speed: Array) -> tuple[tuple[Array, Array], ...]:
+    """The functions times `speed` (M, F)."""
     weight, bias = layers[-1]
-    return w("Add", _dot(w, a, weight[:, 0]), _float(w, bias[:, 0]))
+    return (*layers[:-1], (weight * speed.reshape(-1, 1, 1), bias * speed.reshape(-1, 1)))
+
+
+def _functions(w: Writer, values: str, columns: Columns, layers: tuple[tuple[Array, Array], ...]) -> str:
+    """N networks (B, N) of the columns (N, D) of values (B, C)."""
+    count, inputs = columns.shape
+    together = _neighbours(count, inputs) if len(layers) > 1 else 1
+    a = w.gather(values, columns.reshape(count // together, 1, -1), 1)  # (B, N / together, 1, together D)
+    for weight, bias in layers[:-1]:
+        after, before = weight.shape[1:]
+        if (wanted := _neighbours(count, before)) != together:
+            together = wanted
+            a = w.reshape(a, [-1, count // together, 1, together * before])
+        a = w("MatMul", a, _float(w, _blocks(weight.swapaxes(1, 2), together)))
+        a = w("Relu", w("Add", a, _float(w, bias.reshape(count // together, 1, -1))))
+        inputs = after
+    a = w.reshape(a, [-1, count, 1, inputs]) if together != 1 else a
+    weight, bias = layers[-1]
+    return w("Add", w.total(w("Mul", a, _float(w, weight)), 2, 3), _float(w, bias[:, 0]))
 
 
 def _neighbours(count: int, inputs: int) -> int:
@@ -171,31 +176,25 @@ def _blocks(weight: Array, together: int) -> Array:
     return out.reshape(count // together, together * before, together * after)
 
 
-def _dot(w: Writer, a: str, weight: Array) -> str:
-    """The sums (B, N) of a (B, N, D) times weight (N, D)."""
-    return w.total(w("Mul", a, _float(w, weight)), 2)
+def _mean(w: Writer, values: str, members: int, count: int) -> str:
+    """The members' mean (B, count) of values (B, members count), as a product: one node instead of two."""
+    return w("MatMul", values, _float(w, np.tile(np.eye(count), (members, 1)) / members))
 
 
-def _taken(w: Writer, values: str, columns: Columns) -> str:
-    """The columns (N, D) of values (B, C) as (B, N, D)."""
-    return w.reshape(w.gather(values, columns.ravel(), 1), [-1, *columns.shape])
+def _spread(w: Writer, values: str, members: int, count: int) -> str:
+    """The members' sample variance (B, count); of a single one, zero."""
+    mean = np.tile(np.eye(count), (members, members)) / members
+    away = w("MatMul", values, _float(w, np.eye(members * count) - mean))
+    total = np.tile(np.eye(count), (members, 1)) / max(members - 1, 1)
+    return w("MatMul", w("Mul", away, away), _float(w, total))
 
 
-def _novelty(w: Writer, n: Novelty, values: str) -> str:
-    """The least distance from a centre, in parts of its reach (B, T)."""
-    point = w.reshape(_taken(w, values, n.columns), [-1, len(n.columns), 1, n.columns.shape[1]])
-    away = w("Sub", point, _float(w, n.centres))
+def _novelty(w: Writer, n: Novelty, values: str, states: int, signals: int, held: int) -> str:
+    """The least distance (B, T) from a centre, in parts of its reach; values are [new; old; signals; held; 0]."""
+    places = n.columns + np.where(n.columns < states, 0, states) + np.where(n.columns < states + signals, 0, held)
+    away = w("Sub", w.gather(values, places[:, None], 1), _float(w, n.centres))
     square = w.total(w("Mul", away, away), 3)
     return w("Sqrt", w.least(w("Div", square, _float(w, n.reach**2)), 2))
-
-
-def _nothing(w: Writer, u: str) -> str:
-    """A column (B, 1) of zeros."""
-    return w("Mul", w.slice(u, 1, 0, 1), _float(w, np.array(0.0)))
-
-
-def _single(w: Writer, value: str) -> str:
-    return w.cast(value, np.float32)
 
 
 def _float(w: Writer, value: Array) -> str:

@@ -85,9 +85,9 @@ class Writer:
         """The mean along an axis, which is gone."""
         return self("ReduceMean", value, self.constant([axis], np.int64), keepdims=0)
 
-    def total(self, value: str, axis: int) -> str:
-        """The sum along an axis, which is gone."""
-        return self("ReduceSum", value, self.constant([axis], np.int64), keepdims=0)
+    def total(self, value: str, *axes: int) -> str:
+        """The sum along axes, which are gone."""
+        return self("ReduceSum", value, self.constant(axes, np.int64), keepdims=0)
 
     def least(self, value: str, axis: int) -> str:
         """The least along an axis, which is gone."""

@@ -38,7 +38,7 @@ def sent(start: Start, can_id: int) -> list[tuple[float, float, Quality]]:
     """Time, value and quality of every message of an identifier."""
     return [
         (f.t, value, quality)
-        for f in start.frames
+        for f in start.frames()
         if f.can_id == can_id
         for _, value, quality in start.decode(f.can_id, f.is_extended, f.data)
     ]
@@ -63,7 +63,7 @@ def test_messages_lie_otherwise_to_each_other_and_the_slowest_stays() -> None:
 
 def test_switched_on_at_instants_of_the_slowest_period() -> None:
     natural = [start for start in starts(frames(), Ramps()) if start.natural]
-    firsts = [start.frames[0].t for start in natural]
+    firsts = [next(start.frames()).t for start in natural]
     assert firsts == sorted(firsts)
     assert firsts[-1] - firsts[0] < 0.2 + 1e-9
     assert len({*firsts}) > 2
@@ -112,4 +112,4 @@ def test_one_message_alone_is_not_moved() -> None:
 
 
 def test_a_log_without_signals_has_starts_without_frames() -> None:
-    assert all(not start.frames for start in starts([Frame(0.0, 99, True, b"")], Ramps()))
+    assert all(not start.messages for start in starts([Frame(0.0, 99, True, b"")], Ramps()))
