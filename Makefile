@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations campaign-training clean
+.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-stories clean
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -11,7 +11,7 @@ demo: .venv/.demo  ## the main job, end to end, with a picture
 # the machine comes after, by itself.
 WORKERS ?= 3
 test: lint  ## everything that CI checks
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" -n $(WORKERS) --dist worksteal
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" -n $(WORKERS) --dist worksteal
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m alone
 
 lint: .venv/.test
@@ -36,6 +36,9 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
+
+campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py
 
 campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/grey_box.py

@@ -1,4 +1,4 @@
-"""The stories in docs: their commands run, and print what the pages say they print."""
+"""The stories in docs: their commands run, and print what the pages say they print. `make test` runs the first one."""
 
 import json
 import re
@@ -67,11 +67,13 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
         assert [bundles[which]["verdicts"][name]["named"] for which in ("before", "after")] == [False, True]
 
 
+@pytest.mark.long
 def test_air_in_the_hose_or_a_hose_that_stiffens(tmp_path: Path) -> None:
     told("air-or-stiff-hose", tmp_path, unsure=1)
     assert added(tmp_path / "out" / "air" / "found" / "model.toml") >= {"entrained_air_V_a"}
 
 
+@pytest.mark.long
 def test_a_hose_that_creeps(tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(DOCS)
     told("creeping-hose", tmp_path, unsure=1)
