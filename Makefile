@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-stories clean
+.PHONY: demo test lint bench clean
+.PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -36,6 +37,9 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
+
+campaign-diagnosis: .venv/.test  ## faults on other vehicles: detected, named? writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/diagnosis.py
 
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py

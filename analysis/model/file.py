@@ -3,9 +3,9 @@
     schema = 1
     name = "uds4"
     warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
-    [known.y_p_tp]           unit, description, min, max, noise, zero  (zero may be absent)
+    [known.y_p_tp]           unit, description, min, max, noise, zero, drift  (the last two may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
-    [parameter.A_t]          unit, description, value, min, max, prior or spread, source  (only value is a must)
+    [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
     [[differential]]         name, state, derivative
@@ -157,15 +157,21 @@ def _known(table: Table) -> Known:
         max=table.number("max"),
         noise=table.number("noise"),
         zero=table.optional_number("zero") or 0.0,
+        drift=table.optional_number("drift") or 0.0,
     )
     table.done()
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
     if known.noise <= 0:
         raise table.fail("noise", "must be positive: it is the scale of the sensor's residuals")
-    if known.zero < 0:
-        raise table.fail("zero", f"{known.zero:g} is no standard deviation; give a positive one, or none")
+    for name in ("zero", "drift"):
+        _check_deviation(table, name, getattr(known, name))
     return known
+
+
+def _check_deviation(table: Table, name: str, value: float) -> None:
+    if value < 0:
+        raise table.fail(name, f"{value:g} is no standard deviation; give a positive one, or none")
 
 
 def _unknown(table: Table, names: Sequence[str]) -> Unknown:
@@ -190,8 +196,10 @@ def _parameter(table: Table) -> Parameter:
         prior=table.optional_number("prior"),
         source=table.text("source", ""),
         spread=table.optional_number("spread"),
+        drift=table.optional_number("drift") or 0.0,
     )
     table.done()
+    _check_deviation(table, "drift", parameter.drift)
     check_bounds(parameter, table.place)
     return parameter
 

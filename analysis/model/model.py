@@ -19,7 +19,8 @@ from analysis.model.errors import ModelError
 class Known:
     """A measured or commanded signal, in `unit`: operating range [min, max], standard deviation `noise` of a sample.
 
-    `zero` is the standard deviation of the zero error that a calibration of the sensor has left; 0 is none.
+    `zero` is the standard deviation of the zero error that a calibration of the sensor has left, `drift` that of its
+    change from one drive to the next; 0 is none.
     """
 
     unit: str
@@ -28,6 +29,7 @@ class Known:
     max: float
     noise: float
     zero: float = 0.0
+    drift: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +50,8 @@ class Unknown:
 class Parameter:
     """A constant. A calibrated one has a `prior`, the standard deviation of its logarithm, or a `spread`, its own.
 
-    The latter is for what may be zero or negative.
+    The latter is for what may be zero or negative. `drift` is the standard deviation of its change from one drive to
+    the next, in parts of its value: of what temperature does, for example.
     """
 
     unit: str
@@ -59,6 +62,7 @@ class Parameter:
     prior: float | None
     source: str
     spread: float | None = None
+    drift: float = 0.0
 
     @property
     def calibrated(self) -> bool:

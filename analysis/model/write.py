@@ -23,16 +23,15 @@ def dump_model(model: Model) -> str:
     blocks = [_pairs(head)]
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
-        fields |= {"zero": k.zero} if k.zero else {}
+        fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift)) if value}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}
         blocks.append(f"[unknown.{name}]\n" + _pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
     for name, p in model.parameters.items():
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
-        blocks.append(
-            f"[parameter.{name}]\n" + _pairs({**fields, "prior": p.prior, "spread": p.spread, "source": p.source})
-        )
+        fields |= {"prior": p.prior, "spread": p.spread, "drift": p.drift or None, "source": p.source}
+        blocks.append(f"[parameter.{name}]\n" + _pairs(fields))
     if model.modes is not None:
         blocks.append("[modes]\n" + _pairs(_modes(model.modes)))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())

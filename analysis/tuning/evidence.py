@@ -10,16 +10,17 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import Bank
+from analysis.graph.bank import Bank, Trial
 from analysis.graph.independence import independent
 from analysis.tuning.thresholds import OWN, Seen
+from service.core.hypotheses import MINIMUM_TICKS
 from service.core.manifest import MODES, Detector, Evidence, Hypothesis
 from service.core.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
 BLOCK_TICKS = 25
-ALLOWANCE = 0.3  # of the mode's spread: calibration error and drive-to-drive spread that a few recordings cannot show
+ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
 
 
 def gather(
@@ -31,18 +32,21 @@ def gather(
     offset = np.array([detectors[row].offset for row in rows]).T  # (C, K)
     scale = np.array([detectors[row].scale for row in rows]).T
     noise = np.zeros((len(MODES), len(rows), len(rows)))
-    stray = np.zeros_like(offset)
+    visit, stray = np.zeros_like(noise), np.zeros_like(offset)
     for mode in set(stand_ins):
         blocks = np.concatenate([_block_means(s, mode, rows) for s in recordings]) - offset[mode]
         noise[mode] = BLOCK_TICKS * np.atleast_2d(np.cov(blocks.T)) if len(blocks) > len(rows) else 0.0
         noise[mode] += np.diag(scale[mode] ** 2)
+        visit[mode] = _between(recordings, mode, rows, offset[mode], noise[mode])
         means = np.array([_mean(s, mode, rows, offset[mode]) for s in recordings]) - offset[mode]
         stray[mode] = np.abs(means).max(axis=0)
     return Evidence(
         generators=[detectors[row].generator for row in rows],
         offset=offset.tolist(),
         noise=noise[list(stand_ins)].tolist(),
+        visit=visit[list(stand_ins)].tolist(),
         allowance=np.hypot(stray, ALLOWANCE * scale)[list(stand_ins)].tolist(),
+        drifts=[drift.tolist() for drift in _drifts(bank.only(rows), recordings, stand_ins)],
         hypotheses=_hypotheses(bank.only(rows), recordings, stand_ins),
     )
 
@@ -65,6 +69,21 @@ def _block_means(s: Seen, mode: int, rows: list[int]) -> Array:
     return np.array(means).reshape(len(means), len(rows))
 
 
+def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Array, noise: Array) -> Array:
+    """How far the mean of a visit to the mode strays (rows, rows), besides what its ticks' noise makes."""
+    total, count = np.zeros_like(noise), 0
+    for s in recordings:
+        inside = s.usable.all(axis=1) & (s.mode == mode)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - begin >= MINIMUM_TICKS:
+                away = s.r[begin:end][:, rows].mean(axis=0) - offset
+                total += np.outer(away, away) - noise / (end - begin)
+                count += 1
+    size, direction = np.linalg.eigh(total / max(count, 1))
+    return np.asarray((direction * np.maximum(size, 0.0)) @ direction.T)
+
+
 def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
     inside = s.usable.all(axis=1) & (s.mode == mode)
     return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
@@ -72,16 +91,41 @@ def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
 
 def _hypotheses(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Hypothesis]:
     named = [(fault, size) for fault in bank.model.faults.values() for size in fault.sizes]
-    trials = [{}, *({fault.name: fault.absolute(size, bank.model)} for fault, size in named)]
-    total = np.zeros((len(MODES), len(named), len(bank.tests)))
+    shifts = _shifts(bank, recordings, [{f.name: f.absolute(size, bank.model)} for f, size in named], stand_ins)
+    return [
+        Hypothesis(fault=f.name, size=size, shift=(-shift).tolist())  # r = y - y_hat: what y moves by
+        for (f, size), shift in zip(named, shifts, strict=True)
+    ]
+
+
+def _drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Array]:
+    """The shift (modes, rows) that a standard deviation of every drift of the model makes."""
+    model = bank.model
+    changed = [{name: p.value * (1.0 + p.drift)} for name, p in model.parameters.items() if p.drift]
+    found = [*_shifts(bank, recordings, changed, stand_ins)] if changed else []
+    for column, known in enumerate(model.known.values()):
+        if known.drift:
+            found += _shifts(bank, recordings, [{}], stand_ins, known.drift * np.eye(len(model.known))[column])
+    return found
+
+
+def _shifts(
+    bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], stand_ins: Sequence[int], step: Array | None = None
+) -> list[Array]:
+    """By how much the mean residuals (modes, rows) move with each trial, over samples that are a `step` (nz,) further.
+
+    r = y - y_hat, so that of a fault in y_hat it is the other way round.
+    """
+    total = np.zeros((len(MODES), len(trials), len(bank.tests)))
     count = np.zeros(len(MODES))
     for s in recordings:
-        r = bank.simulate(trials, s.z, bank.start(s.z[0]))  # (K, 1 + H, rows)
-        shift = r[:, :1] - r[:, 1:]  # y_hat with the fault - y_hat without: what r = y - y_hat moves by
+        usual = bank.simulate([{}], s.z, bank.start(s.z[0]))
+        z = s.z if step is None else s.z + step
+        moved = bank.simulate(trials, z, bank.start(z[0])) - usual  # (K, trials, rows)
         usable = s.usable.all(axis=1)
         for mode in set(stand_ins):
             inside = usable & (s.mode == mode)
-            total[mode] += shift[inside].sum(axis=0)
+            total[mode] += moved[inside].sum(axis=0)
             count[mode] += inside.sum()
     mean = total[list(stand_ins)] / count[list(stand_ins), None, None]
-    return [Hypothesis(fault=f.name, size=size, shift=mean[:, k].tolist()) for k, (f, size) in enumerate(named)]
+    return [mean[:, k] for k in range(len(trials))]

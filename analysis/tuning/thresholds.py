@@ -20,8 +20,8 @@ Array = npt.NDArray[np.float64]
 
 MINIMUM_TICKS = 50  # of a mode, over all recordings
 LASTING_TICKS = 75  # 15 s
-ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
-MARGIN = 3.0  # J over the largest sum seen
+ALLOWANCE = 0.25  # of the mode's spread, on top of what lasted in the tuning recordings
+MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
 MINIMUM_J = 15.0
 OWN = tuple(range(len(MODES)))  # every mode is described by its own ticks
 

@@ -109,8 +109,12 @@ def _evidence(evidence: Evidence) -> Iterator[str]:
     yield from uneven(evidence.offset, K, "evidence.offset", what)
     yield from uneven(evidence.allowance, K, "evidence.allowance", what)
     yield from uneven(evidence.noise, K, "evidence.noise", what)
-    for mode, rows in enumerate(evidence.noise):
-        yield from uneven(rows, K, f"evidence.noise[{mode}]", what)
+    for index, drift in enumerate(evidence.drifts):
+        yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
+    yield from uneven(evidence.visit, K, "evidence.visit", what)
+    for name, matrices in (("noise", evidence.noise), ("visit", evidence.visit)):
+        for mode, rows in enumerate(matrices):
+            yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from uneven(hypothesis.shift, K, f"evidence.hypotheses[{index}].shift", what)
     for mode, rows in enumerate(evidence.noise):

@@ -146,14 +146,17 @@ class Evidence(_Part, frozen=True):
     """What ranks the faults that the alarms leave: predicted shifts, and how far a fault-free mean strays.
 
     `generators` are numerically independent (chosen by the rank of their covariance); `offset` (mode, generator) is the
-    fault-free mean, `noise` (mode, generator, generator) [Pa^2] its long-run covariance per tick, `allowance` (mode,
-    generator) [Pa] what calibration error and drive-to-drive spread may add.
+    fault-free mean, `noise` (mode, generator, generator) [Pa^2] its covariance per tick, `visit` that of a visit to the
+    mode besides, `allowance` (mode, generator) [Pa] what tuning cannot know of a single mean, `drifts` (drift, mode,
+    generator) [Pa] by how much all means stray together from one drive to the next, a standard deviation each.
     """
 
     generators: NotEmpty[Name]
     offset: PerMode[list[float]]
     noise: PerMode[list[list[float]]]
+    visit: PerMode[list[list[float]]]
     allowance: PerMode[list[NotNegative]]
+    drifts: list[PerMode[list[float]]]
     hypotheses: list[Hypothesis]
 
 

@@ -11,5 +11,5 @@ cp -r out/demo/bundle "$here"/bundle
 .venv/bin/faultline ingest "$here"/bench/golden --out "$here"/logs
 mv "$here"/logs/golden "$here"/log
 mv "$here"/bench-truth/golden.toml "$here"/truth.toml
-rm -rf "$here"/logs "$here"/bench "$here"/bench-truth "$here"/log/uniform.csv
+rm -rf "$here"/logs "$here"/bench "$here"/bench-truth "$here"/log/{uniform.csv,synchronisation.png}
 .venv/bin/faultline diagnose "$here"/log --bundle "$here"/bundle --json >"$here"/events.jsonl || test $? = 1

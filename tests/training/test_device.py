@@ -26,7 +26,7 @@ META = torch.device("meta")
 MAY_MIX = ("_to_copy", "copy_")
 
 
-class OneDevice(TorchDispatchMode):
+class OneDevice(TorchDispatchMode):  # type: ignore[no-untyped-call]
     """Refuses operations on tensors of both devices; a number fetched from `META` is zero."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -44,7 +44,7 @@ class OneDevice(TorchDispatchMode):
 
 @pytest.fixture
 def one_device() -> Iterator[None]:
-    with OneDevice():
+    with OneDevice():  # type: ignore[no-untyped-call]
         yield
 
 

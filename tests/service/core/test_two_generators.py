@@ -25,11 +25,12 @@ def doubled() -> Manifest:
     )
 
 
-def seen(manifest: Manifest, *, last: float, mute: tuple[int, ...] = ()) -> Residuals:
-    """All residuals where they are without a fault, the last one so many spreads away; those `mute` cannot tell."""
+def seen(manifest: Manifest, *, last: float, first: float = 0.0, mute: tuple[int, ...] = ()) -> Residuals:
+    """All residuals where they are without a fault, two of them so many spreads away; those `mute` cannot tell."""
     offset, scale = (np.array([getattr(d, part)[1] for d in manifest.detectors]) for part in ("offset", "scale"))
     r = offset.copy()
     r[-1] += last * scale[-1]
+    r[0] += first * scale[0]
     usable = np.ones(len(r), dtype=np.bool_)
     usable[list(mute)] = False
     return Residuals(r, r, scale, usable)
@@ -55,8 +56,20 @@ def test_an_alarm_that_is_frozen_is_not_told_as_if_nothing_were_wrong() -> None:
     test, last = manifest.generators[-1].test, len(manifest.generators) - 1
     decision = Decision(manifest)
     for tick in range(60):
-        decision.update(tick, 1, seen(manifest, last=30.0))
-    decision.update(60, 1, seen(manifest, last=0.0, mute=(last,)))
+        decision.update(tick, 1, seen(manifest, last=30.0, first=30.0))
+    assert decision.diagnoses
+    decision.update(60, 1, seen(manifest, last=0.0, mute=(0, last)))
     assert decision.alarm == []
     assert decision.cannot_tell == [test]
     assert decision.diagnoses
+
+
+def test_what_networks_alone_suspect_is_not_confirmed() -> None:
+    """Their residuals under a fault cannot be predicted: the equations' must show it too."""
+    manifest = doubled()
+    decision = Decision(manifest)
+    for tick in range(200):
+        decision.update(tick, 1, seen(manifest, last=30.0))
+    assert decision.alarm == [manifest.generators[-1].test]
+    assert not decision.confirmed
+    assert decision.diagnoses == []
