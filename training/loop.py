@@ -250,9 +250,9 @@ class Training:
         self.best_error = torch.where(better, judged, self.best_error)
         self.history.iteration.append(self.done)
         self.history.loss.append(loss)
-        self.history.seen.append(seen.median(dim=0).values.tolist())
-        self.history.held.append(held.median(dim=0).values.tolist())
-        return float(judged.median())
+        for kept, errors in ((self.history.seen, seen), (self.history.held, held)):
+            kept.append(errors.cpu().median(dim=0).values.tolist())  # CUDA has no deterministic median
+        return float(judged.cpu().median())
 
     def _keep(self, better: Tensor) -> None:
         """Takes the weights of the members' tests (M, T) that are `better` than ever."""

@@ -81,10 +81,6 @@ class Writer:
         """The same numbers in another precision."""
         return self("Cast", value, to=int(helper.np_dtype_to_tensor_dtype(np.dtype(dtype))))
 
-    def mean(self, value: str, axis: int) -> str:
-        """The mean along an axis, which is gone."""
-        return self("ReduceMean", value, self.constant([axis], np.int64), keepdims=0)
-
     def total(self, value: str, *axes: int) -> str:
         """The sum along axes, which are gone."""
         return self("ReduceSum", value, self.constant(axes, np.int64), keepdims=0)

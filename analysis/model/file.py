@@ -200,6 +200,8 @@ def _parameter(table: Table) -> Parameter:
     )
     table.done()
     _check_deviation(table, "drift", parameter.drift)
+    if parameter.drift and not parameter.value:
+        raise table.fail("drift", "is in parts of the value, and that is zero; give the value that it usually has")
     check_bounds(parameter, table.place)
     return parameter
 

@@ -1,11 +1,11 @@
-"""What ranks the faults: predicted shifts of the residuals, and how far fault-free means stray.
+"""What confirms and ranks faults: predicted shifts of the residuals, and how far fault-free means stray.
 
 A hypothesis (fault and size) is the model with that fault. Fed with the samples of a fault-free recording, it predicts
 another output than the fault-free model; under the fault the residual shifts by that difference. No fault recording is
 needed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -34,9 +34,7 @@ def gather(
     noise = np.zeros((len(MODES), len(rows), len(rows)))
     visit, stray = np.zeros_like(noise), np.zeros_like(offset)
     for mode in set(stand_ins):
-        blocks = np.concatenate([_block_means(s, mode, rows) for s in recordings]) - offset[mode]
-        noise[mode] = BLOCK_TICKS * np.atleast_2d(np.cov(blocks.T)) if len(blocks) > len(rows) else 0.0
-        noise[mode] += np.diag(scale[mode] ** 2)
+        noise[mode] = _within(recordings, mode, rows) + np.diag(scale[mode] ** 2)
         visit[mode] = _between(recordings, mode, rows, offset[mode], noise[mode])
         means = np.array([_mean(s, mode, rows, offset[mode]) for s in recordings]) - offset[mode]
         stray[mode] = np.abs(means).max(axis=0)
@@ -61,25 +59,36 @@ def _standard(s: Seen, detectors: Sequence[Detector]) -> Array:
     return standard
 
 
-def _block_means(s: Seen, mode: int, rows: list[int]) -> Array:
-    """Means over runs of 25 ticks in one mode, (blocks, rows)."""
-    inside = s.usable.all(axis=1) & (s.mode == mode)
-    starts = range(0, len(inside) - BLOCK_TICKS + 1, BLOCK_TICKS)
-    means = [s.r[k : k + BLOCK_TICKS][:, rows].mean(axis=0) for k in starts if inside[k : k + BLOCK_TICKS].all()]
-    return np.array(means).reshape(len(means), len(rows))
+def _visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[Array]:
+    """The residuals (n, rows) of every stay in a mode."""
+    for s in recordings:
+        inside = s.usable.all(axis=1) & (s.mode == mode)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            yield s.r[begin:end][:, rows]
+
+
+def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
+    """The long-run covariance per tick (rows, rows) around each visit's mean, from means over 25 ticks."""
+    total, freedom = np.zeros((len(rows), len(rows))), 0
+    for r in _visits(recordings, mode, rows):
+        blocks = len(r) // BLOCK_TICKS
+        if blocks > 1:
+            means = r[: blocks * BLOCK_TICKS].reshape(blocks, BLOCK_TICKS, -1).mean(axis=1)
+            away = means - means.mean(axis=0)
+            total += away.T @ away
+            freedom += blocks - 1
+    return BLOCK_TICKS * total / max(freedom, 1)
 
 
 def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Array, noise: Array) -> Array:
     """How far the mean of a visit to the mode strays (rows, rows), besides what its ticks' noise makes."""
     total, count = np.zeros_like(noise), 0
-    for s in recordings:
-        inside = s.usable.all(axis=1) & (s.mode == mode)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            if end - begin >= MINIMUM_TICKS:
-                away = s.r[begin:end][:, rows].mean(axis=0) - offset
-                total += np.outer(away, away) - noise / (end - begin)
-                count += 1
+    for r in _visits(recordings, mode, rows):
+        if len(r) >= MINIMUM_TICKS:
+            away = r.mean(axis=0) - offset
+            total += np.outer(away, away) - noise / len(r)
+            count += 1
     size, direction = np.linalg.eigh(total / max(count, 1))
     return np.asarray((direction * np.maximum(size, 0.0)) @ direction.T)
 

@@ -11,6 +11,7 @@ from service.core.signals import Vector
 
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
 ROUNDING = 1e-9  # of a correlation
+LARGEST = 1e50  # of evidence: its squares and products must be numbers
 
 
 def inconsistencies(manifest: Manifest) -> Iterator[str]:
@@ -103,7 +104,7 @@ def _decision(manifest: Manifest) -> Iterator[str]:
 
 
 def _evidence(evidence: Evidence) -> Iterator[str]:
-    """The shapes over modes and evidence generators, and noise that can be divided by."""
+    """The shapes over modes and evidence generators."""
     K = len(evidence.generators)
     what = "evidence generators"
     yield from uneven(evidence.offset, K, "evidence.offset", what)
@@ -117,9 +118,21 @@ def _evidence(evidence: Evidence) -> Iterator[str]:
             yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from uneven(hypothesis.shift, K, f"evidence.hypotheses[{index}].shift", what)
+    yield from _sizes(evidence)
+
+
+def _sizes(evidence: Evidence) -> Iterator[str]:
+    """Covariances that can be divided by, and numbers whose squares are numbers."""
     for mode, rows in enumerate(evidence.noise):
         if not _is_covariance(np.array(rows)):
             yield f"evidence.noise[{mode}]: mode {MODES[mode]}: not symmetric and positive definite"
+    for mode, rows in enumerate(evidence.visit):
+        if not _is_semidefinite(np.array(rows)):
+            yield f"evidence.visit[{mode}]: mode {MODES[mode]}: not symmetric and positive semidefinite"
+    parts = {name: getattr(evidence, name) for name in ("offset", "noise", "visit", "allowance", "drifts")}
+    for name, values in {**parts, "hypotheses": [h.shift for h in evidence.hypotheses]}.items():
+        if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
+            yield f"evidence.{name}: a value beyond {LARGEST:g}"
 
 
 def _is_covariance(V: Vector) -> bool:
@@ -128,15 +141,30 @@ def _is_covariance(V: Vector) -> bool:
     >>> _is_covariance(np.array([[4e8, 1e4], [1e4, 1.0]])), _is_covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
     (True, False)
     """
-    variance = V.diagonal()
-    if not (variance > 0).all():
-        return False
-    spread = np.sqrt(variance)
+    return bool((V.diagonal() > 0).all()) and _least_of(V) > ROUNDING
+
+
+def _is_semidefinite(V: Vector) -> bool:
+    """The same, where some combination may have no variance.
+
+    >>> _is_semidefinite(np.array([[1.0, 1.0], [1.0, 1.0]])), _is_semidefinite(np.array([[0.0, 0.0], [0.0, 1.0]]))
+    (True, True)
+    >>> _is_semidefinite(np.array([[0.0, 1.0], [1.0, 1.0]])), _is_semidefinite(-np.eye(2))
+    (False, False)
+    """
+    varies = V.diagonal() > 0
+    nothing = V[~varies].any() or V[:, ~varies].any()
+    return not nothing and (not varies.any() or _least_of(V[np.ix_(varies, varies)]) > -ROUNDING)
+
+
+def _least_of(V: Vector) -> float:
+    """The least eigenvalue of the correlations, minus infinity where they are none."""
+    spread = np.sqrt(V.diagonal())
     with np.errstate(over="ignore"):
         correlation = V / spread / spread[:, None]
     if np.abs(correlation).max() > 1 + ROUNDING or np.abs(correlation - correlation.T).max() > ROUNDING:
-        return False
-    return bool(np.linalg.eigvalsh(correlation)[0] > ROUNDING)
+        return -np.inf
+    return float(np.linalg.eigvalsh(correlation)[0])
 
 
 def _repeated(names: Sequence[str], path: str, field: str = "") -> Iterator[str]:

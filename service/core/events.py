@@ -11,13 +11,13 @@ import msgspec
 SCHEMA = "faultline.event/1"
 
 Transition = Literal["started", "occurred", "refined", "healed", "cannot_tell"]
-"""started: the first tick was evaluated. occurred: alarms need an explanation where none was needed before. refined:
-the explanations or their ranks changed. healed: no test alarms any more. cannot_tell: other tests than before cannot
-tell."""
+"""started: the first tick was evaluated. occurred: a fault was confirmed where there was none. refined: the
+explanations or their ranks changed. healed: no test has alarmed for a while. cannot_tell: other tests than before
+cannot tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """One explanation of the alarms: all of `faults` together; no name means that no known fault or pair explains them.
+    """One explanation of what is wrong: all of `faults` together; no name means that no known fault or pair does.
 
     `rank` starts at 1; explanations the data cannot separate share a rank. `p` is a probability with three digits, or
     None as long as no calibration curve stands behind it.

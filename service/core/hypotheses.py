@@ -7,10 +7,10 @@ stacked; how badly it fits them is its misfit
     S_h = diag_c(V_c / n_c + U_c / v_c + a_c^2) + sum_k w_k w_k' + diag((gamma mu_h)^2)
 
 with the fault-free mean b, the covariance V of n ticks, U of v visits to the mode (a visit has a dose and a history of
-its own, and does not get surer by its length), the allowance a for what tuning cannot know, the drifts w (how far all
-means stray together from one drive to the next), and gamma for the error of the prediction itself. Size
-is free: a fault's misfit is that of its best size, on the straight line between those that are predicted. Without a
-fault mu is zero.
+its own, and does not get surer by its length; of unequal visits v is n^2 / sum of squared lengths), the allowance a for
+what tuning cannot know, the drifts w (how far all means stray together from one drive to the next), and gamma for the
+error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line between
+those that are predicted. Without a fault mu is zero. Means of a generator that could not tell are left out.
 
 The window must be fresh: samples from before the onset, pooled with later ones, look like a dose-dependent fault.
 """
@@ -30,15 +30,18 @@ MINIMUM_TICKS = 10
 
 
 class Means(NamedTuple):
-    """What a window saw of C modes and K generators: ticks and visits (C,), and the residuals' sums (C, K)."""
+    """What a window saw of C modes and K generators, each (C, K): ticks, squares of visits' lengths, sums of residuals.
+
+    A visit is a stay in a mode; the squares say how evenly the ticks lie in visits.
+    """
 
     ticks: Vector
-    visits: Vector
+    squares: Vector
     total: Vector
 
 
 class Window:
-    """The residuals of the evidence generators since `clear`. State: ticks and a sum per mode and generator."""
+    """The residuals of the evidence generators since `clear`. A tick counts for those that can tell."""
 
     def __init__(self, evidence: Evidence, generators: Sequence[str]) -> None:
         self._columns = np.array([generators.index(name) for name in evidence.generators])
@@ -46,24 +49,30 @@ class Window:
 
     def clear(self) -> None:
         """Starts a fresh window."""
-        self._ticks, self._visits = np.zeros(EDGE), np.zeros(EDGE)
-        self._mode = EDGE
-        self._total = np.zeros((EDGE, len(self._columns)))
+        self._ticks, self._squares, self._total = np.zeros((3, EDGE, len(self._columns)))
+        self.leave()
+
+    def leave(self) -> None:
+        """Whatever comes next is another visit."""
+        self._mode, self._length = EDGE, np.zeros(len(self._columns))
 
     def add(self, mode: int, r: Vector, usable: Mask) -> None:
-        """Takes the residuals `r` (T,) of a tick; ticks at an edge, or where a generator cannot tell, are left out."""
-        if mode == EDGE or not usable[self._columns].all():
-            self._mode = EDGE
-            return
-        self._ticks[mode] += 1
-        self._visits[mode] += mode != self._mode
+        """Takes the residuals `r` (T,) of a tick; those at an edge say nothing."""
+        if mode != self._mode:
+            self.leave()
         self._mode = mode
-        self._total[mode] += r[self._columns]
+        if mode == EDGE:
+            return
+        told = usable[self._columns]
+        self._ticks[mode] += told
+        self._squares[mode] += told * (2.0 * self._length + 1.0)
+        self._total[mode] += np.where(told, r[self._columns], 0.0)
+        self._length = np.where(told, self._length + 1.0, 0.0)
 
     @property
     def means(self) -> Means:
         """What was seen."""
-        return Means(self._ticks, self._visits, self._total)
+        return Means(self._ticks, self._squares, self._total)
 
 
 class Weighed(NamedTuple):
@@ -91,14 +100,13 @@ class Hypotheses:
         self._begin, self._end = begin[:, modes], end[:, modes]  # (H, C, K)
 
     def weigh(self, means: Means) -> Weighed | None:
-        """The misfits; None while no mode has been seen long enough."""
-        seen = means.ticks >= MINIMUM_TICKS
+        """The misfits; None while nothing has been seen long enough."""
+        seen = means.ticks >= MINIMUM_TICKS  # (C, K)
         if not seen.any():
             return None
-        d = (means.total[seen] / means.ticks[seen, None] - self._offset[seen]).ravel()
-        S = self._covariance(seen, means)
+        d, S = self._deviation(means, seen)
         W = np.asarray(np.linalg.inv(S))
-        begin, end = (part[:, seen].reshape(len(self.faults), -1) for part in (self._begin, self._end))
+        begin, end = self._begin[:, seen], self._end[:, seen]  # (H, D)
         way = end - begin  # along it, the nearest point in terms of W
         length = np.einsum("hd,de,he->h", way, W, way)
         part = np.clip(np.einsum("hd,de,he->h", d - begin, W, way) / np.maximum(length, 1e-300), 0.0, 1.0)
@@ -111,23 +119,25 @@ class Hypotheses:
     def deviating(self, means: Means, sigmas: float) -> Mask:
         """The generators (K,) whose mean in some mode lies further from the fault-free one than so many deviations."""
         seen = means.ticks >= MINIMUM_TICKS
-        found = np.zeros(self._offset.shape[1], dtype=np.bool_)
+        far = np.zeros_like(seen)
         if seen.any():
-            d = means.total[seen] / means.ticks[seen, None] - self._offset[seen]
-            spread = np.sqrt(self._covariance(seen, means).diagonal()).reshape(d.shape)
-            found |= (np.abs(d) > sigmas * spread).any(axis=0)
-        return found
+            d, S = self._deviation(means, seen)
+            far[seen] = np.abs(d) > sigmas * np.sqrt(S.diagonal())
+        return np.asarray(far.any(axis=0))
 
-    def _covariance(self, seen: Mask, means: Means) -> Vector:
-        """S without the error of a prediction, (D, D) of the modes seen."""
-        K = self._offset.shape[1]
-        S = np.zeros((int(seen.sum()) * K,) * 2)
-        for n, mode in enumerate(np.flatnonzero(seen)):
-            own = slice(n * K, (n + 1) * K)
-            S[own, own] = self._noise[mode] / means.ticks[mode] + self._visit[mode] / means.visits[mode]
-            S[own, own] += np.diag(self._allowance[mode] ** 2)
-        drifts = self._drifts[:, seen].reshape(len(self._drifts), len(S))
-        return np.asarray(S + drifts.T @ drifts)
+    def _deviation(self, means: Means, seen: Mask) -> tuple[Vector, Vector]:
+        """D (D,) of the D means that were `seen` (C, K), and S (D, D) without the error of a prediction."""
+        ticks = np.maximum(means.ticks, 1.0)
+        tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
+        C, K = seen.shape
+        S = np.zeros((C, K, C, K))
+        for mode in range(C):
+            S[mode, :, mode] = self._noise[mode] * np.outer(tick[mode], tick[mode])
+            S[mode, :, mode] += self._visit[mode] * np.outer(visit[mode], visit[mode])
+            S[mode, :, mode] += np.diag(self._allowance[mode] ** 2)
+        S += np.einsum("rck,rdl->ckdl", self._drifts, self._drifts)
+        d = means.total / ticks - self._offset
+        return d[seen], S[seen][:, seen]
 
 
 def _misfit(d: Vector, mu: Vector, S: Vector) -> Vector:

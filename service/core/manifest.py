@@ -143,7 +143,7 @@ class Hypothesis(_Part, frozen=True):
 
 
 class Evidence(_Part, frozen=True):
-    """What ranks the faults that the alarms leave: predicted shifts, and how far a fault-free mean strays.
+    """What confirms and ranks faults: predicted shifts, and how far a fault-free mean strays.
 
     `generators` are numerically independent (chosen by the rank of their covariance); `offset` (mode, generator) is the
     fault-free mean, `noise` (mode, generator, generator) [Pa^2] its covariance per tick, `visit` that of a visit to the

@@ -16,7 +16,7 @@ class Decided(Protocol):
 
     @property
     def diagnoses(self) -> list[Diagnosis]:
-        """What explains the alarms, best first."""
+        """What explains a confirmed fault, best first."""
 
     @property
     def alarm(self) -> list[str]:

@@ -89,13 +89,14 @@ def told_of(bundle: Bundle, recording: Path, truth: Path) -> Record:
     origin_s = at[-1]  # log time of tick 0
     events = [(origin_s + event.t_s, event) for event in told]
     onset_s = min((fault.onset_s for fault in true.fault), default=log.duration_s)
-    first = next((t for t, event in events if event.diagnoses and t >= onset_s), None)
-    stood = [event for t, event in events if first is not None and t <= first + AFTER_S and event.diagnoses]
+    before = [event.diagnoses for t, event in events if t < onset_s]
+    first = next((t for t, e in events if t >= onset_s and e.diagnoses and e.diagnoses != before[-1]), None)
+    stood = [event for t, event in events if first is not None and t <= first + AFTER_S]
     return {
         "seconds": onset_s,
         "false": [_named(event) for t, event in events if event.transition == "occurred" and t < onset_s],
         "delay_s": None if first is None else first - onset_s,
-        "first": _named(stood[-1]) if stood else [],
+        "standing": _named(stood[-1]) if stood else [],
     }
 
 

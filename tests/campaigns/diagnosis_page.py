@@ -51,9 +51,9 @@ def page(records: Sequence[Record]) -> str:
 
 
 def _row(fault: str, size: str, told: Sequence[Record]) -> str:
-    seen = [one for one in told if one["first"]]
-    right = [one for one in seen if one["fault"] in one["first"]]
-    alone = [one for one in seen if len(one["first"]) == 1 and one["first"] != ["unknown"] and one not in right]
+    seen = [one for one in told if one["delay_s"] is not None]
+    right = [one for one in seen if one["fault"] in one["standing"]]
+    alone = [one for one in seen if len(one["standing"]) == 1 and one["standing"] != ["unknown"] and one not in right]
     delay = f"{statistics.median(one['delay_s'] for one in seen):.0f}" if seen else "-"
     mean = f"{statistics.fmean(len(one['first']) for one in seen):.1f}" if seen else "-"
     shares = exact_share(len(right), len(seen)), exact_share(len(seen), len(told))

@@ -14,8 +14,8 @@ def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_on
     assert [one for one in told["judged"] if one["false"]] == []
     for one in told["judged"]:
         if one.get("size") == "large":
-            assert one["fault"] in one["first"], one
-            assert len(one["first"]) <= 3, one
+            assert one["fault"] in one["standing"], one
+            assert len(one["standing"]) <= 3, one
             assert one["delay_s"] < 60.0, one
 
 

@@ -78,8 +78,8 @@ def test_a_training_goes_on_on_another_device(one_device: None) -> None:
     assert other.step().device == META
 
 
-def test_the_device_is_the_cpu_where_there_is_nothing_else() -> None:
-    assert not torch.cuda.is_available()
+def test_the_device_is_the_cpu_where_there_is_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert device_of(None) == device_of("cpu") == CPU
     with pytest.raises(InputError, match=r"--device cuda: this build of torch finds no CUDA device; leave it out"):
         device_of("cuda")

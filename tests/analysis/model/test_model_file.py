@@ -125,7 +125,7 @@ WRONG = [
     (
         "unknown key in a signal",
         change("noise = 0.01", "noise = 0.01\nnosie = 1"),
-        "m.toml: known.y.nosie: unknown key; allowed here are unit, description, min, max, noise, zero",
+        "m.toml: known.y.nosie: unknown key; allowed here are unit, description, min, max, noise, zero, drift",
     ),
     (
         "unknown key in a fault",
@@ -252,6 +252,12 @@ WRONG = [
         "start with a bend",
         change('"h0"]', '"abs(y)"]'),
         "m.toml: unknown.h.initial[1]: `abs(y)` is not affine in known",
+    ),
+    ("drift negative", change("noise = 0.01", "noise = 0.01\ndrift = -1"), "m.toml: known.y.drift: -1 is no standard"),
+    (
+        "drift of nothing",
+        change('unit = "m"\nvalue = 1\n', 'unit = "m"\nvalue = 0\ndrift = 0.1\n'),
+        "m.toml: parameter.h0.drift: is in parts of the value, and that is zero; give",
     ),
     ("warm-up no time", change("warm_up_s = 30", "warm_up_s = -1"), "m.toml: warm_up_s: -1 s is no time; give zero"),
     ("mode signal unknown", change('signal = "y"', 'signal = "h"'), "m.toml: modes.signal: h is no known signal; "),

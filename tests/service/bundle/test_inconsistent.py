@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from made_bundle import Change, copied, edit, refused, write
 
+from service.bundle import load_bundle
+
 SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m.update({"a\nb" * 1000: 1}), "top level: Object contains unknown field `a b"),
     (lambda m: m.update(extra=1), "top level: Object contains unknown field `extra`"),
@@ -131,6 +133,22 @@ def test_what_the_manifest_cannot_mean_is_named_by_its_path(bundle: Path, change
 def test_noise_that_ranking_could_not_divide_by_is_refused(bundle: Path, noise: list[list[float]]) -> None:
     edit(bundle, lambda m: m["evidence"]["noise"].__setitem__(2, noise))
     refused(bundle, r"evidence\.noise\[2\]: mode maximum: not symmetric and positive definite")
+
+
+@pytest.mark.parametrize("visit", [SKEW, HUGE, NEGATIVE, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+def test_a_spread_of_visits_that_is_none_is_refused(bundle: Path, visit: list[list[float]]) -> None:
+    edit(bundle, lambda m: m["evidence"]["visit"].__setitem__(2, visit))
+    refused(bundle, r"evidence\.visit\[2\]: mode maximum: not symmetric and positive semidefinite")
+
+
+def test_visits_may_not_stray_at_all(bundle: Path) -> None:
+    edit(bundle, lambda m: m["evidence"]["visit"].__setitem__(2, NOTHING))
+    assert load_bundle(bundle).manifest.evidence.visit[2] == NOTHING
+
+
+def test_evidence_whose_squares_are_no_numbers_is_refused(bundle: Path) -> None:
+    edit(bundle, lambda m: m["evidence"]["hypotheses"][0]["shift"][1].__setitem__(0, 1e200))
+    refused(bundle, r"evidence\.hypotheses: a value beyond 1e\+50")
 
 
 @pytest.mark.parametrize("number", [b"1e999", b"-1e999", b"1" + b"0" * 400])

@@ -115,15 +115,47 @@ def test_visits_make_surer_and_a_long_one_does_not() -> None:
     assert one < CONFIRMED
 
 
-def test_edges_blind_ticks_and_few_ticks_are_no_evidence() -> None:
+def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
+    evidence = _evidence(visit=[[[0.09, 0.0], [0.0, 0.09]]] * 4)
+    gains = []
+    for stays in ([200], [200, *[1] * 9]):
+        window = Window(evidence, ["t1", "t2", "t3"])
+        for ticks in stays:
+            for _ in range(ticks):
+                window.add(0, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_))
+            window.leave()
+        weighed = Hypotheses(evidence).weigh(window.means)
+        assert weighed is not None
+        gains.append(weighed.gain)
+    assert gains[1] < 1.2 * gains[0]
+
+
+def test_edges_and_few_ticks_are_no_evidence() -> None:
     window = Window(_evidence(), ["t1", "t2", "t3"])
     for _ in range(100):
         window.add(3, np.ones(3), np.ones(3, dtype=np.bool_))
-        window.add(0, np.ones(3), np.array([True, True, False]))
     for _ in range(MINIMUM_TICKS - 1):
         window.add(0, np.ones(3), np.ones(3, dtype=np.bool_))
     assert Hypotheses(_evidence()).weigh(window.means) is None
     assert not Hypotheses(_evidence()).deviating(window.means, 5.0).any()
+
+
+def test_a_generator_that_cannot_tell_is_left_out_and_silences_no_other() -> None:
+    window = Window(_evidence(), ["t1", "t2", "t3"])
+    for mode, level in ((0, 0.4), (2, 1.6)):
+        for _ in range(MINIMUM_TICKS):
+            window.add(mode, np.array([level, np.nan, np.nan]), np.array([True, False, False]))
+    weighed = Hypotheses(_evidence()).weigh(window.means)
+    assert weighed is not None
+    assert weighed.gain > CONFIRMED
+    assert ranked(BOTH, weighed.faults) == [(("fB",), 1), (("fA",), 2)]
+
+
+def test_without_hypotheses_there_is_no_gain() -> None:
+    weighed = _weighed({0: (0.5, 0.5)}, hypotheses=[])
+    assert weighed.faults == {}
+    assert weighed.gain == 0.0
+    assert weighed.nothing > CONFIRMED
 
 
 def test_a_generator_that_deviates_in_the_window_is_a_conflict() -> None:

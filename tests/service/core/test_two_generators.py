@@ -64,6 +64,17 @@ def test_an_alarm_that_is_frozen_is_not_told_as_if_nothing_were_wrong() -> None:
     assert decision.diagnoses
 
 
+def test_a_deviation_where_no_hypothesis_points_is_told_in_the_end() -> None:
+    manifest = doubled()
+    nowhere = msgspec.structs.replace(manifest.evidence, hypotheses=[])
+    decision = Decision(msgspec.structs.replace(manifest, evidence=nowhere))
+    for tick in range(200):
+        decision.update(tick, 1, seen(manifest, last=0.0, first=60.0))
+    assert decision.confirmed
+    assert {diagnosis.rank for diagnosis in decision.diagnoses} == {1}
+    assert {name for d in decision.diagnoses for name in d.faults} == set(manifest.generators[0].faults)
+
+
 def test_what_networks_alone_suspect_is_not_confirmed() -> None:
     """Their residuals under a fault cannot be predicted: the equations' must show it too."""
     manifest = doubled()
