@@ -55,6 +55,6 @@ def _row(fault: str, size: str, told: Sequence[Record]) -> str:
     right = [one for one in seen if one["fault"] in one["standing"]]
     alone = [one for one in seen if len(one["standing"]) == 1 and one["standing"] != ["unknown"] and one not in right]
     delay = f"{statistics.median(one['delay_s'] for one in seen):.0f}" if seen else "-"
-    mean = f"{statistics.fmean(len(one['first']) for one in seen):.1f}" if seen else "-"
+    mean = f"{statistics.fmean(len(one['standing']) for one in seen):.1f}" if seen else "-"
     shares = exact_share(len(right), len(seen)), exact_share(len(seen), len(told))
     return f"| {fault} | {size} | {shares[1]} | {delay} | {shares[0]} | {mean} | {len(alone)} |"
