@@ -34,7 +34,7 @@ SURE = 100.0
 """A misfit of no fault from which something is wrong even if no hypothesis points there."""
 
 CONFIRMED = 30.0
-"""How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 16."""
+"""How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
 TIE = 9.0
 TIE_PART = 0.25
