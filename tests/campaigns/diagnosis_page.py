@@ -16,8 +16,9 @@ All data are **simulated** by the rig, profile `realistic`; made by `make campai
 is calibrated on a training recording of its own and tuned on two fault-free drives, then judged on other drives. Faults
 are there from 150 s on; small and large are sizes by effect, frozen before any decision was tuned to them
 (`testbench/sizes.toml`). *In* is the share of the detected whose true component is of rank 1, 120 s after the first
-diagnosis; *size* is how many are of rank 1 then; *wrong alone*: one component is, and it is another. Intervals are
-exact (95 %). Not here yet: drift from one drive to the next, hidden effects, two faults at once.
+diagnosis; *size* is how many are of rank 1 then, none where the diagnosis has healed by then, as small faults do
+between doses; *wrong alone*: one component is, and it is another. Intervals are exact (95 %). Not here yet: drift from
+one drive to the next, hidden effects, two faults at once.
 """
 
 TAIL = """
