@@ -257,9 +257,8 @@ class Training:
     def _keep(self, better: Tensor) -> None:
         """Takes the weights of the members' tests (M, T) that are `better` than ever."""
         for name, now in self.networks.state_dict().items():
-            mask = (
-                better if name.startswith("outputs") else better[:, self._owner]
-            )  # of the functions that are a test's
+            # of the functions that are a test's
+            mask = better if name.startswith("outputs") else better[:, self._owner]
             new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))
             self.best[name] = torch.where(mask[:, :, None], new, old).reshape(now.shape)
 

@@ -29,7 +29,6 @@ bus delivers the same recording with a little jitter each time; misfits compared
 one each time.
 """
 
-
 SURE = 100.0
 """A misfit of no fault from which something is wrong even if no hypothesis points there."""
 
@@ -43,7 +42,6 @@ told apart: the data do not separate them, or neither explains the data."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
-
 
 LINGER_TICKS = 300
 """A confirmed episode is over once no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""

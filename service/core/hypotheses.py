@@ -126,7 +126,7 @@ class Hypotheses:
         return np.asarray(far.any(axis=0))
 
     def _deviation(self, means: Means, seen: Mask) -> tuple[Vector, Vector]:
-        """D (D,) of the D means that were `seen` (C, K), and S (D, D) without the error of a prediction."""
+        """The deviations d (D,) of the means `seen` (C, K), and S (D, D) without the error of a prediction."""
         ticks = np.maximum(means.ticks, 1.0)
         tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
         C, K = seen.shape
