@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import GRAPH, PERIOD_S, Bank, build_bank
+from analysis.graph.bank import FAULTS, GRAPH, PERIOD_S, Bank, build_bank
 from analysis.graph.networks import GRAPH as NETWORKS
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
@@ -32,7 +32,7 @@ from service.bundle import (
 from service.core.consistency import FILE_NAME
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.core.manifest import SCHEMA, Fault, File, Manifest, Origin
+from service.core.manifest import SCHEMA, Equation, Fault, File, Manifest, Origin
 
 GOLDEN = "golden.json"
 
@@ -81,7 +81,8 @@ def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, 
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
     bank = runnable.bank
-    files = {dbc_name: dbc, **runnable.graphs, GOLDEN: _golden(runnable, tuning)}
+    graphs = runnable.graphs | runnable.of_hypotheses(tuning.evidence)
+    files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
     manifest = Manifest(
         schema=SCHEMA,
         name=bank.model.name,
@@ -106,6 +107,7 @@ def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, 
         faults=[
             Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
         ],
+        equations=_equations(runnable),
         evidence=tuning.evidence,
     )
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
@@ -113,10 +115,19 @@ def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, 
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
 
 
+def _equations(runnable: Runnable) -> list[Equation]:
+    """Those that generators use, in the model's order."""
+    model = runnable.bank.model
+    described = {name: equation.description for name, equation in model.equations.items()}
+    described |= {d.name: f"{d.derivative} is the derivative of {d.state}" for d in model.differentials}
+    used = {name for generator in runnable.generators for name in generator.equations}
+    return [Equation(name=name, description=text) for name, text in described.items() if name in used]
+
+
 def _dbc(path: Path, bank: Bank) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
-    if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, GOLDEN, MANIFEST, SEAL):
+    if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, FAULTS, GOLDEN, MANIFEST, SEAL):
         raise InputError(
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
@@ -130,10 +141,11 @@ def _dbc(path: Path, bank: Bank) -> bytes:
 
 
 def _golden(runnable: Runnable, tuning: Tuning) -> bytes:
-    generators = runnable.fresh()
+    generators = runnable.fresh(tuning.evidence)
     usable = np.ones(len(runnable.bank.inputs), dtype=np.bool_)
-    r = [generators.step(np.array(z), usable).r.tolist() for z in tuning.golden_z]
-    return msgspec.json.encode(Golden(z=tuning.golden_z, r=r))
+    residuals = [generators.step(np.array(z), usable) for z in tuning.golden_z]
+    r = [residual.r.tolist() for residual in residuals]
+    return msgspec.json.encode(Golden(z=tuning.golden_z, r=r, shift=residuals[-1].shift.tolist()))
 
 
 def _put(files: dict[str, bytes], out: Path) -> Bundle:

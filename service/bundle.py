@@ -9,7 +9,7 @@ can change the manifest can seal it anew. That takes a signature, which a bundle
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -21,8 +21,9 @@ from onnxruntime.capi import onnxruntime_pybind11_state
 from service.core.consistency import inconsistencies, uneven
 from service.core.decode import DecodeTable, compile_dbc
 from service.core.errors import InputError
-from service.core.generators import GeneratorBank
-from service.core.manifest import SCHEMA, File, Manifest
+from service.core.generators import GeneratorBank, Residuals
+from service.core.manifest import SCHEMA, File, Generator, Manifest
+from service.core.signals import Vector
 
 T = TypeVar("T")
 
@@ -42,10 +43,14 @@ class BundleError(InputError):
 
 
 class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Golden vectors: samples `z` (K, nz) of a recording's beginning and the residuals `r` (K, T) they must give."""
+    """Golden vectors: samples `z` (K, nz) of a recording's beginning and the residuals `r` (K, T) they must give.
+
+    `shift` (H, generators of the evidence) is what every hypothesis shifts them by at the last one.
+    """
 
     z: list[list[float]]
     r: list[list[float]]
+    shift: list[list[float]]
 
 
 class Bundle(NamedTuple):
@@ -60,7 +65,7 @@ class Bundle(NamedTuple):
 
     def bank(self) -> GeneratorBank:
         """Fresh generators."""
-        return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs)
+        return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
 
 
 def seal(raw: bytes) -> bytes:
@@ -82,7 +87,14 @@ def load_bundle(folder: Path) -> Bundle:
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name, content in graphs.items():
-        _check_graph(name, content, manifest, str(folder / name))
+        own = [generator for generator in manifest.generators if generator.graph == name]
+        _check_graph(content, own, len(manifest.inputs), None, str(folder / name))
+    if (faults := manifest.evidence.graph) is not None:
+        graphs[faults] = contents[faults]
+        known = {generator.name: generator for generator in manifest.generators}
+        own = [known[generator] for generator in manifest.evidence.generators]
+        rows = len(manifest.evidence.hypotheses)
+        _check_graph(contents[faults], own, len(manifest.inputs), rows, str(folder / faults))
     golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
     return Bundle(hashlib.sha256(raw).hexdigest(), str(folder), manifest, graphs, table, golden)
 
@@ -129,6 +141,22 @@ def verify_golden(bundle: Bundle) -> None:
                 f"{bundle.where}: golden vector {tick}: {generator.name} is off by {difference[row]:g} {unit}; "
                 "this machine's onnxruntime computes something else than the exporter's: install the same version"
             )
+    _verify_shift(bundle, residuals, tolerance)
+
+
+def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: Vector) -> None:
+    """Whether the hypotheses come to what was exported: `residuals` after the last golden vector."""
+    names = [generator.name for generator in bundle.manifest.generators]
+    rows = [names.index(name) for name in bundle.manifest.evidence.generators]
+    difference = np.abs(residuals.shift - np.array(bundle.golden.shift).reshape(residuals.shift.shape))
+    agrees = difference <= (tolerance * residuals.sigma)[rows]
+    if not agrees.all():
+        hypothesis = bundle.manifest.evidence.hypotheses[int(np.argmin(agrees.all(axis=1)))]
+        raise BundleError(
+            f"{bundle.where}: golden vectors: {hypothesis.fault} of size {hypothesis.size:g} is off by "
+            f"{difference.max():g}; this machine's onnxruntime computes something else than the exporter's: "
+            "install the same version"
+        )
 
 
 class _Header(msgspec.Struct):
@@ -192,11 +220,13 @@ def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
         raise BundleError(str(error)) from error
 
 
-def _check_graph(name: str, raw: bytes, manifest: Manifest, where: str) -> None:
-    """Whether the graph's inputs and outputs are those that the manifest's lists imply: z (B, nz), x (B, nx), ..."""
-    own = [generator for generator in manifest.generators if generator.graph == name]
+def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None, where: str) -> None:
+    """Whether the graph's inputs and outputs are those that its `own` generators imply: z (B, nz), x (B, nx), ...
+
+    B is open, or `rows` where that is given.
+    """
     nx, tests = sum(len(generator.states) for generator in own), len(own)
-    inputs = {"z": len(manifest.inputs), "x": nx}
+    inputs = {"z": nz, "x": nx}
     outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
@@ -213,10 +243,11 @@ def _check_graph(name: str, raw: bytes, manifest: Manifest, where: str) -> None:
             raise BundleError(f"{where}: its {kind}s are {names}, not {', '.join(wanted)}; export the bundle again")
         for node in nodes:
             batch, *width = node.shape or [1]
-            if node.type != "tensor(double)" or isinstance(batch, int) or width != [wanted[node.name]]:
+            closed, B = isinstance(batch, int) and batch != rows, rows or "'B'"
+            if node.type != "tensor(double)" or closed or width != [wanted[node.name]]:
                 raise BundleError(
                     f"{where}: {kind} {node.name} is a {node.type} of shape {node.shape}, the manifest needs "
-                    f"a tensor(double) of shape ['B', {wanted[node.name]}]; export the bundle again"
+                    f"a tensor(double) of shape [{B}, {wanted[node.name]}]; export the bundle again"
                 )
 
 
@@ -229,8 +260,13 @@ def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:
     for problem in (
         *uneven(golden.z, len(manifest.inputs), "z", "inputs"),
         *uneven(golden.r, len(manifest.generators), "r", "generators"),
+        *uneven(golden.shift, len(manifest.evidence.generators), "shift", "evidence generators"),
     ):
         raise BundleError(f"{where}: {problem}; export the bundle again")
+    if len(golden.shift) != len(manifest.evidence.hypotheses):
+        raise BundleError(
+            f"{where}: {len(golden.shift)} shift, not one for each hypothesis of the manifest; export the bundle again"
+        )
     return golden
 
 

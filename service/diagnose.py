@@ -15,7 +15,7 @@ EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle
 
 It exits with 1 where a fault was found, and with 0 where none was and every test could tell at some time. Where some
-could not, silence is no all-clear: it names them and exits with 2.
+could not, or the log ends while something is suspected, that is no all-clear: it says so and exits with 2.
 """
 
 
@@ -23,7 +23,8 @@ def main(argv: list[str]) -> int:
     """Runs the command; returns 1 where the log ends with a fault or held one, 0 where it held none.
 
     Raises:
-        InputError: no fault was found, but some test could never tell, so that "no fault" would be a guess.
+        InputError: no fault was found, but some test could never tell, or the log ends in a suspicion, so that "no
+            fault" would be a guess.
     """
     parser = argparse.ArgumentParser(
         "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -39,20 +40,28 @@ def main(argv: list[str]) -> int:
     if log.report.lost:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
-    found = False
+    faults = {fault.name: fault for fault in bundle.manifest.faults}
+    equations = {equation.name: equation for equation in bundle.manifest.equations}
+    found = suspected = False
     blind = {generator.test for generator in bundle.manifest.generators}
     for event in monitor.log(log.relative()):
         found = found or bool(event.diagnoses)
         blind &= set(event.cannot_tell)
+        if event.transition != "cannot_tell":
+            suspected = event.transition == "suspected"
         if options.json:
             sys.stdout.buffer.write(encode(event))
         else:
-            print(describe(event, {fault.name: fault for fault in bundle.manifest.faults}))
+            print(describe(event, faults, equations))
     sys.stdout.flush()
     if blind and not found:
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
         raise InputError(
             f"{options.log}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
             f"give a longer log that has {signals}, within their operating ranges"
+        )
+    if suspected and not found:
+        raise InputError(
+            f"{options.log}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
         )
     return 1 if found else 0

@@ -53,4 +53,6 @@ def _summary(bundle: Bundle) -> str:
         marks = " ".join(f"{'X' if name in generator.faults else '.':>8}" for name in faults)
         lines.append(f"{generator.name:<12}{generator.predicts:<10}{detector.nu:>6.2f}{detector.J:>8.1f}  {marks}")
     lines += ["", *(f"{fault.name:<9} {fault.component}: {fault.description}" for fault in m.faults)]
+    lines += ["", "equations, near which an unknown fault may be:"]
+    lines += [f"{equation.name:<9} {equation.description}" for equation in m.equations]
     return "\n".join(lines)

@@ -11,7 +11,7 @@ import msgspec
 
 from service.core.errors import InputError
 from service.core.events import Diagnosis, Event, decode
-from service.core.manifest import Fault
+from service.core.manifest import Equation, Fault
 
 EXAMPLE = """example:
   faultline watch --socket /run/faultline/events.sock --after 0
@@ -21,6 +21,8 @@ RETRY_S = 0.05
 
 WORDS = {
     "started": "started",
+    "suspected": "suspected",
+    "dismissed": "suspicion dismissed",
     "occurred": "FAULT",
     "refined": "FAULT, refined",
     "healed": "healed",
@@ -43,12 +45,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--once", action="store_true", help="end after one event")
     parser.add_argument("--bundle", type=Path, help="the bundle folder, to print what the faults' names mean")
     options = parser.parse_args(argv)
-    faults = _faults(options.bundle) if options.bundle else {}
+    faults, equations = _meanings(options.bundle) if options.bundle else ({}, {})
     for line in subscribe(options.socket, options.after, options.wait):
         if options.json:
             sys.stdout.buffer.write(line)
         else:
-            print(describe(_event(line, options.socket), faults))
+            print(describe(_event(line, options.socket), faults, equations))
         sys.stdout.flush()
         if options.once:
             return 0
@@ -98,20 +100,21 @@ def _event(line: bytes, path: Path) -> Event:
         raise InputError(f"{path}: sent no event: {line[:80]!r} ({error})") from error
 
 
-def _faults(folder: Path) -> dict[str, Fault]:
+def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
     from service.bundle import load_bundle  # brings in the inference library, which watching does without
 
-    return {fault.name: fault for fault in load_bundle(folder).manifest.faults}
+    manifest = load_bundle(folder).manifest
+    return {fault.name: fault for fault in manifest.faults}, {one.name: one for one in manifest.equations}
 
 
-def describe(event: Event, faults: Mapping[str, Fault]) -> str:
-    """The event for a person; `faults` explains names, and may be empty."""
+def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, Equation] | None = None) -> str:
+    """The event for a person; `faults` and `equations` explain names, and may be empty."""
     blind_no_more = event.transition == "cannot_tell" and not event.cannot_tell
     head = f"{event.t_s:9.1f} s  {'all tests can tell' if blind_no_more else WORDS[event.transition]}"
     if event.since_tick is not None and event.tick:
         since = event.since_tick * event.t_s / event.tick
         head += f", evidence since {since:.1f} s"
-    lines = [head, *(_candidate(diagnosis, faults) for diagnosis in event.diagnoses)]
+    lines = [head, *(_candidate(diagnosis, faults, equations or {}) for diagnosis in event.diagnoses)]
     if not event.diagnoses:
         lines.append(_nothing(event))
     if event.alarm:
@@ -123,16 +126,20 @@ def describe(event: Event, faults: Mapping[str, Fault]) -> str:
 
 def _nothing(event: Event) -> str:
     """No candidate is not the same as no fault."""
+    if event.transition == "dismissed":
+        return "no test alarms any more, and nothing was confirmed"
     if event.alarm:
-        return "no candidate yet for what has fired"
+        return "not confirmed yet: what is seen now decides"
     if event.cannot_tell:
         return "no alarm, but not known to be free of faults: some tests cannot tell"
     return "no fault: every test is quiet"
 
 
-def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault]) -> str:
+def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
     if not diagnosis.faults:
-        return f"{diagnosis.rank}. unknown: no fault of the model explains what has fired"
+        known = (f"{name} ({equations[name].description})" if name in equations else name for name in diagnosis.near)
+        where = f", near {', '.join(known)}" if diagnosis.near else ""
+        return f"{diagnosis.rank}. unknown: no fault of the model explains what is seen{where}"
     names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
     likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
     return f"{diagnosis.rank}. {names}{likelihood}"

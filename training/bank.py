@@ -68,5 +68,6 @@ def generator_of(layout: Layout, t: int, members: int) -> Generator:
             *(State(name=f"{signal}{HELD}", offset=0.0, gain={signal: 1.0}) for signal in held),
         ],
         faults=list(test.faults),
+        equations=list(test.equations),
         warm_up_ticks=max(RUN_UP, round(layout.model.warm_up_s / PERIOD_S)),
     )

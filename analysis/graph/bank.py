@@ -20,6 +20,7 @@ from service.core.manifest import Generator, Input, State
 
 PERIOD_S = 0.2
 GRAPH = "ode.onnx"
+FAULTS = "faults.onnx"
 MAXIMUM_AGE_S = 1.0  # five periods of the controller's values: a frame or two may be lost, a sensor may not
 
 Array = npt.NDArray[np.float64]
@@ -82,23 +83,27 @@ class Bank:
                 f"{self.model.name}: divides by zero with these parameters ({zero} = 0); "
                 "give them other values, or leave out the effect that they are of"
             )
-        return self._graph(parametric=False)
+        return self._graph([{}], parametric=False)
 
-    def _graph(self, parametric: bool) -> bytes:
+    def graph_of(self, trials: Sequence[Trial]) -> bytes:
+        """The ONNX graph with each trial's parameters and faults built in: as many rows of a batch as trials."""
+        return self._graph(trials, parametric=False)
+
+    def _graph(self, trials: Sequence[Trial], parametric: bool) -> bytes:
         names = [channel.signal for channel in self.inputs]
         uses = np.array([[float(name in g.inputs) for g in self.generators] for name in names])
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
         lower = np.array([channel.lower for channel in self.inputs])
         region = Region(lower, np.array([channel.upper for channel in self.inputs]), uses)
-        formulas = self.formulas([{}])
-        return step_graph(self.stacked([{}]), measured, self.sigma, region, formulas, parametric=parametric)
+        stacked, formulas = self.stacked(trials), self.formulas(trials)
+        return step_graph(stacked, measured, self.sigma, region, formulas, parametric=parametric)
 
     def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
         """Residuals (K, B, T) of the samples `z` (K, nz) from the states `x0` (nx,), for B trials side by side.
 
         It runs the very graph of the vehicle, with the matrices as inputs.
         """
-        graph = Graph(self._graph(parametric=True))
+        graph = Graph(self._graph([{}], parametric=True))
         stacked = self.stacked(trials)
         matrices = {name: getattr(stacked, name) for name in STACKED if name not in OF_FORMULAS or stacked.J.size}
         theta = self.formulas(trials).theta
@@ -168,6 +173,7 @@ def _generator(model: Model, test: Test) -> Generator:
         inputs=list(test.known),
         states=[state_of(model, test, name) for name in test.states],
         faults=list(test.faults),
+        equations=list(test.equations),
         warm_up_ticks=round(model.warm_up_s / PERIOD_S),
     )
 

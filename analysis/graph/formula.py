@@ -25,7 +25,9 @@ class Formulas:
     place: str
 
     def write(self, w: Writer, z: str, x: str, *, parametric: bool) -> str:
-        """Their values (B, 1, F) from z (B, 1, nz) and x (B, 1, nx); `parametric` ones have theta as an input.
+        """Their values (B, 1, F) from z (B, 1, nz) and x (B, 1, nx).
+
+        The parameters are an input `theta` of `parametric` ones, constants of several sets, numbers of a single one.
 
         Raises:
             InputError: a formula divides by zero with the parameters of the first set.
@@ -34,6 +36,8 @@ class Formulas:
         columns = [(z, self.signals), (x, self.states)]
         if parametric and self.parameters:
             columns.append((w.input("theta", ["B", 1, len(self.parameters)]), self.parameters))
+        elif len(self.theta) > 1 and self.parameters:
+            columns.append((w.constant(self.theta), self.parameters))
         else:
             values = zip(self.parameters, self.theta[0, 0].tolist(), strict=True)
             numbers = {sp.Symbol(name): sp.Float(value) for name, value in values}

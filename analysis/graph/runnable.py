@@ -10,7 +10,7 @@ from analysis.graph import networks as trained
 from analysis.graph.bank import GRAPH, Bank
 from analysis.graph.networks import Networks
 from service.core.generators import GeneratorBank
-from service.core.manifest import Generator, GraphFile
+from service.core.manifest import Evidence, Generator, GraphFile
 
 TOLERANCE = 1e-6
 """Of sigma, for golden vectors of the equations, which are float64."""
@@ -59,6 +59,19 @@ class Runnable:
         """The unit of every residual: that of the signal it predicts."""
         return tuple(self.bank.model.known[generator.predicts].unit for generator in self.generators)
 
-    def fresh(self) -> GeneratorBank:
-        """The generators as the vehicle starts them."""
-        return GeneratorBank(self.graphs, self.generators, self.bank.inputs)
+    def fresh(self, evidence: Evidence | None = None) -> GeneratorBank:
+        """The generators as the vehicle starts them, with the hypotheses of the `evidence` beside them if it is given.
+
+        Raises:
+            InputError: the model divides by parameters that are zero.
+        """
+        return GeneratorBank(self.graphs | self.of_hypotheses(evidence), self.generators, self.bank.inputs, evidence)
+
+    def of_hypotheses(self, evidence: Evidence | None) -> dict[str, bytes]:
+        """The graph of the evidence's hypotheses by file name; none where it has none."""
+        if evidence is None or evidence.graph is None:
+            return {}
+        names = [generator.name for generator in self.bank.generators]
+        model = self.bank.model
+        trials = [{h.fault: model.faults[h.fault].absolute(h.size, model)} for h in evidence.hypotheses]
+        return {evidence.graph: self.bank.only([names.index(name) for name in evidence.generators]).graph_of(trials)}

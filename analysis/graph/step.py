@@ -122,7 +122,8 @@ def step_graph(
     """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx).
 
     `measured` (nz, T) picks the signal that each test predicts. With `parametric` the matrices are inputs named as in
-    `STACKED`, one set per row of the batch, and the formulas' parameters `theta`; without it the first set is built in.
+    `STACKED`, one set per row of the batch, and the formulas' parameters `theta`; without it they are built in: one set
+    for every row, or as many as the batch is to have rows.
     """
     w = Writer()
     z, x = w.input("z", ["B", measured.shape[0]]), w.input("x", ["B", stacked.into.shape[0]])
@@ -175,7 +176,9 @@ class Region:
 
 
 def _matrix(w: Writer, name: str, values: Array, parametric: bool) -> str:
-    return w.input(name, ["B", *values.shape[1:]]) if parametric else w.constant(values[0])
+    if parametric:
+        return w.input(name, ["B", *values.shape[1:]])
+    return w.constant(values[0] if (values == values[:1]).all() else values)
 
 
 def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, entries: int) -> str:

@@ -1,8 +1,7 @@
-"""What confirms and ranks faults: predicted shifts of the residuals, and how far fault-free means stray.
+"""What confirms and ranks faults: the hypotheses, and how far fault-free means stray.
 
-A hypothesis (fault and size) is the model with that fault. Fed with the samples of a fault-free recording, it predicts
-another output than the fault-free model; under the fault the residual shifts by that difference. No fault recording is
-needed.
+A hypothesis (fault and size) is the model with that fault. Fed with the samples of the moment, it predicts another
+output than the fault-free model; under the fault the residual shifts by that difference. No fault recording is needed.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,8 +9,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import Bank, Trial
+from analysis.graph.bank import FAULTS, Bank, Trial
 from analysis.graph.independence import independent
+from analysis.model import Model
 from analysis.tuning.thresholds import OWN, Seen
 from service.core.hypotheses import MINIMUM_TICKS
 from service.core.manifest import MODES, Detector, Evidence, Hypothesis
@@ -45,7 +45,8 @@ def gather(
         visit=visit[list(stand_ins)].tolist(),
         allowance=np.hypot(stray, ALLOWANCE * scale)[list(stand_ins)].tolist(),
         drifts=[drift.tolist() for drift in _drifts(bank.only(rows), recordings, stand_ins)],
-        hypotheses=_hypotheses(bank.only(rows), recordings, stand_ins),
+        graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
+        hypotheses=hypotheses,
     )
 
 
@@ -98,13 +99,8 @@ def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
     return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
 
 
-def _hypotheses(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Hypothesis]:
-    named = [(fault, size) for fault in bank.model.faults.values() for size in fault.sizes]
-    shifts = _shifts(bank, recordings, [{f.name: f.absolute(size, bank.model)} for f, size in named], stand_ins)
-    return [
-        Hypothesis(fault=f.name, size=size, shift=(-shift).tolist())  # r = y - y_hat: what y moves by
-        for (f, size), shift in zip(named, shifts, strict=True)
-    ]
+def _hypotheses(model: Model) -> list[Hypothesis]:
+    return [Hypothesis(fault=fault.name, size=size) for fault in model.faults.values() for size in fault.sizes]
 
 
 def _drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Array]:
@@ -121,10 +117,7 @@ def _drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) ->
 def _shifts(
     bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], stand_ins: Sequence[int], step: Array | None = None
 ) -> list[Array]:
-    """By how much the mean residuals (modes, rows) move with each trial, over samples that are a `step` (nz,) further.
-
-    r = y - y_hat, so that of a fault in y_hat it is the other way round.
-    """
+    """How far the mean residuals (modes, rows) move with each trial, over samples that are a `step` (nz,) further."""
     total = np.zeros((len(MODES), len(trials), len(bank.tests)))
     count = np.zeros(len(MODES))
     for s in recordings:

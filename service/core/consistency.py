@@ -39,6 +39,8 @@ def _files(manifest: Manifest) -> Iterator[str]:
         if FILE_NAME.fullmatch(name) is None:
             yield f"files: {name[:100]!r} is not a plain file name"
     graphs = [(f"graphs[{row}].file", graph.file) for row, graph in enumerate(manifest.graphs)]
+    if manifest.evidence.graph is not None:
+        graphs.append(("evidence.graph", manifest.evidence.graph))
     for field, name in (("dbc", manifest.dbc), *graphs, ("golden", manifest.golden)):
         if name not in manifest.files:
             yield f"{field}: {name!r} is not in files"
@@ -59,6 +61,7 @@ def _names(manifest: Manifest) -> Iterator[str]:
         if any((other.graph, other.test) == (generator.graph, generator.test) for other in generators[:row]):
             yield f"generators[{row}].test: {generator.test!r} is there twice"
     yield from _repeated([fault.name for fault in manifest.faults], "faults", ".name")
+    yield from _repeated([equation.name for equation in manifest.equations], "equations", ".name")
     yield from _repeated(manifest.evidence.generators, "evidence.generators")
     for row, generator in enumerate(generators):
         yield from _repeated([state.name for state in generator.states], f"generators[{row}].states", ".name")
@@ -67,6 +70,7 @@ def _names(manifest: Manifest) -> Iterator[str]:
 def _generators(manifest: Manifest) -> Iterator[str]:
     signals = {channel.signal for channel in manifest.inputs}
     faults = {fault.name for fault in manifest.faults}
+    equations = {equation.name for equation in manifest.equations}
     for column, channel in enumerate(manifest.inputs):
         if not channel.lower < channel.upper:
             yield f"inputs[{column}].lower: {channel.lower:g} is not below upper, {channel.upper:g}"
@@ -77,6 +81,7 @@ def _generators(manifest: Manifest) -> Iterator[str]:
         path = f"generators[{row}]"
         yield from _unknown(generator.inputs, signals, f"{path}.inputs", "signal")
         yield from _unknown(generator.faults, faults, f"{path}.faults", "fault")
+        yield from _unknown(generator.equations, equations, f"{path}.equations", "equation")
         yield from _unknown([generator.predicts], signals, f"{path}.predicts", "signal")
         if generator.predicts not in generator.inputs:
             yield f"{path}.predicts: {generator.predicts!r} is not one of its inputs"
@@ -116,8 +121,8 @@ def _evidence(evidence: Evidence) -> Iterator[str]:
     for name, matrices in (("noise", evidence.noise), ("visit", evidence.visit)):
         for mode, rows in enumerate(matrices):
             yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
-    for index, hypothesis in enumerate(evidence.hypotheses):
-        yield from uneven(hypothesis.shift, K, f"evidence.hypotheses[{index}].shift", what)
+    if (evidence.graph is None) != (not evidence.hypotheses):
+        yield f"evidence.graph: {evidence.graph!r} for {len(evidence.hypotheses)} hypotheses"
     yield from _sizes(evidence)
 
 
@@ -130,7 +135,7 @@ def _sizes(evidence: Evidence) -> Iterator[str]:
         if not _is_semidefinite(np.array(rows)):
             yield f"evidence.visit[{mode}]: mode {MODES[mode]}: not symmetric and positive semidefinite"
     parts = {name: getattr(evidence, name) for name in ("offset", "noise", "visit", "allowance", "drifts")}
-    for name, values in {**parts, "hypotheses": [h.shift for h in evidence.hypotheses]}.items():
+    for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"
 

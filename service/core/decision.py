@@ -6,7 +6,9 @@ the tests that alarm, and of those that the window shows to deviate. Networks ra
 may alarm where a fault that their test decouples brings operation that was rare in training.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
-once after that time, and until then candidates are not ranked.
+once after that time, and until then candidates are not ranked. From then on a single fault has to fit what is seen; if
+none does, two faults at once may; if none of these do either, the fault is unknown, and said to be near the equations
+that all conflicts share.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +18,12 @@ import numpy as np
 from service.core.cusum import Cusum
 from service.core.events import Diagnosis
 from service.core.generators import Residuals
-from service.core.hypotheses import Hypotheses, Weighed, Window
-from service.core.isolation import diagnoses
+from service.core.hypotheses import Hypotheses, Look, confined
+from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Manifest
+from service.core.modes import EDGE
 from service.core.signals import Vector
+from service.core.window import Window
 
 RANKING_PERIOD = 15
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.
@@ -43,8 +47,14 @@ told apart: the data do not separate them, or neither explains the data."""
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
 
+OF_TWO = 15.0
+"""By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""
+
 LINGER_TICKS = 300
-"""A confirmed episode is over once no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""
+"""A confirmed episode lasts until no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""
+
+HEALED_TICKS = 75
+"""And until no test has alarmed for 15 s in any mode that showed the fault: a clogged nozzle does not heal at idle."""
 
 
 class Decision:
@@ -53,6 +63,7 @@ class Decision:
     def __init__(self, manifest: Manifest) -> None:
         self._tests = [generator.test for generator in manifest.generators]
         self._sensitive = [frozenset(generator.faults) for generator in manifest.generators]
+        self._equations = [frozenset(generator.equations) for generator in manifest.generators]
         self._detectors = [Cusum(detector.nu, detector.J) for detector in manifest.detectors]
         self._offset = np.array([detector.offset for detector in manifest.detectors])  # (T, modes)
         self._scale = np.array([detector.scale for detector in manifest.detectors])
@@ -67,8 +78,11 @@ class Decision:
         self._alarming = 0  # ticks of the episode at which one did
         self._alarmed: frozenset[int] = frozenset()  # those that did, the last time that any did
         self._deviating: frozenset[int] = frozenset()  # tests that deviate in the window
-        self._weighed: Weighed | None = None
+        self._showing = np.zeros(EDGE, dtype=np.bool_)  # modes in which they do
+        self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
+        self._look: Look | None = None
         self._settled = False
+        self._diagnoses: list[Diagnosis] = []
         self.confirmed = False
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
 
@@ -80,31 +94,46 @@ class Decision:
             if residuals.usable[row]:
                 detector.update(tick, float(s[row]))
         alarmed = frozenset(row for row, detector in enumerate(self._detectors) if detector.alarm)
-        if not alarmed:  # the window waits
-            self._window.leave()
-            if self._latest is not None and tick - self._latest >= LINGER_TICKS * self.confirmed:
-                self._latest, self._alarming, self.confirmed = None, 0, False
+        if not alarmed:
+            self._wait(tick, mode)
             return
         if self._latest is None:
-            self._weighed, self._deviating, self._settled = None, frozenset(), False
+            self._look, self._deviating, self._settled = None, frozenset(), False
+            self._showing[:] = False
             self._window.clear()
         self._latest, self._alarmed = tick, alarmed
+        self._quiet[:] = 0.0
         if self._alarming == self._settle_ticks:
             self._window.clear()
         self._alarming += 1
-        self._window.add(mode, residuals.r, residuals.usable)
+        self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
         if tick % RANKING_PERIOD == 0:
             self._weigh(settled=self._alarming > self._settle_ticks)
+        if self.confirmed:
+            self._diagnoses = self._explained()
+
+    def _wait(self, tick: int, mode: int) -> None:
+        """A tick without alarm: the window waits, and the episode ends in time."""
+        self._window.leave()
+        if self._latest is None:
+            return
+        if mode != EDGE and self._usable[self._looked_at].all():
+            self._quiet[mode] += 1
+        healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
+        if healed or not self.confirmed:
+            self._latest, self._alarming, self.confirmed = None, 0, False
+            self._diagnoses = []
 
     def _weigh(self, settled: bool) -> None:
         """Looks at the window; what the one before it said stands until it has seen enough."""
-        weighed = self._hypotheses.weigh(self._window.means)
-        if weighed is None:
+        look = self._hypotheses.look(self._window.means)
+        if look is None:
             return
-        self._weighed, self._settled = weighed, settled
-        deviating = self._hypotheses.deviating(self._window.means, DEVIATING)
-        self._deviating = frozenset(row for row, beyond in zip(self._looked_at, deviating, strict=True) if beyond)
-        self.confirmed = self.confirmed or weighed.gain > CONFIRMED or weighed.nothing > SURE
+        self._look, self._settled = look, settled
+        far = look.sigmas.max(axis=0) > DEVIATING
+        self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
+        self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
+        self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
 
     @property
     def sums(self) -> Vector:
@@ -131,29 +160,61 @@ class Decision:
         return min((d.since for d in self._detectors if d.alarm and d.since is not None), default=None)
 
     @property
+    def suspected(self) -> bool:
+        """Whether some test alarms and nothing is confirmed."""
+        return self._latest is not None and not self.confirmed
+
+    @property
     def diagnoses(self) -> list[Diagnosis]:
         """What explains a confirmed fault, best first. An alarm whose test has become unable to tell still counts."""
-        if not self.confirmed or self._weighed is None:
-            return []
+        return self._diagnoses
+
+    def _explained(self) -> list[Diagnosis]:
         trusted = sorted((self._alarmed & self._trusted) | self._deviating)
         conflicts = [self._sensitive[row] for row in trusted] or [frozenset(self._hypotheses.faults)]
+        found, misfits = diagnoses(conflicts), self._misfits
+        if misfits:
+            found, misfits = self._fitting(found, conflicts, misfits)
+        near = frozenset.intersection(*(self._equations[row] for row in trusted)) if trusted else frozenset()
         return [
-            Diagnosis(faults=list(faults), rank=rank, p=None)
-            for faults, rank in ranked(diagnoses(conflicts), self._weighed.faults if self._settled else {})
+            Diagnosis(faults=list(faults), rank=rank, p=None, near=sorted(near) if faults == UNKNOWN else [])
+            for faults, rank in ranked(found, misfits)
         ]
 
+    @property
+    def _misfits(self) -> dict[tuple[str, ...], float]:
+        """Of every fault alone; none while the residuals are on their way."""
+        return {(fault,): q for fault, q in self._look.faults.items()} if self._look and self._settled else {}
 
-def ranked(candidates: Sequence[tuple[str, ...]], misfits: Mapping[str, float]) -> list[tuple[tuple[str, ...], int]]:
-    """Candidates with their ranks, best first; all are equal where one is not a single known fault.
+    def _fitting(
+        self, single: list[tuple[str, ...]], conflicts: list[frozenset[str]], misfits: dict[tuple[str, ...], float]
+    ) -> tuple[list[tuple[str, ...]], dict[tuple[str, ...], float]]:
+        """Candidates that fit with their misfits: single ones, else the best of two faults at once, else unknown."""
+        assert self._look is not None
+        best = min((misfits.get(faults, np.inf) for faults in single), default=np.inf)
+        if best <= self._look.limit or not misfits:
+            return single, misfits
+        pairs = confined(conflicts, self._look.pairs)
+        least = min(pairs.values(), default=np.inf)
+        if least > self._look.limit or least > best - OF_TWO:
+            return [UNKNOWN], {}
+        near_best = {pair: q for pair, q in pairs.items() if q <= least + TIE}
+        return [*near_best], {**near_best}
 
-    >>> ranked([("fA",), ("fB",), ("fC",)], {"fA": 30.0, "fB": 2.0, "fC": 8.0})
+
+def ranked(
+    candidates: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float]
+) -> list[tuple[tuple[str, ...], int]]:
+    """Candidates with their ranks, best first; all are equal where the misfit of one is not known.
+
+    >>> ranked([("fA",), ("fB",), ("fC",)], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 8.0})
     [(('fB',), 1), (('fC',), 1), (('fA',), 3)]
-    >>> ranked([("fA", "fB"), ("fA", "fC")], {"fA": 30.0, "fB": 2.0, "fC": 80.0})
+    >>> ranked([("fA", "fB"), ("fA", "fC")], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 80.0})
     [(('fA', 'fB'), 1), (('fA', 'fC'), 1)]
     """
-    if not all(len(candidate) == 1 and candidate[0] in misfits for candidate in candidates):
+    if not all(candidate in misfits for candidate in candidates):
         return [(candidate, 1) for candidate in candidates]
-    q = {candidate: misfits[candidate[0]] for candidate in candidates}
+    q = {candidate: misfits[candidate] for candidate in candidates}
     behind = {candidate: value - max(TIE, TIE_PART * value) for candidate, value in q.items()}
     rank = {candidate: 1 + sum(other < behind[candidate] for other in q.values()) for candidate in candidates}
     return sorted(rank.items(), key=lambda item: (item[1], item[0]))

@@ -10,22 +10,25 @@ import msgspec
 
 SCHEMA = "faultline.event/1"
 
-Transition = Literal["started", "occurred", "refined", "healed", "cannot_tell"]
-"""started: the first tick was evaluated. occurred: a fault was confirmed where there was none. refined: the
-explanations or their ranks changed. healed: no test has alarmed for a while. cannot_tell: other tests than before
-cannot tell."""
+Transition = Literal["started", "suspected", "dismissed", "occurred", "refined", "healed", "cannot_tell"]
+"""started: the first tick was evaluated. suspected: a test alarms, and nothing is confirmed yet; *pending* in AUTOSAR's
+terms. dismissed: no test alarms any more, and nothing was confirmed. occurred: a fault was confirmed where there was
+none. refined: the explanations or their ranks changed. healed: no test has alarmed for a while. cannot_tell: other
+tests than before cannot tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """One explanation of what is wrong: all of `faults` together; no name means that no known fault or pair does.
 
     `rank` starts at 1; explanations the data cannot separate share a rank. `p` is a probability with three digits, or
-    None as long as no calibration curve stands behind it.
+    None as long as no calibration curve stands behind it. What is unknown is `near` the equations that all tests which
+    deviate have in common; no equation means that they have none.
     """
 
     faults: list[str]
     rank: int
     p: float | None
+    near: list[str] = []
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):

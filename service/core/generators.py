@@ -14,8 +14,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import onnxruntime as ort
 
-from service.core.manifest import Generator, Input
-from service.core.signals import Mask, Vector
+from service.core.assumed import Assumed
+from service.core.manifest import Evidence, Generator, Input
+from service.core.signals import Indices, Mask, Vector
 
 HELD_TICKS = 2
 OUTSIDE = 0.01
@@ -25,13 +26,20 @@ NOVEL = 1.0
 """Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
 
 
+NOTHING = np.zeros((0, 0))
+
+
 class Residuals(NamedTuple):
-    """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell."""
+    """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
+
+    `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
+    """
 
     r: Vector
     y_hat: Vector
     sigma: Vector
     usable: Mask
+    shift: Vector = NOTHING
 
 
 class Graph:
@@ -71,9 +79,16 @@ class GeneratorBank:
     """The generators of a bundle with their states. `step` is called once a tick.
 
     `graphs` are by the name that the generators have; those of one graph are neighbours, in the order of its columns.
+    The hypotheses of the `evidence`, where it has some, run beside them.
     """
 
-    def __init__(self, graphs: Mapping[str, bytes], generators: Sequence[Generator], inputs: Sequence[Input]) -> None:
+    def __init__(
+        self,
+        graphs: Mapping[str, bytes],
+        generators: Sequence[Generator],
+        inputs: Sequence[Input],
+        evidence: Evidence | None = None,
+    ) -> None:
         self._parts = _parts(graphs, generators)
         names = [channel.signal for channel in inputs]
         lower, upper = (np.array([getattr(channel, bound) for channel in inputs]) for bound in ("lower", "upper"))
@@ -94,12 +109,14 @@ class GeneratorBank:
         self._z = self._neutral.copy()
         self._missed = np.full(len(generators), HELD_TICKS + 1)
         self._ticks = np.zeros(len(generators), dtype=np.int64)
+        self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
 
     def step(self, z: Vector, usable: Mask) -> Residuals:
         """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
         self._z = np.where(usable, z, self._z)
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
-        self._restart(fed & (self._missed > HELD_TICKS))
+        fresh = self._offset + self._gain @ self._z
+        self._restart(fed & (self._missed > HELD_TICKS), fresh)
         r, y_hat, sigma, novelty, x_next = self._run()
         finite = np.isfinite(r) & np.isfinite(sigma)
         finite[self._owner[~np.isfinite(x_next)]] = False
@@ -108,7 +125,10 @@ class GeneratorBank:
         self._missed = np.where(advanced, 0, self._missed + 1)
         self._missed[fed & ~finite] = HELD_TICKS + 1
         self._ticks = np.where(advanced, self._ticks + 1, self._ticks)
-        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL))
+        shift = NOTHING
+        if self._assumed is not None:
+            shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
+        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL), shift)
 
     def _run(self) -> list[Vector]:
         """The outputs of all graphs, one after the other."""
@@ -123,12 +143,13 @@ class GeneratorBank:
         beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
         return np.asarray(self._needs @ np.maximum(beyond, 0.0))
 
-    def _restart(self, generators: Mask) -> None:
+    def _restart(self, generators: Mask, fresh: Vector) -> None:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
         if generators.any():
-            fresh = self._offset + self._gain @ self._z
             self._x = np.where(generators[self._owner], fresh, self._x)
             self._ticks[generators] = 0
+            if self._assumed is not None:
+                self._assumed.restart(generators[self._weighed], fresh[self._own])
 
 
 def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list[_Part]:
@@ -138,3 +159,17 @@ def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list
         counts = [len(generator.states) for generator in generators]
         found.append(_Part(Graph(graphs[name]), slice(sum(counts[: own[0]]), sum(counts[: own[-1] + 1]))))
     return found
+
+
+def _assumed(
+    graphs: Mapping[str, bytes], generators: Sequence[Generator], evidence: Evidence | None, owner: Indices
+) -> tuple[Indices, Indices, Assumed | None]:
+    """The rows (K,) of the evidence generators, the columns (nx,) of their states, and their hypotheses."""
+    if evidence is None or evidence.graph is None:
+        nothing = np.zeros(0, dtype=np.intp)
+        return nothing, nothing, None
+    names = [generator.name for generator in generators]
+    rows = np.array([names.index(name) for name in evidence.generators])
+    own = np.concatenate([np.flatnonzero(owner == row) for row in rows])
+    columns = np.repeat(np.arange(len(rows)), [len(generators[row].states) for row in rows])
+    return rows, own, Assumed(Graph(graphs[evidence.graph]), len(evidence.hypotheses), columns)

@@ -1,7 +1,7 @@
 """Weighs what may be wrong by sign, size and pattern of the residuals over the operating modes.
 
-A window collects the mean residual m_c of every mode c. A hypothesis h predicts the shift mu_h of all those means,
-stacked; how badly it fits them is its misfit
+A window has the mean residual m_c of every mode c, and the mean shift mu_h that each hypothesis h would have made in
+the same operation; all modes stacked, how badly h fits is its misfit
 
     q_h = d' S_h^-1 d,   d = m - b - mu_h,
     S_h = diag_c(V_c / n_c + U_c / v_c + a_c^2) + sum_k w_k w_k' + diag((gamma mu_h)^2)
@@ -10,85 +10,141 @@ with the fault-free mean b, the covariance V of n ticks, U of v visits to the mo
 its own, and does not get surer by its length; of unequal visits v is n^2 / sum of squared lengths), the allowance a for
 what tuning cannot know, the drifts w (how far all means stray together from one drive to the next), and gamma for the
 error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line between
-those that are predicted. Without a fault mu is zero. Means of a generator that could not tell are left out.
+those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
 
-The window must be fresh: samples from before the onset, pooled with later ones, look like a dose-dependent fault.
+Of two faults at once the shifts are added, and both sizes are free.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from service.core.manifest import MODES, Evidence
 from service.core.modes import EDGE
-from service.core.signals import Mask, Vector
+from service.core.signals import Indices, Mask, Vector
+from service.core.window import Means
 
 GAMMA = 0.1
 MINIMUM_TICKS = 10
 """A mode counts once this many ticks were seen in it."""
 
+UNLIKELY = 3.72
+"""Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
 
-class Means(NamedTuple):
-    """What a window saw of C modes and K generators, each (C, K): ticks, squares of visits' lengths, sums of residuals.
 
-    A visit is a stay in a mode; the squares say how evenly the ticks lie in visits.
+class Segments(NamedTuple):
+    """Neighbouring sizes of one sign: the fault of each, and its ends as rows of the shifts, of which row 0 is none."""
+
+    faults: list[str]
+    begin: Indices
+    end: Indices
+
+
+class Look:
+    """One look at a window: the deviations `d` (D,) of the means `seen` (C, K), and what may explain them.
+
+    `S` (D, D) is their covariance without the error of a prediction, `shifts` (1 + H, D) those of no fault and of every
+    hypothesis.
     """
 
-    ticks: Vector
-    squares: Vector
-    total: Vector
+    def __init__(self, d: Vector, S: Vector, seen: Mask, shifts: Vector, segments: Segments) -> None:
+        self._d, self._S, self._seen, self._segments = d, S, seen, segments
+        self._white = np.linalg.cholesky(S)
+        self._target = np.linalg.solve(self._white, d)
+        white = np.linalg.solve(self._white, shifts.T).T
+        self._begin = white[segments.begin]
+        self._way = white[segments.end] - self._begin
+        self._length = np.maximum((self._way**2).sum(axis=1), 1e-300)
 
-
-class Window:
-    """The residuals of the evidence generators since `clear`. A tick counts for those that can tell."""
-
-    def __init__(self, evidence: Evidence, generators: Sequence[str]) -> None:
-        self._columns = np.array([generators.index(name) for name in evidence.generators])
-        self.clear()
-
-    def clear(self) -> None:
-        """Starts a fresh window."""
-        self._ticks, self._squares, self._total = np.zeros((3, EDGE, len(self._columns)))
-        self.leave()
-
-    def leave(self) -> None:
-        """Whatever comes next is another visit."""
-        self._mode, self._length = EDGE, np.zeros(len(self._columns))
-
-    def add(self, mode: int, r: Vector, usable: Mask) -> None:
-        """Takes the residuals `r` (T,) of a tick; those at an edge say nothing."""
-        if mode != self._mode:
-            self.leave()
-        self._mode = mode
-        if mode == EDGE:
-            return
-        told = usable[self._columns]
-        self._ticks[mode] += told
-        self._squares[mode] += told * (2.0 * self._length + 1.0)
-        self._total[mode] += np.where(told, r[self._columns], 0.0)
-        self._length = np.where(told, self._length + 1.0, 0.0)
+    @cached_property
+    def sigmas(self) -> Vector:
+        """How far every mean (C, K) lies from the fault-free one, in standard deviations; 0 where none was seen."""
+        far = np.zeros(self._seen.shape)
+        far[self._seen] = np.abs(self._d) / np.sqrt(self._S.diagonal())
+        return far
 
     @property
-    def means(self) -> Means:
-        """What was seen."""
-        return Means(self._ticks, self._squares, self._total)
+    def nothing(self) -> float:
+        """The misfit of no fault."""
+        return float(self._target @ self._target)
 
+    @cached_property
+    def faults(self) -> dict[str, float]:
+        """The misfit of every fault at its best size."""
+        parts = np.clip(((self._target - self._begin) * self._way).sum(axis=1) / self._length, 0.0, 1.0)
+        misfits = self._misfits((self._begin + parts[:, None] * self._way)[:, None])
+        found: dict[str, float] = {}
+        for fault, misfit in zip(self._segments.faults, misfits.tolist(), strict=True):
+            found[fault] = min(found.get(fault, np.inf), misfit)
+        return found
 
-class Weighed(NamedTuple):
-    """Misfits: of no fault, and of every fault at its best size."""
-
-    nothing: float
-    faults: dict[str, float]
+    @cached_property
+    def pairs(self) -> dict[tuple[str, ...], float]:
+        """The misfit of every two faults at once, at their best sizes."""
+        sizes, far = self._sizes_of_two()
+        at: dict[tuple[str, ...], tuple[int, int]] = {}
+        faults = self._segments.faults
+        for i, j in combinations(range(len(faults)), 2):
+            pair = faults[i], faults[j]
+            if pair[0] != pair[1] and (pair not in at or far[i, j] < far[at[pair]]):
+                at[pair] = i, j
+        if not at:
+            return {}
+        chosen = np.array(list(at.values()))  # (P, 2) segments
+        parts = np.stack([sizes[i, j] for i, j in at.values()])  # (P, 2)
+        misfits = self._misfits(self._begin[chosen] + parts[..., None] * self._way[chosen])
+        return dict(zip(at, misfits.tolist(), strict=True))
 
     @property
     def gain(self) -> float:
         """By how much the best fault fits better than none."""
         return self.nothing - min(self.faults.values(), default=self.nothing)
 
+    @property
+    def limit(self) -> float:
+        """The misfit beyond which a hypothesis does not fit: of chi-square (Wilson, Hilferty 1931)."""
+        degrees = len(self._d)
+        return float(degrees * (1 - 2 / (9 * degrees) + UNLIKELY * np.sqrt(2 / (9 * degrees))) ** 3)
+
+    def _misfits(self, mu: Vector) -> Vector:
+        """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
+        left = self._d - mu.sum(axis=1) @ self._white.T
+        S = np.broadcast_to(self._S, (len(mu), *self._S.shape)).copy()
+        diagonal = np.arange(len(self._d))
+        S[:, diagonal, diagonal] += ((GAMMA * (mu @ self._white.T)) ** 2).sum(axis=1)
+        return np.asarray(np.einsum("md,md->m", left, np.linalg.solve(S, left[..., None])[..., 0]))
+
+    def _sizes_of_two(self) -> tuple[Vector, Vector]:
+        """Parts (segments, segments, 2) of two segments whose sum comes nearest, and how far that is, squared.
+
+        The distance is a quadratic form of both parts: its least value lies inside the unit square or on its border.
+        """
+        across, cross = self._way @ self._way.T, self._begin @ self._way.T
+        along = (self._way @ self._target)[:, None] - cross.diagonal()[:, None] - cross.T  # to the first one's way
+        start = self._target - self._begin[:, None] - self._begin  # (segments, segments, D)
+        first, second = self._length[:, None], self._length
+        det = first * second - across**2
+        parallel = det < 1e-9 * first * second
+        det = np.where(parallel, 1.0, det)
+        a, b = (second * along - across * along.T) / det, (first * along.T - across * along) / det
+        outside = parallel | (a < 0.0) | (a > 1.0) | (b < 0.0) | (b > 1.0)
+        none, whole = np.zeros_like(a), np.ones_like(a)
+        tried = [(np.where(outside, 0.0, a), np.where(outside, 0.0, b))]
+        tried += [(end, np.clip((along.T - end * across) / second, 0.0, 1.0)) for end in (none, whole)]
+        tried += [(np.clip((along - end * across) / first, 0.0, 1.0), end) for end in (none, whole)]
+        parts: Vector = np.array(tried)  # (5, 2, segments, segments)
+        a, b = parts[:, 0], parts[:, 1]
+        far = (start**2).sum(axis=2) - 2 * (a * along + b * along.T)
+        far = far + a**2 * first + b**2 * second + 2 * a * b * across
+        best = far.argmin(axis=0)[None]
+        return np.moveaxis(np.take_along_axis(parts, best[:, None], 0)[0], 0, 2), np.take_along_axis(far, best, 0)[0]
+
 
 class Hypotheses:
-    """All faults of a bundle, as polygons of predicted shifts that begin at none."""
+    """All faults of a bundle, as polygons of shifts that begin at none."""
 
     def __init__(self, evidence: Evidence) -> None:
         modes = [index for index in range(len(MODES)) if index != EDGE]
@@ -96,34 +152,17 @@ class Hypotheses:
         self._noise, self._visit = np.array(evidence.noise)[modes], np.array(evidence.visit)[modes]
         K = len(evidence.generators)
         self._drifts = np.array(evidence.drifts).reshape(-1, len(MODES), K)[:, modes]  # (R, C, K)
-        self.faults, begin, end = _segments(evidence)
-        self._begin, self._end = begin[:, modes], end[:, modes]  # (H, C, K)
+        self._segments = _segments(evidence)
+        self.faults = list(dict.fromkeys(self._segments.faults))
 
-    def weigh(self, means: Means) -> Weighed | None:
-        """The misfits; None while nothing has been seen long enough."""
-        seen = means.ticks >= MINIMUM_TICKS  # (C, K)
+    def look(self, means: Means) -> Look | None:
+        """What the means say; None while nothing has been seen long enough."""
+        seen = np.asarray(means.ticks >= MINIMUM_TICKS)  # (C, K)
         if not seen.any():
             return None
         d, S = self._deviation(means, seen)
-        W = np.asarray(np.linalg.inv(S))
-        begin, end = self._begin[:, seen], self._end[:, seen]  # (H, D)
-        way = end - begin  # along it, the nearest point in terms of W
-        length = np.einsum("hd,de,he->h", way, W, way)
-        part = np.clip(np.einsum("hd,de,he->h", d - begin, W, way) / np.maximum(length, 1e-300), 0.0, 1.0)
-        mu = begin + part[:, None] * way
-        faults: dict[str, float] = {}
-        for fault, value in zip(self.faults, _misfit(d, mu, S), strict=True):
-            faults[fault] = min(faults.get(fault, np.inf), float(value))
-        return Weighed(float(d @ W @ d), faults)
-
-    def deviating(self, means: Means, sigmas: float) -> Mask:
-        """The generators (K,) whose mean in some mode lies further from the fault-free one than so many deviations."""
-        seen = means.ticks >= MINIMUM_TICKS
-        far = np.zeros_like(seen)
-        if seen.any():
-            d, S = self._deviation(means, seen)
-            far[seen] = np.abs(d) > sigmas * np.sqrt(S.diagonal())
-        return np.asarray(far.any(axis=0))
+        mean = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
+        return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), mean]), self._segments)
 
     def _deviation(self, means: Means, seen: Mask) -> tuple[Vector, Vector]:
         """The deviations d (D,) of the means `seen` (C, K), and S (D, D) without the error of a prediction."""
@@ -140,28 +179,25 @@ class Hypotheses:
         return d[seen], S[seen][:, seen]
 
 
-def _misfit(d: Vector, mu: Vector, S: Vector) -> Vector:
-    """The misfits (H,) of the shifts mu (H, D)."""
-    left = d - mu
-    diagonal = np.arange(len(d))
-    of = np.broadcast_to(S, (len(mu), *S.shape)).copy()
-    of[:, diagonal, diagonal] += (GAMMA * mu) ** 2
-    return np.asarray(np.einsum("hd,hd->h", left, np.linalg.solve(of, left[..., None])[..., 0]))
-
-
-def _segments(evidence: Evidence) -> tuple[list[str], Vector, Vector]:
-    """Fault, and both ends (H, modes, K), of every segment between neighbouring sizes of one sign."""
-    shape = len(evidence.hypotheses), len(MODES), len(evidence.generators)
+def _segments(evidence: Evidence) -> Segments:
+    """The chains of sizes: each fault's positive and negative ones, from none on."""
+    chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
+    for row, hypothesis in enumerate(evidence.hypotheses, start=1):
+        chains.setdefault((hypothesis.fault, hypothesis.size > 0), []).append((abs(hypothesis.size), row))
     faults: list[str] = []
-    begin, end = np.zeros(shape), np.zeros(shape)
-    curves: dict[tuple[str, bool], list[tuple[float, list[list[float]]]]] = {}
-    for hypothesis in evidence.hypotheses:
-        curve = curves.setdefault((hypothesis.fault, hypothesis.size > 0), [])
-        curve.append((abs(hypothesis.size), hypothesis.shift))
-    for (fault, _), curve in curves.items():
-        before = np.zeros(shape[1:])
-        for _, shift in sorted(curve, key=lambda point: point[0]):
-            begin[len(faults)], end[len(faults)] = before, shift
-            before = np.array(shift)
+    ends: list[tuple[int, int]] = []
+    for (fault, _), chain in chains.items():
+        before = 0
+        for _, row in sorted(chain):
             faults.append(fault)
-    return faults, begin, end
+            ends.append((before, row))
+            before = row
+    begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
+    return Segments(faults, begin, end)
+
+
+def confined(
+    conflicts: Sequence[frozenset[str]], pairs: Mapping[tuple[str, ...], float]
+) -> dict[tuple[str, ...], float]:
+    """The pairs of which every conflict has one fault."""
+    return {pair: q for pair, q in pairs.items() if all(conflict.intersection(pair) for conflict in conflicts)}

@@ -85,8 +85,8 @@ class State(_Part, frozen=True):
 class Generator(_Part, frozen=True):
     """A residual generator: a column of the outputs of its `graph`, whose generators are listed in their order.
 
-    `faults` is its row of the structural fault signature matrix, `states` are its columns of `x` (consecutive, in
-    order).
+    `faults` is its row of the structural fault signature matrix, `equations` are those of the model that it uses,
+    `states` are its columns of `x` (consecutive, in order).
     """
 
     name: Name
@@ -96,6 +96,7 @@ class Generator(_Part, frozen=True):
     inputs: NotEmpty[Name]
     states: list[State]
     faults: list[Name]
+    equations: list[Name]
     warm_up_ticks: Ticks
 
 
@@ -131,19 +132,25 @@ class Fault(_Part, frozen=True):
     description: Text
 
 
-class Hypothesis(_Part, frozen=True):
-    """What the residuals of the evidence generators do under a fault of one size: mean shift, (mode, generator) [Pa].
+class Equation(_Part, frozen=True):
+    """An equation of the model, by which an unknown fault is located."""
 
-    Predicted by the model from fault-free recordings; no fault recording is needed or used.
-    """
+    name: Name
+    description: Text
+
+
+class Hypothesis(_Part, frozen=True):
+    """A fault of one size, in the unit of its model; sizes of one sign are a chain that begins at none."""
 
     fault: Name
     size: float
-    shift: PerMode[list[float]]
 
 
 class Evidence(_Part, frozen=True):
-    """What confirms and ranks faults: predicted shifts, and how far a fault-free mean strays.
+    """What confirms and ranks faults: the hypotheses, and how far a fault-free mean strays.
+
+    `graph` is the file that has the evidence generators once per hypothesis, in their order, as rows of a batch. No
+    fault recording is needed or used.
 
     `generators` are numerically independent (chosen by the rank of their covariance); `offset` (mode, generator) is the
     fault-free mean, `noise` (mode, generator, generator) [Pa^2] its covariance per tick, `visit` that of a visit to the
@@ -157,6 +164,7 @@ class Evidence(_Part, frozen=True):
     visit: PerMode[list[list[float]]]
     allowance: PerMode[list[NotNegative]]
     drifts: list[PerMode[list[float]]]
+    graph: Name | None
     hypotheses: list[Hypothesis]
 
 
@@ -178,4 +186,5 @@ class Manifest(_Part, frozen=True):
     modes: Modes
     detectors: list[Detector]
     faults: list[Fault]
+    equations: list[Equation]
     evidence: Evidence

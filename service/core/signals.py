@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 Vector = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 
 
 class Quality(IntEnum):

@@ -1,7 +1,6 @@
 """When to say what: the state of the decision becomes events."""
 
-from collections.abc import Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from service.core.events import SCHEMA, Diagnosis, Event, Transition
 
@@ -27,8 +26,19 @@ class Decided(Protocol):
         """Tests that cannot tell now."""
 
     @property
+    def suspected(self) -> bool:
+        """Whether some test alarms and nothing is confirmed."""
+
+    @property
     def since(self) -> int | None:
         """The tick at which the evidence began."""
+
+
+class Told(NamedTuple):
+    """What subscribers know: whether something is suspected, or what explains a confirmed fault."""
+
+    suspected: bool
+    diagnoses: list[Diagnosis]
 
 
 class Settled(Generic[State]):
@@ -57,18 +67,18 @@ class Teller:
         self._bundle = bundle_id
         self._period = period_s
         self._seq = 0
-        self._diagnoses: Settled[list[Diagnosis]] = Settled([])
+        self._told: Settled[Told] = Settled(Told(False, []))
         self._blind: Settled[list[str]] | None = None
 
     def update(self, tick: int, decision: Decided) -> list[Event]:
-        """The events of this tick, at most one for the diagnoses and one for the tests that cannot tell."""
+        """The events of this tick, at most one for what is wrong and one for the tests that cannot tell."""
         if self._blind is None:
             self._blind = Settled(decision.cannot_tell)
             return [self._event(tick, "started", decision)]
         events = []
-        before = self._diagnoses.value
-        if self._diagnoses.update(decision.diagnoses):
-            events.append(self._event(tick, _transition(before, self._diagnoses.value), decision))
+        before = self._told.value
+        if self._told.update(Told(decision.suspected, decision.diagnoses)):
+            events.append(self._event(tick, _transition(before, self._told.value), decision))
         if self._blind.update(decision.cannot_tell):
             events.append(self._event(tick, "cannot_tell", decision))
         return events
@@ -83,7 +93,7 @@ class Teller:
             t_s=round(tick * self._period, 3),
             wall=None,
             transition=transition,
-            diagnoses=self._diagnoses.value,
+            diagnoses=self._told.value.diagnoses,
             alarm=decision.alarm,
             cannot_tell=decision.cannot_tell,
             since_tick=decision.since,
@@ -91,7 +101,9 @@ class Teller:
         )
 
 
-def _transition(before: Sequence[Diagnosis], after: Sequence[Diagnosis]) -> Transition:
-    if not before:
-        return "occurred"
-    return "refined" if after else "healed"
+def _transition(before: Told, after: Told) -> Transition:
+    if after.diagnoses:
+        return "refined" if before.diagnoses else "occurred"
+    if before.diagnoses:
+        return "healed"
+    return "suspected" if after.suspected else "dismissed"

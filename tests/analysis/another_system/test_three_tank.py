@@ -93,8 +93,6 @@ def test_modes_that_the_pump_has_not_are_described_by_the_one_it_has(bench: Benc
             assert values[IDLE] == values[MAXIMUM] == values[PARTIAL] != values[EDGE]
     for table in (manifest.evidence.offset, manifest.evidence.noise, manifest.evidence.allowance):
         assert table[IDLE] == table[MAXIMUM] == table[PARTIAL] != table[EDGE]
-    for hypothesis in manifest.evidence.hypotheses:
-        assert hypothesis.shift[IDLE] == hypothesis.shift[PARTIAL]
 
 
 def test_a_healthy_run_is_quiet_and_every_test_could_tell(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 from service import show
 from service.bundle import BundleError, load_bundle, seal, verify_golden
 
-FILES = ["ode.onnx", "uds.dbc", "golden.json"]
+FILES = ["ode.onnx", "faults.onnx", "uds.dbc", "golden.json"]
 
 
 @pytest.fixture
@@ -178,8 +178,29 @@ def test_a_graph_that_breaks_while_it_runs_is_refused(bundle: Path, monkeypatch:
     ],
 )
 def test_golden_vectors_of_another_shape_are_refused(bundle: Path, z: object, r: object, message: str) -> None:
-    put(bundle, "golden.json", json.dumps({"z": z, "r": r}).encode())
+    put(bundle, "golden.json", json.dumps({"z": z, "r": r, "shift": []}).encode())
     refused(bundle, rf"golden\.json: {message}")
+
+
+@pytest.mark.parametrize(
+    ("shift", "message"),
+    [
+        ([], "0 shift, not one for each hypothesis"),
+        ([[0.0] * 2] * 41, r"shift\[0\]: has length 2, but there are 3 evidence generators"),
+    ],
+)
+def test_golden_shifts_of_another_shape_are_refused(bundle: Path, shift: object, message: str) -> None:
+    golden = json.loads((bundle / "golden.json").read_bytes())
+    put(bundle, "golden.json", json.dumps(golden | {"shift": shift}).encode())
+    refused(bundle, rf"golden\.json: {message}")
+
+
+def test_golden_shifts_catch_a_machine_that_computes_hypotheses_otherwise(bundle: Path) -> None:
+    loaded = load_bundle(bundle)
+    loaded.golden.shift[12][1] += 0.01
+    name = loaded.manifest.evidence.hypotheses[12].fault
+    with pytest.raises(BundleError, match=rf"golden vectors: {name} of size .* is off by 0.01"):
+        verify_golden(loaded)
 
 
 def test_golden_vectors_catch_a_machine_that_computes_something_else(bundle: Path) -> None:
@@ -192,7 +213,7 @@ def test_golden_vectors_catch_a_machine_that_computes_something_else(bundle: Pat
 
 def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert show.main(["verify", str(bundle)]) == 0
-    assert "the seal holds, 3 files are whole, 150 golden vectors agree" in capsys.readouterr().out
+    assert "the seal holds, 4 files are whole, 150 golden vectors agree" in capsys.readouterr().out
     assert show.main(["show", str(bundle)]) == 0
     out = capsys.readouterr().out
     assert "t21.ode" in out

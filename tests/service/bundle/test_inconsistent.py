@@ -43,10 +43,6 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: Expected `array` of length >= 4"),
     (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: Expected `array` of length >= 4"),
     (lambda m: m["evidence"]["allowance"][1].__setitem__(2, -1), r"evidence\.allowance\[1\]\[2\]: Expected `float` >="),
-    (
-        lambda m: m["evidence"]["hypotheses"][7]["shift"].pop(),
-        r"evidence\.hypotheses\[7\]\.shift: Expected `array` of length >= 4",
-    ),
 ]
 
 TOGETHER: list[tuple[Change, str]] = [
@@ -101,10 +97,11 @@ TOGETHER: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 4, but there are 3"),
     (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 2, but there are 3"),
     (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 2, but there are 3"),
-    (
-        lambda m: m["evidence"]["hypotheses"][7]["shift"][3].pop(),
-        r"evidence\.hypotheses\[7\]\.shift\[3\]: has length 2, but there are 3 evidence generators",
-    ),
+    (lambda m: m["evidence"].update(graph=None), r"evidence\.graph: None for 41 hypotheses"),
+    (lambda m: m["evidence"].update(hypotheses=[]), r"evidence\.graph: 'faults\.onnx' for 0 hypotheses"),
+    (lambda m: m["evidence"].update(graph="x.onnx"), r"evidence\.graph: 'x\.onnx' is not in files"),
+    (lambda m: m["generators"][3]["equations"].append("e99"), r"generators\[3\]\.equations: unknown equation 'e99'"),
+    (lambda m: m["equations"].append(m["equations"][0]), r"equations\[\d+\]\.name: 'e\d+' is there twice"),
     (
         lambda m: m["evidence"]["hypotheses"][7].update(fault="fX"),
         r"evidence\.hypotheses\[7\]\.fault: unknown fault 'fX'",
@@ -147,8 +144,8 @@ def test_visits_may_not_stray_at_all(bundle: Path) -> None:
 
 
 def test_evidence_whose_squares_are_no_numbers_is_refused(bundle: Path) -> None:
-    edit(bundle, lambda m: m["evidence"]["hypotheses"][0]["shift"][1].__setitem__(0, 1e200))
-    refused(bundle, r"evidence\.hypotheses: a value beyond 1e\+50")
+    edit(bundle, lambda m: m["evidence"]["offset"][1].__setitem__(0, 1e200))
+    refused(bundle, r"evidence\.offset: a value beyond 1e\+50")
 
 
 @pytest.mark.parametrize("number", [b"1e999", b"-1e999", b"1" + b"0" * 400])

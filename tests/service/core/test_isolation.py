@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.core.decision import CONFIRMED, ranked
-from service.core.hypotheses import MINIMUM_TICKS, Hypotheses, Means, Weighed, Window
+from service.core.hypotheses import MINIMUM_TICKS, Hypotheses, Look, confined
 from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Evidence, Hypothesis
 from service.core.modes import EDGE
+from service.core.window import PART_TICKS, Means, Window
 
 FAULTS = ["fA", "fB", "fC", "fD"]
 CONFLICTS = st.lists(st.frozensets(st.sampled_from(FAULTS), min_size=1), max_size=6)
@@ -37,11 +38,15 @@ def test_three_disjoint_conflicts_are_not_forced_on_two_faults() -> None:
     assert diagnoses([frozenset({"fA"}), frozenset({"fB"}), frozenset({"fC"})]) == [UNKNOWN]
 
 
+FLAT, OWN = np.ones((4, 2)), np.tile([0.0, 1.0], (4, 1))
+GROWING = np.array([[0.5, 0.5], [1.0, 1.0], [2.0, 2.0], [0.0, 0.0]])
+SIZES = [("fA", -1.0), ("fA", 1.0), ("fB", 0.5), ("fB", 1.0), ("fC", 1.0)]
+SHIFTS = np.array([-FLAT, FLAT, 0.5 * GROWING, GROWING, OWN])
+"""(hypothesis, mode, generator): fA shifts both alike at any dose, fB grows fourfold with it, fC is t3's own."""
+
+
 def _evidence(**changed: object) -> Evidence:
-    """Two generators; fA shifts both alike at any dose, fB grows fourfold from idle to maximum dose, fC is t3's own."""
-    flat = [[1.0, 1.0]] * 4
-    growing = [[0.5, 0.5], [1.0, 1.0], [2.0, 2.0], [0.0, 0.0]]
-    own = [[0.0, 1.0]] * 4
+    """Two generators."""
     given: dict[str, Any] = {
         "generators": ["t1", "t3"],
         "offset": [[0.0, 0.0]] * 4,
@@ -49,68 +54,78 @@ def _evidence(**changed: object) -> Evidence:
         "visit": [[[0.0, 0.0], [0.0, 0.0]]] * 4,
         "allowance": [[0.05, 0.05]] * 4,
         "drifts": [],
-        "hypotheses": [
-            Hypothesis(fault="fA", size=-1.0, shift=(-np.array(flat)).tolist()),
-            Hypothesis(fault="fA", size=1.0, shift=flat),
-            Hypothesis(fault="fB", size=0.5, shift=(0.5 * np.array(growing)).tolist()),
-            Hypothesis(fault="fB", size=1.0, shift=growing),
-            Hypothesis(fault="fC", size=1.0, shift=own),
-        ],
+        "graph": "faults.onnx",
+        "hypotheses": [Hypothesis(fault=fault, size=size) for fault, size in SIZES],
     }
     return Evidence(**(given | changed))
 
 
+def _window(evidence: Evidence) -> Window:
+    return Window(evidence, ["t1", "t2", "t3"])
+
+
+def _add(
+    window: Window, mode: int, r: tuple[float, float], *, ticks: int = 1, told: tuple[bool, bool] = (True, True)
+) -> None:
+    """Ticks with these residuals of t1 and t3; t2 is no evidence."""
+    for _ in range(ticks):
+        window.add(mode, np.array([r[0], 99.0, r[1]]), np.array([told[0], False, told[1]]), SHIFTS[:, mode])
+
+
 def _means(residuals: dict[int, tuple[float, float]], evidence: Evidence, visits: int = 1) -> Means:
-    window = Window(evidence, ["t1", "t2", "t3"])
-    for mode, (first, third) in residuals.items():
+    window = _window(evidence)
+    for mode, r in residuals.items():
         for _ in range(visits):
-            for _ in range(MINIMUM_TICKS):
-                window.add(mode, np.array([first, 99.0, third]), np.array([True, False, True]))
-            window.add(EDGE, np.zeros(3), np.ones(3, dtype=np.bool_))
+            _add(window, mode, r, ticks=MINIMUM_TICKS)
+            _add(window, EDGE, (0.0, 0.0))
     return window.means
 
 
-def _weighed(residuals: dict[int, tuple[float, float]], visits: int = 1, **changed: object) -> Weighed:
+def _look(residuals: dict[int, tuple[float, float]], visits: int = 1, **changed: object) -> Look:
     evidence = _evidence(**changed)
-    found = Hypotheses(evidence).weigh(_means(residuals, evidence, visits))
+    found = Hypotheses(evidence).look(_means(residuals, evidence, visits))
     assert found is not None
     return found
+
+
+def _ranked(residuals: dict[int, tuple[float, float]]) -> list[tuple[tuple[str, ...], int]]:
+    return ranked(BOTH, {(fault,): q for fault, q in _look(residuals).faults.items()})
 
 
 BOTH: list[tuple[str, ...]] = [("fA",), ("fB",)]
 
 
 def test_one_mode_cannot_tell_a_bias_from_a_restriction() -> None:
-    assert [rank for _, rank in ranked(BOTH, _weighed({0: (0.5, 0.5)}).faults)] == [1, 1]
+    assert [rank for _, rank in _ranked({0: (0.5, 0.5)})] == [1, 1]
 
 
 def test_the_pattern_over_modes_ranks_the_restriction_first() -> None:
-    assert ranked(BOTH, _weighed({0: (0.4, 0.4), 2: (1.6, 1.6)}).faults) == [(("fB",), 1), (("fA",), 2)]
+    assert _ranked({0: (0.4, 0.4), 2: (1.6, 1.6)}) == [(("fB",), 1), (("fA",), 2)]
 
 
 def test_a_constant_shift_ranks_the_bias_first() -> None:
-    assert ranked(BOTH, _weighed({0: (1.0, 1.0), 2: (1.0, 1.0)}).faults) == [(("fA",), 1), (("fB",), 2)]
+    assert _ranked({0: (1.0, 1.0), 2: (1.0, 1.0)}) == [(("fA",), 1), (("fB",), 2)]
 
 
 def test_any_size_between_the_grid_fits_as_well_as_those_on_it() -> None:
-    sizes = [_weighed({0: (0.5 * s, 0.5 * s), 2: (2.0 * s, 2.0 * s)}).faults["fB"] for s in (0.01, 0.3, 0.5, 0.77)]
+    sizes = [_look({0: (0.5 * s, 0.5 * s), 2: (2.0 * s, 2.0 * s)}).faults["fB"] for s in (0.01, 0.3, 0.5, 0.77)]
     assert sizes == pytest.approx([0.0] * 4, abs=1e-9)
 
 
 def test_no_fault_fits_what_is_usual() -> None:
-    assert _weighed({0: (0.03, -0.05), 2: (-0.04, 0.0)}).gain < CONFIRMED
+    assert _look({0: (0.03, -0.05), 2: (-0.04, 0.0)}).gain < CONFIRMED
 
 
 def test_a_drift_makes_what_it_looks_like_uncertain_and_nothing_else() -> None:
     drift = [(0.5 * np.ones((4, 2))).tolist()]  # as fA does
     for shift, usual in ({0: (0.5, 0.5), 2: (0.5, 0.5)}, True), ({0: (0.0, 0.5), 2: (0.0, 0.5)}, False):
-        assert _weighed(shift).nothing > CONFIRMED
-        assert (_weighed(shift, drifts=drift).nothing < CONFIRMED) is usual
+        assert _look(shift).nothing > CONFIRMED
+        assert (_look(shift, drifts=drift).nothing < CONFIRMED) is usual
 
 
 def test_visits_make_surer_and_a_long_one_does_not() -> None:
     visit = [[[0.09, 0.0], [0.0, 0.09]]] * 4
-    one, many = (_weighed({0: (0.5, 0.5)}, visits, visit=visit).nothing for visits in (1, 9))
+    one, many = (_look({0: (0.5, 0.5)}, visits, visit=visit).nothing for visits in (1, 9))
     assert many > 4.0 * one
     assert one < CONFIRMED
 
@@ -119,46 +134,89 @@ def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
     evidence = _evidence(visit=[[[0.09, 0.0], [0.0, 0.09]]] * 4)
     gains = []
     for stays in ([200], [200, *[1] * 9]):
-        window = Window(evidence, ["t1", "t2", "t3"])
+        window = _window(evidence)
         for ticks in stays:
-            for _ in range(ticks):
-                window.add(0, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_))
+            _add(window, 0, (0.5, 0.5), ticks=ticks)
             window.leave()
-        weighed = Hypotheses(evidence).weigh(window.means)
-        assert weighed is not None
-        gains.append(weighed.gain)
+        look = Hypotheses(evidence).look(window.means)
+        assert look is not None
+        gains.append(look.gain)
     assert gains[1] < 1.2 * gains[0]
 
 
 def test_edges_and_few_ticks_are_no_evidence() -> None:
-    window = Window(_evidence(), ["t1", "t2", "t3"])
-    for _ in range(100):
-        window.add(3, np.ones(3), np.ones(3, dtype=np.bool_))
-    for _ in range(MINIMUM_TICKS - 1):
-        window.add(0, np.ones(3), np.ones(3, dtype=np.bool_))
-    assert Hypotheses(_evidence()).weigh(window.means) is None
-    assert not Hypotheses(_evidence()).deviating(window.means, 5.0).any()
+    window = _window(_evidence())
+    _add(window, EDGE, (1.0, 1.0), ticks=100)
+    _add(window, 0, (1.0, 1.0), ticks=MINIMUM_TICKS - 1)
+    assert Hypotheses(_evidence()).look(window.means) is None
 
 
 def test_a_generator_that_cannot_tell_is_left_out_and_silences_no_other() -> None:
-    window = Window(_evidence(), ["t1", "t2", "t3"])
+    window = _window(_evidence())
     for mode, level in ((0, 0.4), (2, 1.6)):
-        for _ in range(MINIMUM_TICKS):
-            window.add(mode, np.array([level, np.nan, np.nan]), np.array([True, False, False]))
-    weighed = Hypotheses(_evidence()).weigh(window.means)
-    assert weighed is not None
-    assert weighed.gain > CONFIRMED
-    assert ranked(BOTH, weighed.faults) == [(("fB",), 1), (("fA",), 2)]
+        _add(window, mode, (level, np.nan), ticks=MINIMUM_TICKS, told=(True, False))
+    look = Hypotheses(_evidence()).look(window.means)
+    assert look is not None
+    assert look.gain > CONFIRMED
+    assert ranked(BOTH, {(fault,): q for fault, q in look.faults.items()}) == [(("fB",), 1), (("fA",), 2)]
 
 
 def test_without_hypotheses_there_is_no_gain() -> None:
-    weighed = _weighed({0: (0.5, 0.5)}, hypotheses=[])
-    assert weighed.faults == {}
-    assert weighed.gain == 0.0
-    assert weighed.nothing > CONFIRMED
+    evidence = _evidence(hypotheses=[], graph=None)
+    window = _window(evidence)
+    for _ in range(MINIMUM_TICKS):
+        window.add(0, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_), np.zeros((0, 0)))
+    look = Hypotheses(evidence).look(window.means)
+    assert look is not None
+    assert (look.faults, look.pairs, look.gain) == ({}, {}, 0.0)
+    assert look.nothing > CONFIRMED
 
 
-def test_a_generator_that_deviates_in_the_window_is_a_conflict() -> None:
-    evidence = _evidence()
-    found = Hypotheses(evidence).deviating(_means({0: (0.1, 1.0)}, evidence), 5.0)
-    assert found.tolist() == [False, True]
+def test_a_mean_that_deviates_is_found_with_its_mode() -> None:
+    far = _look({0: (0.1, 1.0)}).sigmas
+    assert (far > 5.0).tolist() == [[False, True], [False, False], [False, False]]
+
+
+def test_two_faults_fit_where_no_single_one_does() -> None:
+    """fA of size 0.6 and fC of 0.8: at any dose t1 has 0.6 and t3 1.4."""
+    look = _look({0: (0.6, 1.4), 2: (0.6, 1.4)})
+    assert min(look.faults.values()) > look.limit
+    assert look.pairs["fA", "fC"] == pytest.approx(0.0, abs=1e-9)
+    assert min(look.pairs, key=look.pairs.__getitem__) == ("fA", "fC")
+
+
+@given(st.floats(0.05, 0.95), st.floats(0.05, 0.95))
+def test_the_sizes_of_both_faults_are_found_wherever_they_lie(first: float, second: float) -> None:
+    """Both grow together in idle and partial dose, so that fitting one after the other alone would take long."""
+    modes = {mode: tuple(first * FLAT[mode] + second * GROWING[mode]) for mode in (0, 1, 2)}
+    assert _look(modes).pairs["fA", "fB"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_nothing_explains_fits_neither_one_nor_two() -> None:
+    look = _look({0: (1.5, -1.5), 2: (-1.5, 1.5)})
+    assert min(look.faults.values()) > look.limit
+    assert min(look.pairs.values()) > look.limit
+
+
+def test_pairs_that_miss_a_conflict_are_out() -> None:
+    pairs: dict[tuple[str, ...], float] = {("fA", "fB"): 1.0, ("fA", "fC"): 2.0}
+    assert confined([frozenset({"fC"})], pairs) == {("fA", "fC"): 2.0}
+
+
+def test_the_limit_is_the_quantile_of_chi_square() -> None:
+    """Of 1e-4 above it, for 2 and 6 means (tables; Wilson and Hilferty are within 5 and 2 %)."""
+    assert _look({0: (0.0, 0.0)}).limit == pytest.approx(18.42, rel=0.05)
+    assert _look(dict.fromkeys((0, 1, 2), (0.0, 0.0))).limit == pytest.approx(27.86, rel=0.02)
+
+
+def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
+    """After twice its part the window has forgotten what was; a mode that was not visited since keeps it."""
+    window = _window(_evidence())
+    _add(window, 0, (1.0, 1.0), ticks=3 * PART_TICKS)
+    _add(window, 2, (2.0, 2.0), ticks=PART_TICKS)
+    _add(window, 0, (0.0, 0.0), ticks=2 * PART_TICKS)
+    ticks, _, total, shift = window.means
+    assert total[0].tolist() == [0.0, 0.0]
+    assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
+    assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]
+    np.testing.assert_allclose(shift / np.maximum(ticks, 1.0), SHIFTS[:, :EDGE] * (ticks > 0))

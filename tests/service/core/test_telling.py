@@ -15,6 +15,7 @@ class Decided:
     diagnoses: list[Diagnosis] = field(default_factory=list)
     cannot_tell: list[str] = field(default_factory=list)
     alarm: list[str] = field(default_factory=list)
+    suspected: bool = False
     since: int | None = None
 
 
@@ -38,6 +39,22 @@ def test_the_life_of_a_fault_is_told_in_order_and_numbered_without_gaps() -> Non
     assert events[1].tick == 20 + SETTLE_TICKS
     assert events[1].t_s == pytest.approx(0.2 * events[1].tick)
     assert events[3].diagnoses == []
+
+
+def test_a_suspicion_is_told_and_either_dismissed_or_confirmed() -> None:
+    quiet, suspicious = Decided(), Decided(suspected=True, alarm=["t02"])
+    fault = Decided([_diagnosis("fA")], alarm=["t02"])
+    events = _tell([d for d in (quiet, suspicious, quiet, suspicious, fault, quiet) for _ in range(20)])
+    assert [event.transition for event in events] == [
+        "started",
+        "suspected",
+        "dismissed",
+        "suspected",
+        "occurred",
+        "healed",
+    ]
+    assert [event.diagnoses for event in events[:4]] == [[], [], [], []]
+    assert events[1].alarm == ["t02"]
 
 
 def test_a_flicker_is_not_told() -> None:

@@ -33,7 +33,8 @@ def seen(manifest: Manifest, *, last: float, first: float = 0.0, mute: tuple[int
     r[0] += first * scale[0]
     usable = np.ones(len(r), dtype=np.bool_)
     usable[list(mute)] = False
-    return Residuals(r, r, scale, usable)
+    shift = np.zeros((len(manifest.evidence.hypotheses), len(manifest.evidence.generators)))
+    return Residuals(r, r, scale, usable, shift)
 
 
 def test_a_test_alarms_with_one_and_cannot_tell_with_none() -> None:
@@ -66,10 +67,11 @@ def test_an_alarm_that_is_frozen_is_not_told_as_if_nothing_were_wrong() -> None:
 
 def test_a_deviation_where_no_hypothesis_points_is_told_in_the_end() -> None:
     manifest = doubled()
-    nowhere = msgspec.structs.replace(manifest.evidence, hypotheses=[])
-    decision = Decision(msgspec.structs.replace(manifest, evidence=nowhere))
+    nowhere = msgspec.structs.replace(manifest.evidence, hypotheses=[], graph=None)
+    without = msgspec.structs.replace(manifest, evidence=nowhere)
+    decision = Decision(without)
     for tick in range(200):
-        decision.update(tick, 1, seen(manifest, last=0.0, first=60.0))
+        decision.update(tick, 1, seen(without, last=0.0, first=60.0))
     assert decision.confirmed
     assert {diagnosis.rank for diagnosis in decision.diagnoses} == {1}
     assert {name for d in decision.diagnoses for name in d.faults} == set(manifest.generators[0].faults)

@@ -10,7 +10,7 @@ import pytest
 
 from service.core.errors import InputError
 from service.core.events import SCHEMA, Diagnosis, Event, encode
-from service.core.manifest import Fault
+from service.core.manifest import Equation, Fault
 from service.watch import describe, main
 
 QUIET = Event(
@@ -73,10 +73,20 @@ def test_sight_regained_does_not_read_as_sight_lost() -> None:
 
 def test_alarms_without_an_explanation_are_not_no_fault() -> None:
     event = msgspec.structs.replace(FAULT, diagnoses=[])
-    assert "no candidate yet for what has fired" in describe(event, {})
+    assert "not confirmed yet" in describe(event, {})
     assert "no fault" not in describe(event, {})
-    unknown = msgspec.structs.replace(FAULT, diagnoses=[Diagnosis(faults=[], rank=1, p=None)])
-    assert "1. unknown: no fault of the model explains what has fired" in describe(unknown, {})
+
+
+def test_what_is_unknown_is_said_to_be_near_the_equations_that_it_breaks() -> None:
+    unknown = msgspec.structs.replace(FAULT, diagnoses=[Diagnosis(faults=[], rank=1, p=None, near=["e01", "e02"])])
+    said = describe(unknown, {}, {"e01": Equation(name="e01", description="flow of the pump")})
+    assert "1. unknown: no fault of the model explains what is seen, near e01 (flow of the pump), e02" in said
+
+
+def test_a_dismissed_suspicion_does_not_read_as_all_clear_while_tests_cannot_tell() -> None:
+    event = msgspec.structs.replace(QUIET, transition="dismissed", cannot_tell=["t02"])
+    assert "nothing was confirmed" in describe(event, {})
+    assert "no fault" not in describe(event, {})
 
 
 @pytest.mark.parametrize("transition", ["started", "occurred", "refined", "healed", "cannot_tell"])

@@ -1,0 +1,75 @@
+"""The fresh window: the mean residual of every mode since a test began to alarm.
+
+The window must be fresh: samples from before the onset, pooled with later ones, look like a dose-dependent fault. And
+it forgets: of every mode it keeps the last `PART_TICKS` to twice as many ticks, so that a fault that has grown, or
+another that has joined it hours later, is seen as it is now; a mode not visited since keeps what it showed.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.manifest import Evidence
+from service.core.modes import EDGE
+from service.core.signals import Mask, Vector
+
+PART_TICKS = 750  # 150 s
+
+
+class Means(NamedTuple):
+    """What a window saw of C modes and K generators: ticks, squares of visits' lengths, sums of residuals, each (C, K).
+
+    A visit is a stay in a mode; the squares say how evenly the ticks lie in visits. `shift` (H, C, K) are sums of what
+    each hypothesis would have done to the residuals.
+    """
+
+    ticks: Vector
+    squares: Vector
+    total: Vector
+    shift: Vector
+
+
+class Window:
+    """The residuals of the evidence generators since `clear`. A tick counts for those that can tell."""
+
+    def __init__(self, evidence: Evidence, generators: Sequence[str]) -> None:
+        self._columns = np.array([generators.index(name) for name in evidence.generators])
+        self._hypotheses = len(evidence.hypotheses)
+        self.clear()
+
+    def clear(self) -> None:
+        """Starts a fresh window."""
+        K = len(self._columns)
+        # Two parts, the older one first; sums as in `Means`, those of hypotheses behind the others.
+        self._sums = np.zeros((2, 3 + self._hypotheses, EDGE, K))
+        self.leave()
+
+    def leave(self) -> None:
+        """Whatever comes next is another visit."""
+        self._mode, self._length = EDGE, np.zeros(len(self._columns))
+
+    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
+        """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
+        if mode != self._mode:
+            self.leave()
+        self._mode = mode
+        if mode == EDGE:
+            return
+        if self._sums[1, 0, mode].max() >= PART_TICKS:
+            self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
+            self._length = np.zeros(len(self._columns))
+        told = usable[self._columns]
+        part = self._sums[1, :, mode]
+        part[0] += told
+        part[1] += told * (2.0 * self._length + 1.0)
+        part[2] += np.where(told, r[self._columns], 0.0)
+        if self._hypotheses:
+            part[3:] += np.where(told, shift, 0.0)
+        self._length = np.where(told, self._length + 1.0, 0.0)
+
+    @property
+    def means(self) -> Means:
+        """What was seen."""
+        ticks, squares, total, *shift = self._sums.sum(axis=0)
+        return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))
