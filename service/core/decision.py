@@ -6,9 +6,9 @@ the tests that alarm, and of those that the window shows to deviate. Networks ra
 may alarm where a fault that their test decouples brings operation that was rare in training.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
-once after that time, and until then candidates are not ranked. From then on a single fault has to fit what is seen; if
-none does, two faults at once may; if none of these do either, the fault is unknown, and said to be near the equations
-that all conflicts share.
+once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
+sensitive tests alarm by chance too, and a fault has to fit what is seen to be named. If none does, two faults at once
+may; if none of these do either, the fault is unknown, and said to be near the equations that all conflicts share.
 """
 
 from collections.abc import Mapping, Sequence
@@ -83,6 +83,7 @@ class Decision:
         self._look: Look | None = None
         self._settled = False
         self._diagnoses: list[Diagnosis] = []
+        self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = False
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
 
@@ -109,8 +110,6 @@ class Decision:
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
         if tick % RANKING_PERIOD == 0:
             self._weigh(settled=self._alarming > self._settle_ticks)
-        if self.confirmed:
-            self._diagnoses = self._explained()
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the window waits, and the episode ends in time."""
@@ -134,6 +133,8 @@ class Decision:
         self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
+        if self.confirmed:
+            self._explain()
 
     @property
     def sums(self) -> Vector:
@@ -169,37 +170,39 @@ class Decision:
         """What explains a confirmed fault, best first. An alarm whose test has become unable to tell still counts."""
         return self._diagnoses
 
+    def _explain(self) -> None:
+        """What a look says stands once the next one says the same: near a limit they alternate."""
+        seen = self._explained()
+        if seen == self._seen or not self._diagnoses:
+            self._diagnoses = seen
+        self._seen = seen
+
     def _explained(self) -> list[Diagnosis]:
-        trusted = sorted((self._alarmed & self._trusted) | self._deviating)
-        conflicts = [self._sensitive[row] for row in trusted] or [frozenset(self._hypotheses.faults)]
-        found, misfits = diagnoses(conflicts), self._misfits
-        if misfits:
-            found, misfits = self._fitting(found, conflicts, misfits)
-        near = frozenset.intersection(*(self._equations[row] for row in trusted)) if trusted else frozenset()
+        alarmed = self._alarmed & self._trusted
+        rows = sorted((self._deviating or alarmed) if self._settled else self._deviating | alarmed)
+        conflicts = [self._sensitive[row] for row in rows] or [frozenset(self._hypotheses.faults)]
+        if self._settled and self._look is not None and self._look.faults:
+            misfits = self._fitting(conflicts, self._look)
+            found = [*misfits] or [UNKNOWN]
+        else:
+            found, misfits = diagnoses(conflicts), {}
+        near = frozenset.intersection(*(self._equations[row] for row in rows)) if rows else frozenset()
         return [
             Diagnosis(faults=list(faults), rank=rank, p=None, near=sorted(near) if faults == UNKNOWN else [])
             for faults, rank in ranked(found, misfits)
         ]
 
-    @property
-    def _misfits(self) -> dict[tuple[str, ...], float]:
-        """Of every fault alone; none while the residuals are on their way."""
-        return {(fault,): q for fault, q in self._look.faults.items()} if self._look and self._settled else {}
-
-    def _fitting(
-        self, single: list[tuple[str, ...]], conflicts: list[frozenset[str]], misfits: dict[tuple[str, ...], float]
-    ) -> tuple[list[tuple[str, ...]], dict[tuple[str, ...], float]]:
-        """Candidates that fit with their misfits: single ones, else the best of two faults at once, else unknown."""
-        assert self._look is not None
-        best = min((misfits.get(faults, np.inf) for faults in single), default=np.inf)
-        if best <= self._look.limit or not misfits:
-            return single, misfits
-        pairs = confined(conflicts, self._look.pairs)
+    def _fitting(self, conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, ...], float]:
+        """The misfits of what fits and hits every conflict: single faults, else the best two at once, else nothing."""
+        single = confined(conflicts, {(fault,): q for fault, q in look.faults.items()})
+        best = min(single.values(), default=np.inf)
+        if best <= look.limit:
+            return {faults: q for faults, q in single.items() if q <= max(look.limit, best + TIE)}
+        pairs = confined(conflicts, look.pairs)
         least = min(pairs.values(), default=np.inf)
-        if least > self._look.limit or least > best - OF_TWO:
-            return [UNKNOWN], {}
-        near_best = {pair: q for pair, q in pairs.items() if q <= least + TIE}
-        return [*near_best], {**near_best}
+        if least > min(look.limit, best - OF_TWO):
+            return {}
+        return {faults: q for faults, q in pairs.items() if q <= least + TIE}
 
 
 def ranked(

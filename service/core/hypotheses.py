@@ -197,7 +197,7 @@ def _segments(evidence: Evidence) -> Segments:
 
 
 def confined(
-    conflicts: Sequence[frozenset[str]], pairs: Mapping[tuple[str, ...], float]
+    conflicts: Sequence[frozenset[str]], misfits: Mapping[tuple[str, ...], float]
 ) -> dict[tuple[str, ...], float]:
-    """The pairs of which every conflict has one fault."""
-    return {pair: q for pair, q in pairs.items() if all(conflict.intersection(pair) for conflict in conflicts)}
+    """The explanations of which every conflict has one fault, with their misfits."""
+    return {faults: q for faults, q in misfits.items() if all(conflict.intersection(faults) for conflict in conflicts)}
