@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from service.core.cusum import Cusum
-from service.core.events import Diagnosis
+from service.core.events import Diagnosis, candidates
 from service.core.generators import Residuals
 from service.core.hypotheses import Hypotheses, Look, confined
 from service.core.isolation import UNKNOWN, diagnoses
@@ -43,6 +43,9 @@ TIE = 9.0
 TIE_PART = 0.25
 """Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
 told apart: the data do not separate them, or neither explains the data."""
+
+SUREST = 0.999
+"""No fault is more probable than this: the model may lack what it is."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
@@ -173,7 +176,7 @@ class Decision:
     def _explain(self) -> None:
         """What a look says stands once the next one says the same: near a limit they alternate."""
         seen = self._explained()
-        if seen == self._seen or not self._diagnoses:
+        if candidates(seen) == candidates(self._seen) or not self._diagnoses:
             self._diagnoses = seen
         self._seen = seen
 
@@ -186,9 +189,10 @@ class Decision:
             found = [*misfits] or [UNKNOWN]
         else:
             found, misfits = diagnoses(conflicts), {}
+        p = probabilities(misfits)
         near = frozenset.intersection(*(self._equations[row] for row in rows)) if rows else frozenset()
         return [
-            Diagnosis(faults=list(faults), rank=rank, p=None, near=sorted(near) if faults == UNKNOWN else [])
+            Diagnosis(faults=list(faults), rank=rank, p=p.get(faults), near=sorted(near) if faults == UNKNOWN else [])
             for faults, rank in ranked(found, misfits)
         ]
 
@@ -205,19 +209,36 @@ class Decision:
         return {faults: q for faults, q in pairs.items() if q <= least + TIE}
 
 
+def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
+    """How likely each single fault is if it is one of these: a misfit is -2 log of a likelihood; all as likely before.
+
+    Of two faults at once none is given: there such figures were too sure.
+
+    >>> probabilities({("fA",): 2.0, ("fB",): 2.0, ("fC",): 10.0})
+    {('fA',): 0.495, ('fB',): 0.495, ('fC',): 0.009}
+    >>> probabilities({("fA", "fB"): 2.0})
+    {}
+    """
+    if any(len(faults) > 1 for faults in misfits) or not misfits:
+        return {}
+    q = np.array(list(misfits.values()))
+    weight = np.exp((q.min() - q) / 2)
+    return dict(zip(misfits, np.minimum(np.round(weight / weight.sum(), 3), SUREST).tolist(), strict=True))
+
+
 def ranked(
-    candidates: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float]
+    found: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float]
 ) -> list[tuple[tuple[str, ...], int]]:
-    """Candidates with their ranks, best first; all are equal where the misfit of one is not known.
+    """Explanations with their ranks, best first; all are equal where the misfit of one is not known.
 
     >>> ranked([("fA",), ("fB",), ("fC",)], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 8.0})
     [(('fB',), 1), (('fC',), 1), (('fA',), 3)]
     >>> ranked([("fA", "fB"), ("fA", "fC")], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 80.0})
     [(('fA', 'fB'), 1), (('fA', 'fC'), 1)]
     """
-    if not all(candidate in misfits for candidate in candidates):
-        return [(candidate, 1) for candidate in candidates]
-    q = {candidate: misfits[candidate] for candidate in candidates}
-    behind = {candidate: value - max(TIE, TIE_PART * value) for candidate, value in q.items()}
-    rank = {candidate: 1 + sum(other < behind[candidate] for other in q.values()) for candidate in candidates}
+    if not all(faults in misfits for faults in found):
+        return [(faults, 1) for faults in found]
+    q = {faults: misfits[faults] for faults in found}
+    behind = {faults: value - max(TIE, TIE_PART * value) for faults, value in q.items()}
+    rank = {faults: 1 + sum(other < behind[faults] for other in q.values()) for faults in found}
     return sorted(rank.items(), key=lambda item: (item[1], item[0]))

@@ -4,6 +4,7 @@ Source: the CloudEvents idea of (source, id) as identity; the transitions are na
 AUTOSAR diagnostic management.
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
@@ -20,8 +21,9 @@ tests than before cannot tell."""
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """One explanation of what is wrong: all of `faults` together; no name means that no known fault or pair does.
 
-    `rank` starts at 1; explanations the data cannot separate share a rank. `p` is a probability with three digits, or
-    None as long as no calibration curve stands behind it. What is unknown is `near` the equations that all tests which
+    `rank` starts at 1; explanations the data cannot separate share a rank. `p` is the probability, with three digits,
+    that it is this one if it is a single known fault; None before residuals have settled, and of two faults at once,
+    for which no calibration curve stands behind it. What is unknown is `near` the equations that all tests which
     deviate have in common; no equation means that they have none.
     """
 
@@ -52,6 +54,11 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     cannot_tell: list[str]
     since_tick: int | None
     bundle: str
+
+
+def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], int, tuple[str, ...]]]:
+    """What is new when it changes: names, ranks and places; a probability creeps."""
+    return [(tuple(one.faults), one.rank, tuple(one.near)) for one in diagnoses]
 
 
 _ENCODER = msgspec.json.Encoder()

@@ -2,7 +2,7 @@
 
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from service.core.events import SCHEMA, Diagnosis, Event, Transition
+from service.core.events import SCHEMA, Diagnosis, Event, Transition, candidates
 
 SETTLE_TICKS = 10
 """A change is told once it has lasted this long: tests that fire within it tell their news together."""
@@ -35,10 +35,10 @@ class Decided(Protocol):
 
 
 class Told(NamedTuple):
-    """What subscribers know: whether something is suspected, or what explains a confirmed fault."""
+    """What subscribers know: whether something is suspected, and what explains a confirmed fault."""
 
     suspected: bool
-    diagnoses: list[Diagnosis]
+    candidates: list[tuple[tuple[str, ...], int, tuple[str, ...]]]
 
 
 class Settled(Generic[State]):
@@ -68,6 +68,7 @@ class Teller:
         self._period = period_s
         self._seq = 0
         self._told: Settled[Told] = Settled(Told(False, []))
+        self._diagnoses: list[Diagnosis] = []
         self._blind: Settled[list[str]] | None = None
 
     def update(self, tick: int, decision: Decided) -> list[Event]:
@@ -77,7 +78,8 @@ class Teller:
             return [self._event(tick, "started", decision)]
         events = []
         before = self._told.value
-        if self._told.update(Told(decision.suspected, decision.diagnoses)):
+        if self._told.update(Told(decision.suspected, candidates(decision.diagnoses))):
+            self._diagnoses = decision.diagnoses
             events.append(self._event(tick, _transition(before, self._told.value), decision))
         if self._blind.update(decision.cannot_tell):
             events.append(self._event(tick, "cannot_tell", decision))
@@ -93,7 +95,7 @@ class Teller:
             t_s=round(tick * self._period, 3),
             wall=None,
             transition=transition,
-            diagnoses=self._told.value.diagnoses,
+            diagnoses=self._diagnoses,
             alarm=decision.alarm,
             cannot_tell=decision.cannot_tell,
             since_tick=decision.since,
@@ -102,8 +104,8 @@ class Teller:
 
 
 def _transition(before: Told, after: Told) -> Transition:
-    if after.diagnoses:
-        return "refined" if before.diagnoses else "occurred"
-    if before.diagnoses:
+    if after.candidates:
+        return "refined" if before.candidates else "occurred"
+    if before.candidates:
         return "healed"
     return "suspected" if after.suspected else "dismissed"

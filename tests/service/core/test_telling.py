@@ -57,6 +57,15 @@ def test_a_suspicion_is_told_and_either_dismissed_or_confirmed() -> None:
     assert events[1].alarm == ["t02"]
 
 
+def test_a_probability_that_creeps_is_no_news() -> None:
+    creeping = [Decided([Diagnosis(faults=["fA"], rank=1, p=tick / 100)]) for tick in range(100)]
+    events = _tell([Decided(), *creeping])
+    assert [(event.transition, [d.p for d in event.diagnoses]) for event in events] == [
+        ("started", []),
+        ("occurred", [SETTLE_TICKS / 100]),
+    ]
+
+
 def test_a_flicker_is_not_told() -> None:
     flicker = [Decided([_diagnosis("fA")]) if tick % 7 == 0 else Decided() for tick in range(200)]
     assert [event.transition for event in _tell(flicker)] == ["started"]
