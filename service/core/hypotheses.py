@@ -127,7 +127,7 @@ class Look:
         start = self._target - self._begin[:, None] - self._begin  # (segments, segments, D)
         first, second = self._length[:, None], self._length
         det = first * second - across**2
-        parallel = det < 1e-9 * first * second
+        parallel = det <= 1e-9 * first * second  # or one of them shifts nothing
         det = np.where(parallel, 1.0, det)
         a, b = (second * along - across * along.T) / det, (first * along.T - across * along) / det
         outside = parallel | (a < 0.0) | (a > 1.0) | (b < 0.0) | (b > 1.0)

@@ -220,3 +220,19 @@ def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
     assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
     assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]
     np.testing.assert_allclose(shift / np.maximum(ticks, 1.0), SHIFTS[:, :EDGE] * (ticks > 0))
+
+
+def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
+    evidence = _evidence()
+    window = _window(evidence)
+    for mode in (0, 2):
+        for _ in range(MINIMUM_TICKS):
+            r, shift = (
+                GROWING[mode],
+                np.where(np.array([name == "fB" for name, _ in SIZES])[:, None], SHIFTS[:, mode], 0.0),
+            )
+            window.add(mode, np.array([r[0], 0.0, r[1]]), np.ones(3, dtype=np.bool_), shift)
+    look = Hypotheses(evidence).look(window.means)
+    assert look is not None
+    assert look.pairs["fA", "fC"] == pytest.approx(look.nothing)
+    assert look.pairs["fA", "fB"] == pytest.approx(look.faults["fB"], abs=1e-9)

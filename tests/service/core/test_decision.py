@@ -1,0 +1,132 @@
+"""Suspected, confirmed, explained, healed: the decision over made residuals with the golden bundle's manifest."""
+
+from pathlib import Path
+
+import numpy as np
+
+from service.bundle import load_bundle
+from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, SUREST, Decision
+from service.core.generators import Residuals
+from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from service.core.signals import Vector
+
+MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
+EVIDENCE = MANIFEST.evidence
+NAMES = [generator.name for generator in MANIFEST.generators]
+ROWS = [NAMES.index(name) for name in EVIDENCE.generators]
+OFFSET, SCALE = (np.array([getattr(d, part) for d in MANIFEST.detectors]) for part in ("offset", "scale"))
+SETTLED = max(generator.warm_up_ticks for generator in MANIFEST.generators) + 2 * RANKING_PERIOD
+
+PATTERNS = {
+    # By how many spreads of each evidence generator (t02, t08, t12) a fault of size one moves idle, partial, maximum.
+    "fA_du": [(-5.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (-40.0, 0.0, 0.0)],
+    "fy_p_ap": [(-20.0, 0.0, 20.0), (-20.0, 0.0, 20.0), (-20.0, 0.0, 20.0)],
+    "fA_t": [(0.0, -5.0, 0.0), (0.0, -10.0, 0.0), (0.0, -30.0, 0.0)],
+    "fA_dos": [(0.0, 0.0, 0.0), (0.0, 0.0, 10.0), (0.0, 0.0, 30.0)],
+}
+
+
+def moved(fault: str, size: float, mode: int) -> Vector:
+    """The shift (K,) of the evidence generators."""
+    return np.asarray(size * np.array(PATTERNS.get(fault, [(0.0, 0.0, 0.0)] * 3)[mode]) * SCALE[ROWS, mode])
+
+
+class Vehicle:
+    """A decision, fed with residuals whose shifts are known. State: the tick."""
+
+    def __init__(self) -> None:
+        self.decision = Decision(MANIFEST)
+        self.tick = 0
+
+    def drive(self, ticks: int, mode: int, faults: dict[str, float] | None = None, strange: float = 0.0) -> None:
+        """Ticks in a mode under these faults; `strange` moves t02 up and t08 down, as none does."""
+        r = OFFSET[:, mode].copy()
+        for fault, size in (faults or {}).items():
+            r[ROWS] += moved(fault, size, mode) if mode != EDGE else 0.0
+        r[ROWS] += strange * np.array([1.0, -1.0, 0.0]) * SCALE[ROWS, mode]
+        largest = {
+            h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h.fault) for h in EVIDENCE.hypotheses
+        }
+        sizes = [(h.fault, abs(h.size) / largest[h.fault]) for h in EVIDENCE.hypotheses]
+        shift = np.array([moved(fault, size, min(mode, MAXIMUM)) for fault, size in sizes])
+        usable = np.ones(len(r), dtype=np.bool_)
+        for _ in range(ticks):
+            self.decision.update(self.tick, mode, Residuals(r, r, SCALE[:, mode], usable, shift))
+            self.tick += 1
+
+    @property
+    def named(self) -> list[tuple[str, int]]:
+        return [("+".join(d.faults) or "unknown", d.rank) for d in self.decision.diagnoses]
+
+
+def test_nothing_is_suspected_where_residuals_are_as_tuned() -> None:
+    vehicle = Vehicle()
+    for mode in (IDLE, PARTIAL, MAXIMUM, EDGE):
+        vehicle.drive(300, mode)
+    assert not vehicle.decision.suspected
+    assert vehicle.named == []
+
+
+def test_a_fault_is_suspected_then_confirmed_then_told_alone_with_its_probability() -> None:
+    vehicle = Vehicle()
+    vehicle.drive(100, PARTIAL)
+    seen = []
+    for _ in range(200):
+        vehicle.drive(1, PARTIAL, {"fA_du": 0.6})
+        seen.append((vehicle.decision.suspected, bool(vehicle.named)))
+    assert list(dict.fromkeys(seen)) == [(False, False), (True, False), (False, True)]
+    for mode in (MAXIMUM, IDLE, PARTIAL):
+        vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
+    assert vehicle.named == [("fA_du", 1)]
+    assert vehicle.decision.diagnoses[0].p == SUREST
+
+
+def test_one_mode_leaves_a_filter_and_a_sensor_with_a_probability_each() -> None:
+    """At idle a weak clog is a small offset."""
+    vehicle = Vehicle()
+    vehicle.drive(2 * SETTLED, IDLE, {"fA_du": 1.0})
+    p = {"+".join(d.faults): d.p for d in vehicle.decision.diagnoses}
+    assert "fA_du" in p
+    assert all(value is not None for value in p.values())
+    assert sum(value or 0.0 for value in p.values()) <= 1.001
+
+
+def test_two_faults_at_once_are_told_as_two_and_without_a_probability() -> None:
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL, MAXIMUM):
+        vehicle.drive(SETTLED, mode, {"fA_du": 0.6, "fA_t": 0.7})
+    assert [name for name, rank in vehicle.named if rank == 1] == ["fA_t+fA_du"]
+    assert {d.p for d in vehicle.decision.diagnoses} == {None}
+
+
+def test_what_no_fault_explains_is_unknown_near_what_its_tests_share() -> None:
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL, MAXIMUM):
+        vehicle.drive(SETTLED, mode, strange=40.0)
+    assert vehicle.named == [("unknown", 1)]
+    first, second = (set(MANIFEST.generators[row].equations) for row in ROWS[:2])
+    assert vehicle.decision.diagnoses[0].near == sorted(first & second)
+
+
+def test_a_fault_that_shows_while_dosing_alone_does_not_heal_at_idle() -> None:
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, PARTIAL, MAXIMUM):
+        vehicle.drive(SETTLED, mode, {"fA_dos": 0.8})
+    assert vehicle.named[0] == ("fA_dos", 1)
+    vehicle.drive(10 * LINGER_TICKS, IDLE, {"fA_dos": 0.8})
+    assert vehicle.named[0] == ("fA_dos", 1)
+    vehicle.drive(LINGER_TICKS, PARTIAL)  # repaired
+    assert vehicle.named[0] == ("fA_dos", 1)  # maximum dose has not been seen yet
+    vehicle.drive(HEALED_TICKS, MAXIMUM)
+    assert vehicle.named == []
+    assert not vehicle.decision.suspected
+
+
+def test_a_second_fault_hours_after_the_first_is_seen() -> None:
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE) * 10:
+        vehicle.drive(SETTLED, mode, {"fA_t": 0.7})
+    assert vehicle.named == [("fA_t", 1)]
+    for mode in (PARTIAL, MAXIMUM, IDLE) * 20:
+        vehicle.drive(SETTLED, mode, {"fA_t": 0.7, "fA_du": 0.6})
+    assert [name for name, rank in vehicle.named if rank == 1] == ["fA_t+fA_du"]
