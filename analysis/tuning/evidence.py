@@ -21,6 +21,11 @@ Array = npt.NDArray[np.float64]
 
 BLOCK_TICKS = 25
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
+ENOUGH = 8
+"""Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
+SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
+PER_DIRECTION = 3  # recordings, at least
+CAUTION = 1.5  # on variances from so few
 
 
 def gather(
@@ -32,19 +37,22 @@ def gather(
     offset = np.array([detectors[row].offset for row in rows]).T  # (C, K)
     scale = np.array([detectors[row].scale for row in rows]).T
     noise = np.zeros((len(MODES), len(rows), len(rows)))
-    visit, stray = np.zeros_like(noise), np.zeros_like(offset)
+    visit = np.zeros_like(noise)
     for mode in set(stand_ins):
         noise[mode] = _within(recordings, mode, rows) + np.diag(scale[mode] ** 2)
         visit[mode] = _between(recordings, mode, rows, offset[mode], noise[mode])
-        means = np.array([_mean(s, mode, rows, offset[mode]) for s in recordings]) - offset[mode]
-        stray[mode] = np.abs(means).max(axis=0)
+    means = np.array([[_mean(s, mode, rows, offset[mode]) for mode in range(len(MODES))] for s in recordings]) - offset
+    stray, drifts = np.abs(means).max(axis=0), _drifts(bank.only(rows), recordings, stand_ins)
+    if len(recordings) >= ENOUGH:
+        stray, seen = _directions(means[:, list(stand_ins)], scale)
+        drifts += seen
     return Evidence(
         generators=[detectors[row].generator for row in rows],
         offset=offset.tolist(),
         noise=noise[list(stand_ins)].tolist(),
         visit=visit[list(stand_ins)].tolist(),
         allowance=np.hypot(stray, ALLOWANCE * scale)[list(stand_ins)].tolist(),
-        drifts=[drift.tolist() for drift in _drifts(bank.only(rows), recordings, stand_ins)],
+        drifts=[drift.tolist() for drift in drifts],
         graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
         hypotheses=hypotheses,
     )
@@ -97,6 +105,24 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Arr
 def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
     inside = s.usable.all(axis=1) & (s.mode == mode)
     return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
+
+
+def _directions(means: Array, scale: Array) -> tuple[Array, list[Array]]:
+    """How drives stray: each mean by itself (modes, rows), and the directions (modes, rows) in which all do together.
+
+    `means` (R, modes, rows) are deviations of R drives; the edge, which is no evidence, is left as it is.
+    """
+    R, shape = len(means), means.shape[1:]
+    standard = (means / scale)[:, :EDGE].reshape(R, -1)
+    u, size, direction = np.linalg.svd(standard, full_matrices=False)
+    told = np.cumsum(size**2) / max(float((size**2).sum()), 1e-300)
+    kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
+    left = standard - (u[:, :kept] * size[:kept]) @ direction[:kept]
+    own, drifts = np.zeros(shape), np.zeros((kept, *shape))
+    own[:EDGE] = np.sqrt(CAUTION * (left**2).mean(axis=0)).reshape(EDGE, -1)
+    drifts[:, :EDGE] = (np.sqrt(CAUTION / R) * size[:kept, None] * direction[:kept]).reshape(kept, EDGE, -1)
+    own[EDGE] = np.abs(means[:, EDGE]).max(axis=0) / scale[EDGE]
+    return own * scale, list(drifts * scale)
 
 
 def _hypotheses(model: Model) -> list[Hypothesis]:

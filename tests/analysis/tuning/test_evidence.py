@@ -205,3 +205,25 @@ def test_the_allowance_is_never_below_its_part_of_the_spread(made: Made) -> None
 
 def test_the_same_recordings_give_the_same_evidence(made: Made) -> None:
     assert gather(made.bank, made.detectors, made.recordings) == made.evidence
+
+
+def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None:
+    """Drives in which the sensor before the dosing unit is off by 500 Pa or so: t02 strays in all modes alike."""
+    rng = np.random.default_rng(8)
+    [row] = [k for k, g in enumerate(made.bank.generators) if g.name == "t02.ode"]
+    drives = []
+    for number in range(24):
+        one = made.recordings[number % 2]
+        r = one.r.copy()
+        r[:, row] += rng.normal(0.0, 500.0)
+        drives.append(replace(one, name=f"drive-{number}", r=r))
+    evidence = gather(made.bank, made.detectors, drives)
+    column = evidence.generators.index("t02.ode")
+    first = np.array(evidence.drifts[0])[list(STEADY)]
+    assert np.abs(first[:, column]) == pytest.approx(500.0 * np.sqrt(1.5), rel=0.35)
+    assert np.ptp(first[:, column]) < 150.0  # of one sign, and of one size
+    others = [k for k in range(len(evidence.generators)) if k != column]
+    assert np.abs(first[:, others]).max() < 100.0
+    few = gather(made.bank, made.detectors, drives[:4])
+    assert few.drifts == []
+    assert np.array(few.allowance)[STEADY[0], column] > np.array(evidence.allowance)[STEADY[0], column]
