@@ -179,7 +179,7 @@ class Demo:
 
     def _judge(self, recording: Recording, events: Path | None) -> Verdict:
         log = self._logs[recording]
-        arguments = [log, "--bundle", self._out / "bundle", "--truth", self._out / "truth" / f"{log.name}.toml"]
+        arguments = [self._out / "bundle", log, "--truth", self._out / "truth" / f"{log.name}.toml"]
         picture = self._out / f"{recording.fault or 'fault-free'}.png"
         more = ["--events", events] if events else []
         told = self._call("evaluate", *arguments, *more, "--picture", picture, "--json", accept=(0, 1))

@@ -1,68 +1,149 @@
-"""Compare diagnoses with the truth of a recording, and draw them."""
+"""Compare what a bundle tells of recordings with the truth: verdicts, and a report for a review of the bundle."""
 
 import argparse
 import sys
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import msgspec
 
+from analysis.evaluation.given import Given, given
 from analysis.evaluation.judge import Verdict, apart, judge
+from analysis.evaluation.live import live_events
+from analysis.evaluation.measure.cases import cases_of
+from analysis.evaluation.measure.facts import Facts, facts
+from analysis.evaluation.sentence import sentence, summary
 from analysis.evaluation.story import Story, tell
-from analysis.evaluation.truth import load_truth
 from analysis.progress import Progress
-from analysis.recordings.observe import open_known
 from service.bundle import Bundle, load_bundle
 from service.core.errors import InputError
-from service.core.events import Event, decode
-from service.logs import Log
+from service.core.events import Event
 
 EXAMPLE = """example:
-  faultline evaluate out/demo/logs/validation-7-fA_t --bundle out/demo/bundle \\
+  faultline evaluate out/demo/bundle out/demo/logs/validation-7-fA_t \\
       --truth out/demo/truth/validation-7-fA_t.toml --picture out/fA_t.png
+  faultline evaluate out/demo/bundle out/demo/logs/validation-* --truth out/demo/truth --report out/report
 
 Times are log time after the first frame, as in the truth; an event's own count from the first tick, some seconds later.
 It exits with 1 where a true fault is not in the isolated set, something alarmed before, or a test could never tell.
+--json prints a verdict a line. --report writes DIR/report.html and DIR/report.json; docs/evaluation.md says how to
+read them.
 """
+
+DETAILED = 12
+"""Recordings of which the report shows residuals and CUSUM over time, unless others are chosen."""
 
 
 def main(argv: list[str]) -> int:
-    """Runs the command; returns 0 where the verdict is good, 1 where not."""
+    """Runs the command; returns 0 where all verdicts are good, 1 where not."""
+    options = _options(argv)
+    bundle = load_bundle(options.bundle)
+    chosen = given(bundle, options.recording, options.truth, options.fault)
+    cases = cases_of([one.truth for one in chosen])
+    shown = detailed(options.detail, chosen)
+    if options.report:
+        _make(options.report)
+    judged: list[Facts] = []
+    stories: list[Story] = []
+    with Progress("evaluating") as progress:
+        for one, story, events, verdict in _judged(options, bundle, chosen, progress):
+            print(msgspec.json.encode(verdict).decode() if options.json else sentence(verdict), flush=True)
+            judged.append(facts(one, cases[one.recording.id], verdict, events, story))
+            if options.report and one.recording.id in shown:
+                stories.append(story)
+        if len(chosen) > 1:
+            print(summary(judged), file=sys.stderr if options.json else sys.stdout)
+        if options.report:
+            progress.say("drawing the report")
+            _report(options.report, bundle, judged, stories, [*map(_pair, options.require)])
+    return 0 if all(one.verdict.good for one in judged) else 1
+
+
+def _options(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         "faultline evaluate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("recording", type=Path, help="an instrumented recording, not used for calibration or tuning")
-    parser.add_argument("--bundle", type=Path, required=True)
-    parser.add_argument("--truth", type=Path, required=True, help="its truth.toml")
-    parser.add_argument("--events", type=Path, help="judge these events (JSON lines of a live run) instead of its own")
-    parser.add_argument("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG")
-    parser.add_argument("--json", action="store_true")
+    add = parser.add_argument
+    add("bundle", type=Path, help="a bundle's folder, of `faultline export`")
+    add("recording", type=Path, nargs="+", help="instrumented, not used for calibration, training or tuning")
+    add("--truth", type=Path, nargs="+", required=True, help="truth files, or folders of <recording>.toml")
+    add("--report", type=Path, metavar="DIR", help="write report.html and report.json into this folder")
+    add("--fault", action="append", default=[], metavar="NAME", help="judge only recordings with it, and fault-free")
+    add("--detail", nargs="+", default=[], metavar="ID", help="recordings that the report shows over time")
+    add(
+        "--require",
+        action="append",
+        default=[],
+        metavar="FAULT[:OTHER]",
+        help="generators to keep must detect this fault, or isolate it from the other (default: all that they can)",
+    )
+    add("--events", type=Path, help="judge these events (JSON lines of a live run) instead of its own; one recording")
+    add("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG; one recording")
+    add("--json", action="store_true", help="print verdicts as JSON, one a line")
     options = parser.parse_args(argv)
     if options.picture and options.picture.suffix != ".png":
         raise InputError(f"{options.picture}: no name of a picture; give one that ends in .png")
-    bundle = load_bundle(options.bundle)
-    log = open_known(options.recording, partial(print, file=sys.stderr))
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
-    origin = bundle.manifest.origin
-    if log.sha256 in [*origin.calibrate, *origin.train, *origin.tune]:
-        raise InputError(
-            f"{options.recording}: the bundle was made from this recording; evaluate on one it has not seen"
-        )
-    truth = load_truth(options.truth, log.id)
-    live = _events(options.events, bundle, log) if options.events else None
-    with Progress(f"evaluating {log.id}") as progress:
+    for name in ("picture", "events"):
+        if getattr(options, name) and len(options.recording) > 1:
+            raise InputError(f"--{name}: of one recording, here are {len(options.recording)}; give one, or --report")
+    return options
+
+
+def _make(folder: Path) -> None:
+    """The report's folder, before hours of recordings are run for it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
+
+
+def _pair(words: str) -> tuple[str, str | None]:
+    fault, _, other = words.partition(":")
+    return fault, other or None
+
+
+def detailed(wanted: list[str], chosen: list[Given]) -> list[str]:
+    """Ids of the recordings shown over time: the first without a fault, and the first of the largest size of each.
+
+    Raises:
+        InputError: one is `wanted` that is not among the recordings.
+    """
+    ids = [one.recording.id for one in chosen]
+    for name in wanted:
+        if name not in ids:
+            raise InputError(f"--detail {name}: is none of the recordings; those are {', '.join(ids)}")
+    largest: dict[tuple[str, ...], Given] = {}
+    for one in chosen:
+        faults = tuple(sorted(fault.name for fault in one.truth.fault))
+        if faults not in largest or _size(one) > _size(largest[faults]):
+            largest[faults] = one
+    return wanted or [one.recording.id for one in largest.values()][:DETAILED]
+
+
+def _size(one: Given) -> float:
+    return sum(abs(fault.size) for fault in one.truth.fault)
+
+
+def _judged(
+    options: argparse.Namespace, bundle: Bundle, chosen: list[Given], progress: Progress
+) -> Iterator[tuple[Given, Story, list[Event], Verdict]]:
+    """Each recording run and judged, one at a time."""
+    tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
+    for number, one in enumerate(chosen, start=1):
+        progress.say(f"{one.recording.id}, {number} of {len(chosen)}")
+        log = one.open(bundle, partial(print, file=sys.stderr))
+        live = live_events(options.events, bundle, log) if options.events else None
         story = tell(bundle, log)
-        tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
         events = story.events if live is None else live
-        verdict = judge(truth, events, tests, story.origin_s, story.end_s)
+        verdict = judge(one.truth, events, tests, story.origin_s, story.end_s)
         if live is not None:
             off = apart(live, story.events, len(story.t_s) - 1)
             verdict = msgspec.structs.replace(verdict, apart_ticks=off)
         if options.picture:
             progress.say("drawing")
             _draw(story, live, verdict, options.picture)
-    print(msgspec.json.encode(verdict).decode() if options.json else _sentence(verdict))
-    return 0 if verdict.good else 1
+        yield one, story, events, verdict
 
 
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:
@@ -71,39 +152,9 @@ def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) 
     draw(story, live, verdict, path)
 
 
-def _events(path: Path, bundle: Bundle, log: Log) -> list[Event]:
-    """The events in a file, which must be about this log and from this bundle."""
-    if not path.is_file():
-        raise InputError(f"{path}: not found; `faultline watch --json` writes events")
-    events = []
-    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
-        try:
-            events.append(decode(line))
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise InputError(f"{path}: line {number}: not an event: {error}") from error
-        if events[-1].bundle != bundle.id:
-            raise InputError(
-                f"{path}: line {number}: told by bundle {events[-1].bundle[:12]}, not by {bundle.id[:12]}; "
-                "give the bundle that the service ran"
-            )
-        if (source := events[-1].id.rpartition("-")[0]) != log.id:
-            raise InputError(
-                f"{path}: line {number}: is about {source!r}, not about {log.id!r}; "
-                f"give the events of this recording (faultline run --source {log.id})"
-            )
-    if not events:
-        raise InputError(f"{path}: holds no event, not even that the service started; was it running?")
-    return events
+def _report(
+    folder: Path, bundle: Bundle, judged: list[Facts], stories: list[Story], required: list[tuple[str, str | None]]
+) -> None:
+    from analysis.evaluation.report.write import write  # matplotlib takes a second to import
 
-
-def _sentence(v: Verdict) -> str:
-    blind = f"; {', '.join(v.blind)} could never tell" if v.blind else ""
-    if not v.faults:
-        return f"{v.recording}: fault-free, {v.false_alarms} false alarms{blind}"
-    found = (
-        f"detected after {v.delay_s:g} s, isolated {{{', '.join(v.isolated)}}}, first {', '.join(v.first)}"
-        if v.detected
-        else "not detected"
-    )
-    fault = f"{', '.join(v.faults)} from {v.onset_s:g} s"
-    return f"{v.recording}: {fault}, {found}; {v.false_alarms} false alarms before{blind}"
+    write(folder, bundle, judged, stories, required)

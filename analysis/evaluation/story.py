@@ -11,6 +11,7 @@ from service.core.errors import InputError
 from service.core.events import Event
 from service.core.monitor import Monitor
 from service.core.observer import Tick
+from service.core.signals import Mask
 from service.logs import Log
 
 Array = npt.NDArray[np.float64]
@@ -18,21 +19,56 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Story:
-    """K ticks: samples z (K, nz), residuals and predictions (K, T), whether usable (K, T), CUSUM in parts of J (K, T).
+    """K ticks: samples z (K, nz), residuals and predictions (K, T), whether usable (K, T), CUSUM sums (K, T).
 
-    `t_s` (K,) is log time after the first frame, `origin_s` that of tick 0, `end_s` that of the last one.
+    `t_s` (K,) is log time after the first frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s`
+    that of the last one. Columns are generators, in the manifest's order.
     """
 
     bundle: Bundle
+    recording: str
     events: list[Event]
     t_s: Array
     z: Array
     r: Array
     y_hat: Array
-    usable: npt.NDArray[np.bool_]
+    usable: Mask
     sums: Array
+    mode: npt.NDArray[np.intp]
     origin_s: float
     end_s: float
+
+    @property
+    def standardised(self) -> Array:
+        """The residuals as detectors see them (K, T): off their fault-free offset, in spreads of their mode."""
+        detectors = self.bundle.manifest.detectors
+        offset = np.array([detector.offset for detector in detectors])  # (T, modes)
+        scale = np.array([detector.scale for detector in detectors])
+        return np.asarray((self.r - offset[:, self.mode].T) / scale[:, self.mode].T)
+
+    @property
+    def parts(self) -> Array:
+        """CUSUM sums in parts of their thresholds, without sign (K, T)."""
+        return np.asarray(abs(self.sums) / np.array([detector.J for detector in self.bundle.manifest.detectors]))
+
+    @property
+    def alarm(self) -> Mask:
+        """Whether each generator's detector alarms and can tell (K, T): from its threshold on until its sum is zero."""
+        return latched(self.parts) & self.usable
+
+
+def latched(parts: Array) -> Mask:
+    """From reaching 1 until back at 0, for every column (K, T).
+
+    >>> latched(np.array([[0.5], [1.2], [0.3], [0.0], [0.4]]))[:, 0].tolist()
+    [False, True, True, False, False]
+    """
+    alarm = np.zeros(parts.shape, dtype=np.bool_)
+    standing = np.zeros(parts.shape[1], dtype=np.bool_)
+    for k, row in enumerate(parts):
+        standing = (standing & (row > 0.0)) | (row >= 1.0)
+        alarm[k] = standing
+    return alarm
 
 
 def tell(bundle: Bundle, log: Log) -> Story:
@@ -54,6 +90,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
         raise InputError(f"{log.id}: ends before its first tick; evaluate on a longer recording")
     return Story(
         bundle=bundle,
+        recording=log.id,
         events=events,
         t_s=np.array([tick.t_s for tick in ticks]),
         z=np.array([tick.z for tick in ticks]),
@@ -61,6 +98,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
         y_hat=np.array([tick.residuals.y_hat for tick in ticks]),
         usable=np.array([tick.residuals.usable for tick in ticks]),
         sums=np.array(sums),
+        mode=np.array([tick.mode for tick in ticks]),
         origin_s=ticks[0].t_s,
         end_s=ticks[-1].t_s,
     )

@@ -26,7 +26,7 @@ LOG, BUNDLE, TRUTH, EVENTS = GOLDEN / "log", GOLDEN / "bundle", GOLDEN / "truth.
 
 
 def evaluate(*more: str | Path, truth: Path = TRUTH, bundle: Path = BUNDLE) -> int:
-    return main(list(map(str, [LOG, "--bundle", bundle, "--truth", truth, *more])))
+    return main(list(map(str, [bundle, LOG, "--truth", truth, *more])))
 
 
 def lines() -> list[dict[str, Any]]:
@@ -169,7 +169,7 @@ def test_a_recording_in_which_no_test_could_tell_is_no_peace(
     truth = tmp_path / "truth.toml"
     truth.write_text('schema = 1\nrecording = "golden"\n')
     picture = tmp_path / "blind.png"
-    assert main([str(log), "--bundle", str(BUNDLE), "--truth", str(truth), "--picture", str(picture)]) == 1
+    assert main([str(BUNDLE), str(log), "--truth", str(truth), "--picture", str(picture)]) == 1
     assert picture.stat().st_size > 20_000
     assert "fault-free, 0 false alarms; t02, t06, t08, t09, t10, t12, t13, t19, t20 could never tell" in (
         capsys.readouterr().out
@@ -209,7 +209,7 @@ def test_a_recording_of_another_dbc_is_refused(tmp_path: Path) -> None:
     other = hashlib.sha256((log / "uds.dbc").read_bytes()).hexdigest()
     (log / "recording.toml").write_text(re.sub(r'dbc_sha256 = "\w+"', f'dbc_sha256 = "{other}"', described))
     with pytest.raises(InputError, match=f"recorded with DBC {other[:12]}, the bundle was made for"):
-        main([str(log), "--bundle", str(BUNDLE), "--truth", str(TRUTH)])
+        main([str(BUNDLE), str(log), "--truth", str(TRUTH)])
 
 
 @pytest.mark.parametrize("name", ["story.txt", "story", "folder/"])
@@ -220,4 +220,4 @@ def test_a_picture_is_a_png(tmp_path: Path, name: str) -> None:
 
 def test_a_bare_log_is_refused() -> None:
     with pytest.raises(InputError, match="a bare log names no DBC; give its recording's folder"):
-        main([str(LOG / "can.log"), "--bundle", str(BUNDLE), "--truth", str(TRUTH)])
+        main([str(BUNDLE), str(LOG / "can.log"), "--truth", str(TRUTH)])

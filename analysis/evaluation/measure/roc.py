@@ -1,0 +1,39 @@
+"""Receiver operating characteristic of a generator: how well its score tells faulty blocks from fault-free ones.
+
+The score is that of `blocks`, so the curve is the residual's own and no threshold of the bundle is in it.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import rankdata
+
+Array = npt.NDArray[np.float64]
+
+
+def area(free: Array, faulty: Array) -> float | None:
+    """Area under the curve: the probability that a faulty block scores higher than a fault-free one, ties a half.
+
+    By ranks (Mann and Whitney 1947). NaN scores are left out; None where a side has none.
+
+    >>> area(np.array([1.0, 2.0]), np.array([2.0, 3.0]))
+    0.875
+    """
+    free, faulty = free[np.isfinite(free)], faulty[np.isfinite(faulty)]
+    if not free.size or not faulty.size:
+        return None
+    ranks = rankdata(np.concatenate([free, faulty]))[free.size :]
+    return float((ranks.sum() - faulty.size * (faulty.size + 1) / 2) / (free.size * faulty.size))
+
+
+def curve(free: Array, faulty: Array) -> tuple[Array, Array]:
+    """Shares of fault-free and of faulty blocks at or above each threshold, from none to all.
+
+    >>> [points.tolist() for points in curve(np.array([1.0, 2.0]), np.array([2.0, 3.0]))]
+    [[0.0, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.0]]
+    """
+    free, faulty = free[np.isfinite(free)], faulty[np.isfinite(faulty)]
+    thresholds = np.concatenate([[np.inf], np.unique(np.concatenate([free, faulty]))[::-1]])
+    return (
+        np.asarray((free[None] >= thresholds[:, None]).mean(axis=1)),
+        np.asarray((faulty[None] >= thresholds[:, None]).mean(axis=1)),
+    )

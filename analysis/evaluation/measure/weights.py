@@ -1,0 +1,28 @@
+"""What a diagnosis says, as a probability of each explanation."""
+
+from collections.abc import Collection, Sequence
+
+from service.core.events import Diagnosis
+
+Explanation = frozenset[str]
+"""Names of the faults that are there together; none: no known fault explains it."""
+
+UNKNOWN: Explanation = frozenset()
+
+
+def weights(diagnoses: Sequence[Diagnosis]) -> dict[Explanation, float]:
+    """The probability given to each explanation; where no p is told, it is shared equally by those of rank 1.
+
+    >>> told = [Diagnosis(faults=["fA"], rank=1, p=None), Diagnosis(faults=["fB"], rank=1, p=None)]
+    >>> weights([*told, Diagnosis(faults=["fC"], rank=3, p=None)])[frozenset({"fA"})]
+    0.5
+    """
+    if any(diagnosis.p is not None for diagnosis in diagnoses):
+        return {frozenset(diagnosis.faults): diagnosis.p or 0.0 for diagnosis in diagnoses}
+    first = [frozenset(diagnosis.faults) for diagnosis in diagnoses if diagnosis.rank == 1]
+    return {explanation: 1.0 / len(first) for explanation in first}
+
+
+def true_explanation(faults: Collection[str], known: Collection[str]) -> Explanation:
+    """What should be told of these faults: their names, or *unknown* where one of them is not among the `known`."""
+    return frozenset(faults) if set(faults) <= set(known) else UNKNOWN

@@ -1,0 +1,219 @@
+"""The evaluation of a bundle as data, schema `faultline.evaluation/1`: what `report.json` holds and the page shows."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from analysis.evaluation.judge import Verdict
+from analysis.evaluation.measure.blocks import joined
+from analysis.evaluation.measure.equal import equal_groups
+from analysis.evaluation.measure.facts import Facts
+from analysis.evaluation.measure.intervals import Rate, Share, rate, share
+from analysis.evaluation.measure.isolation import Isolation, isolations
+from analysis.evaluation.measure.methods import Method, methods
+from analysis.evaluation.measure.metrics import Scores, scores
+from analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
+from analysis.evaluation.measure.signature import Cell, cells
+from service.bundle import Bundle
+from service.core.errors import InputError
+from service.core.manifest import MODES
+from service.core.modes import MAXIMUM
+
+SCHEMA: Final = "faultline.evaluation/1"
+SIMULATED = "simulated"
+"""How the rig's recordings begin to say where they are from."""
+
+
+class Judged(msgspec.Struct, frozen=True, kw_only=True):
+    """One recording: where it is from, its case, hours, the verdict, and times by DAMADICS [s]."""
+
+    id: str
+    source: str
+    vehicle: str
+    cycle: str
+    case: str
+    fault_free_hours: float
+    faulty_hours: float
+    detection_s: float | None
+    isolation_s: float | None
+    verdict: Verdict
+
+
+class Test(msgspec.Struct, frozen=True, kw_only=True):
+    """One generator on fault-free data.
+
+    `alarms`: episodes of its detector for each hour in which it could tell; `blocks`: blocks with an alarm. `rms` is
+    that of the residual [`unit`]. `equals` is the first generator that is numerically the same signal, itself or other.
+    """
+
+    generator: str
+    test: str
+    predicts: str
+    unit: str
+    faults: list[str]
+    states: int
+    rms: float | None
+    alarms: Rate
+    blocks: Share
+    cannot_tell: float
+    equals: str
+
+
+class Told(msgspec.Struct, frozen=True, kw_only=True):
+    """What was told over all recordings; false alarms are told episodes of the fault-free parts.
+
+    `shared`: where no probability was told, it was shared equally by the diagnoses of rank 1.
+    """
+
+    false_alarms: Rate
+    scores: Scores
+    shared: bool
+
+
+class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything. `selection` is None where there are more generators than can be searched exactly."""
+
+    schema: str
+    bundle: str
+    bundle_id: str
+    sensor_set: str
+    model: str
+    simulated: bool
+    faults: dict[str, str]
+    mode_hours: dict[str, float]
+    recordings: list[Judged]
+    told: Told
+    tests: list[Test]
+    cells: list[Cell]
+    isolation: list[Isolation]
+    methods: list[Method]
+    selection: Selection | None
+
+
+def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str, str | None]] = ()) -> Evaluation:
+    """The evaluation of a bundle over recordings.
+
+    Raises:
+        InputError: the recordings have no fault-free part, or no phase of maximum dose; or `required` cannot be met.
+    """
+    manifest = bundle.manifest
+    known = [fault.name for fault in manifest.faults]
+    modes = np.sum([one.modes.sum(axis=0) for one in of], axis=0)
+    if joined([one.blocks for one in of]).faulty.all():
+        raise InputError("no fault-free part in these recordings; add a fault-free one, or one with a later onset")
+    if not modes[MAXIMUM]:
+        raise InputError(
+            "no phase of maximum dose in these recordings, where most faults show best; add a recording that has one"
+        )
+    tests = _tests(bundle, of)
+    found = cells(of, manifest.generators, known)
+    return Evaluation(
+        schema=SCHEMA,
+        bundle=manifest.name,
+        bundle_id=bundle.id,
+        sensor_set=manifest.sensor_set,
+        model=manifest.origin.model,
+        simulated=all(one.given.recording.source.startswith(SIMULATED) for one in of),
+        faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},
+        mode_hours={m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(MODES, modes, strict=True)},
+        recordings=[_judged(one) for one in of],
+        told=Told(
+            false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of)),
+            scores=scores([one.told for one in of]),
+            shared=any(one.told.shared for one in of),
+        ),
+        tests=tests,
+        cells=found,
+        isolation=isolations(of, known),
+        methods=methods(of, manifest.generators, known),
+        selection=_selection(bundle, of, tests, found, required) if len(tests) <= EXACT else None,
+    )
+
+
+def _judged(one: Facts) -> Judged:
+    recording = one.given.recording
+    return Judged(
+        id=recording.id,
+        source=recording.source,
+        vehicle=recording.vehicle,
+        cycle=recording.cycle,
+        case=one.case.label,
+        fault_free_hours=round(float(one.hours[0]), 4),
+        faulty_hours=round(float(one.hours[1]), 4),
+        detection_s=one.told.detection_s,
+        isolation_s=one.told.isolation_s,
+        verdict=one.verdict,
+    )
+
+
+def _tests(bundle: Bundle, of: Sequence[Facts]) -> list[Test]:
+    generators = bundle.manifest.generators
+    units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
+    blocks = joined([one.blocks for one in of])
+    ticks = sum(int(one.ticks[0]) for one in of)
+    equal = equal_groups([part for one in of for part in one.products])
+    found = []
+    for column, generator in enumerate(generators):
+        usable = sum(int(one.usable[0, column]) for one in of)
+        tells = blocks.tells[:, column] & ~blocks.faulty
+        square = sum(float(one.square[0, column]) for one in of)
+        found.append(
+            Test(
+                generator=generator.name,
+                test=generator.test,
+                predicts=generator.predicts,
+                unit=units[generator.predicts],
+                faults=generator.faults,
+                states=len(generator.states),
+                rms=float(np.sqrt(square / usable)) if usable else None,
+                alarms=rate(sum(int(one.episodes[column]) for one in of), usable * bundle.manifest.period_s / 3600.0),
+                blocks=share(int((blocks.alarms[:, column] & tells).sum()), int(tells.sum())),
+                cannot_tell=round(1.0 - usable / ticks, 4),
+                equals=generators[equal[column]].name,
+            )
+        )
+    return found
+
+
+def _selection(
+    bundle: Bundle,
+    of: Sequence[Facts],
+    tests: Sequence[Test],
+    found: Sequence[Cell],
+    required: Sequence[tuple[str, str | None]],
+) -> Selection:
+    names = [test.generator for test in tests]
+    known = [fault.name for fault in bundle.manifest.faults]
+    faults = {one.case.label: one.case.faults for one in of}
+    free = {test.generator: test.blocks for test in tests}
+    reached = [
+        Reach(case, faults[case], [_reaches(cell, free[cell.generator]) for cell in found if cell.case == case])
+        for case in dict.fromkeys(cell.case for cell in found)
+        if len(faults[case]) == 1 and faults[case][0] in known
+    ]
+    blocks = joined([one.blocks for one in of])
+    return select(
+        names,
+        [test.faults for test in tests],
+        [test.states for test in tests],
+        reached,
+        (blocks.alarms & blocks.tells)[~blocks.faulty],
+        [names.index(test.equals) for test in tests],
+        known,
+        _isolating(bundle),
+        required,
+    )
+
+
+def _isolating(bundle: Bundle) -> list[bool]:
+    """Whether each generator's alarm is a conflict: those in a graph that hypotheses are predicted for."""
+    generators = bundle.manifest.generators
+    graphs = {g.graph for g in generators if g.name in bundle.manifest.evidence.generators}
+    return [generator.graph in graphs for generator in generators]
+
+
+def _reaches(cell: Cell, free: Share) -> bool:
+    p = cell.alarm.p
+    return bool(cell.sensitive) and p is not None and p >= REACHED and cell.alarm.low > free.high

@@ -1,0 +1,262 @@
+"""The tables of the page, each from the evaluation's data."""
+
+from collections.abc import Callable, Sequence
+
+from analysis.evaluation.measure.blocks import SCORED
+from analysis.evaluation.measure.isolation import columns
+from analysis.evaluation.measure.selection import Selection
+from analysis.evaluation.measure.signature import Cell
+from analysis.evaluation.report.document import Evaluation
+from analysis.evaluation.report.markup import Row, Td, table
+from analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
+
+
+def glance(e: Evaluation) -> str:
+    """The benchmarks' figures."""
+    s = e.told.scores
+    rows: list[Row] = [
+        ["true detection rate (TDR)", percent(s.tdr)],
+        ["false alarm rate (FAR)", percent(s.far)],
+        ["fault isolation accuracy (FIA)", number(s.fia)],
+        ["true isolation rate", percent(s.true_isolation)],
+        ["false isolation rate", percent(s.false_isolation)],
+        ["false alarms told", f"{e.told.false_alarms.events} ({hourly(e.told.false_alarms)})"],
+    ]
+    return table("Figures of the DX 2025 challenge and of DAMADICS over all recordings.", ["figure", "value"], rows)
+
+
+def recordings(e: Evaluation) -> str:
+    """Each with its verdict."""
+    rows: list[Row] = []
+    for one in e.recordings:
+        v = one.verdict
+        rows.append(
+            [
+                one.id,
+                Td(one.case, text=True),
+                f"{one.fault_free_hours + one.faulty_hours:.2f}",
+                str(v.false_alarms),
+                seconds(v.delay_s),
+                seconds(one.detection_s),
+                seconds(one.isolation_s),
+                Td(", ".join(v.first) or NONE, text=True),
+                Td(", ".join(name for name in v.isolated if name not in v.first) or NONE, text=True),
+                Td(", ".join(v.blind) or NONE, text=True),
+            ]
+        )
+    head = ["recording", "truth", "hours", "false alarms", "delay", "detection time", "isolation time"]
+    caption = "What was told at the end of each recording; delay: from the onset to the first diagnosis that is new."
+    return table(caption, [*head, "rank 1", "further", "could never tell"], rows)
+
+
+def confusion(e: Evaluation) -> str:
+    """True case against the explanations of rank 1."""
+    if not e.isolation:
+        return ""
+    names = columns(e.isolation, [*e.faults])
+    rows: list[Row] = [
+        [
+            f"{row.case} (n {row.recordings})",
+            *(_weight(row.told.get(name, 0.0), name == row.true) for name in names),
+        ]
+        for row in e.isolation
+    ]
+    caption = (
+        "Rows: what was there; columns: what was told at the end, as the mean probability given to it (shared equally "
+        "by the diagnoses of rank 1 where none is told). Framed: the true diagnosis."
+    )
+    return table(caption, ["truth", *names], rows)
+
+
+def _weight(weight: float, true: bool) -> Td:
+    return Td(f"{weight:.2f}" if weight else "", tint=weight, marked=true)
+
+
+def faults(e: Evaluation) -> str:
+    """Which component each fault is of."""
+    rows: list[Row] = [[name, Td(words, text=True)] for name, words in e.faults.items()]
+    return table("Faults that the bundle knows, with their components.", ["fault", "component"], rows)
+
+
+def isolation(e: Evaluation) -> str:
+    """Detection, rank, probability and size of the diagnosis by case."""
+    if not e.isolation:
+        return ""
+    rows: list[Row] = [
+        [
+            row.case,
+            Td(f"{row.detected.hits} of {row.recordings}", between(row.detected)),
+            seconds(row.median_delay_s),
+            Td(f"{row.contained.hits} of {row.recordings}", between(row.contained)),
+            Td(f"{row.alone.hits} of {row.recordings}", between(row.alone)),
+            _listed(row.ranks),
+            _listed([f"{p:.2f}" for p in row.p]),
+            _listed(row.sizes),
+            number(row.scores.fia),
+            percent(row.scores.true_isolation),
+            percent(row.scores.false_isolation),
+        ]
+        for row in e.isolation
+    ]
+    head = ["truth", "detected", "delay, median", "true one contained", "alone of rank 1", "its rank", "its p", "size"]
+    caption = (
+        "By fault. Rank, p and size (number of diagnoses) are those at the end of each recording; p where it is told."
+    )
+    return table(caption, [*head, "FIA", "true isolation", "false isolation"], rows)
+
+
+def _listed(values: Sequence[object]) -> str:
+    return ", ".join(map(str, values)) or NONE
+
+
+def fault_free(e: Evaluation) -> str:
+    """False alarms of each generator."""
+    rows: list[Row] = [
+        [
+            test.generator,
+            test.predicts,
+            _physical(test.rms, test.unit),
+            Td(f"{test.alarms.events} in {test.alarms.hours:.2f} h", hourly(test.alarms)),
+            Td(percent(test.blocks.p), between(test.blocks), tint=test.blocks.p or 0.0),
+            percent(test.cannot_tell),
+            test.equals if test.equals != test.generator else "",
+        ]
+        for test in e.tests
+    ]
+    caption = (
+        "Alarms of a detector are suspicions and are not told by themselves. Same signal as: numerically, within a "
+        "tenth, in every recording."
+    )
+    head = ["generator", "predicts", "residual, RMS", "alarms", "blocks with an alarm", "cannot tell", "same signal as"]
+    return table(caption, head, rows)
+
+
+def _physical(rms: float | None, unit: str) -> str:
+    if rms is None:
+        return NONE
+    return f"{rms / 100.0:.1f} mbar" if unit == "Pa" else f"{rms:.3g} {unit}"
+
+
+def signature(e: Evaluation) -> str:
+    """Probability of alarm."""
+    caption = (
+        "Share of the blocks in which a generator alarms, with its 95 % interval; n: blocks in which it could tell. "
+        "Framed: the test is sensitive by structure; a dark cell without a frame is an alarm that structure does not "
+        "expect, or a false one. The first column is fault-free."
+    )
+    free = {test.generator: test.blocks for test in e.tests}
+
+    def cell(c: Cell) -> Td:
+        return Td(percent(c.alarm.p), between(c.alarm), tint=c.alarm.p or 0.0, marked=bool(c.sensitive))
+
+    return _grid(
+        e,
+        caption,
+        cell,
+        ("fault-free", lambda name: Td(percent(free[name].p), between(free[name]), free[name].p or 0.0)),
+    )
+
+
+def delays(e: Evaluation) -> str:
+    """From the onset to the first alarm."""
+    caption = (
+        "Median delay from the onset to the first alarm that began after it; below, in how many recordings there was "
+        "one, and in how many a false one stood at the onset already. All delays are in report.json. Framed: sensitive "
+        "by structure."
+    )
+
+    def cell(c: Cell) -> Td:
+        stood = f", {c.standing} stood" if c.standing else ""
+        return Td(seconds(c.median_delay_s), f"{len(c.delays_s)} of {c.recordings}{stood}", marked=bool(c.sensitive))
+
+    return _grid(e, caption, cell)
+
+
+def blind(e: Evaluation) -> str:
+    """Share of *cannot tell*."""
+    caption = "Share of the time with the fault in which a generator cannot tell: silence there is no peace."
+    free = {test.generator: test.cannot_tell for test in e.tests}
+
+    def cell(c: Cell) -> Td:
+        return Td(percent(c.cannot_tell), tint=c.cannot_tell or 0.0, marked=bool(c.sensitive))
+
+    return _grid(e, caption, cell, ("fault-free", lambda name: Td(percent(free[name]), tint=free[name])))
+
+
+def _grid(
+    e: Evaluation, caption: str, of: Callable[[Cell], Td], first: tuple[str, Callable[[str], Td]] | None = None
+) -> str:
+    """Generators down, cases across, with another column `first` if wanted."""
+    cases = [*dict.fromkeys(cell.case for cell in e.cells)]
+    found = {(cell.generator, cell.case): cell for cell in e.cells}
+    rows: list[Row] = [
+        [test.generator, *([first[1](test.generator)] if first else []), *(of(found[test.generator, c]) for c in cases)]
+        for test in e.tests
+    ]
+    return table(caption, ["generator", *([first[0]] if first else []), *cases], rows)
+
+
+def by_mode(e: Evaluation) -> str:
+    """Area under the curve by operating mode, over the cases that a generator is sensitive to."""
+    rows: list[Row] = []
+    for test in e.tests:
+        own = [cell for cell in e.cells if cell.generator == test.generator and cell.sensitive]
+        cells: list[str | Td] = []
+        for name in SCORED:
+            areas = [area for cell in own if (area := cell.auc[name]) is not None]
+            worst = min(areas, default=None)
+            cells.append(Td(number(sum(areas) / len(areas) if areas else None), f"least {number(worst)}"))
+        rows.append([test.generator, *cells])
+    caption = (
+        "Area under the curve by operating mode: mean over the faults (by size) that the test is sensitive to by "
+        "structure, and the least of them. Each is in report.json."
+    )
+    return table(caption, ["generator", *SCORED], rows)
+
+
+def areas(e: Evaluation) -> str:
+    """Area under the curve of each generator and fault, over all modes but the edge."""
+    caption = (
+        "Area under the curve over all modes but the edge. Framed: sensitive by structure; others should be at 0.5."
+    )
+
+    def cell(c: Cell) -> Td:
+        area = c.auc[SCORED[0]]
+        return Td(number(area), tint=max(2.0 * (area or 0.5) - 1.0, 0.0), marked=bool(c.sensitive))
+
+    return _grid(e, caption, cell)
+
+
+def methods(e: Evaluation) -> str:
+    """Equations beside networks."""
+    units = {test.generator: test.unit for test in e.tests}
+    rows: list[Row] = [
+        [
+            f"{m.test}: {m.generator}",
+            _physical(m.rms, units[m.generator]) if m.rms is not None else NONE,
+            Td(percent(m.false.p), between(m.false)),
+            Td(percent(m.found.p), between(m.found)),
+            Td(percent(m.crossed.p), between(m.crossed)),
+            number(m.auc),
+            percent(m.cannot_tell),
+        ]
+        for m in e.methods
+    ]
+    head = ["test: generator", "residual, RMS", "false: fault-free", "found: sensitive", "crossed: decoupled", "AUC"]
+    caption = (
+        "Generators of the same test. Blocks with an alarm: without a fault, with faults that the test is sensitive "
+        "to, with faults that it decouples. Together: either alarms. Networks raise suspicion and are no conflicts."
+    )
+    return table(caption, [*head, "cannot tell"], rows)
+
+
+def requirements(s: Selection) -> str:
+    """What the generators to keep must do."""
+    rows: list[Row] = [
+        [
+            f"{r.case}: {'detected' if r.other is None else f'isolated from {r.other}'}",
+            Td(", ".join(r.met_by), text=True),
+        ]
+        for r in s.requirements
+    ]
+    return table("Each needs one generator of its row.", ["requirement", "met by"], rows)

@@ -1,0 +1,74 @@
+"""Residual and CUSUM over a recording, a row a generator, with the operating mode behind (thesis fig. 6.6, 6.13)."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from analysis.evaluation.measure.facts import Facts
+from analysis.evaluation.measure.signature import sensitive
+from analysis.evaluation.report.document import Evaluation
+from analysis.evaluation.story import Array, Story
+from service.core.manifest import MODES
+from service.core.signals import Mask
+
+SHADES = {"idle": "#dcefe3", "maximum": "#fbe3cf", "edge": "#d3d6da"}
+RESIDUAL, ALARM, ONSET = "#1f4e79", "#c62828", "#222222"
+UNITS = {"Pa": (100.0, "mbar")}
+
+Drawn = tuple[Figure, str, str]
+
+
+def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
+    """One recording; of generators that are numerically the same signal the first alone."""
+    rows = [row for row, test in enumerate(e.tests) if test.equals == test.generator]
+    figure = Figure(figsize=(13, 1.0 + 1.35 * len(rows)), layout="constrained")
+    axes = figure.subplots(len(rows), 2, squeeze=False, sharex=True)
+    for line, row in enumerate(rows):
+        test, (left, right) = e.tests[row], axes[line]
+        by, unit = UNITS.get(test.unit, (1.0, test.unit))
+        told, alarm = story.usable[:, row], story.alarm[:, row]
+        _trace(left, story.t_s, np.where(told, story.r[:, row] / by, np.nan), alarm)
+        _trace(right, story.t_s, story.parts[:, row], alarm)
+        right.axhline(1.0, color="black", linestyle="--", linewidth=0.9)
+        right.set_ylim(0.0, 2.2)
+        left.set_ylabel(f"{test.generator}\n[{unit}]", fontsize=8)
+        sees = bool(sensitive(test, one.case.faults, [*e.faults])) if one.case.faults else False
+        for panel in (left, right):
+            _behind(panel, story, one.verdict.onset_s)
+            panel.tick_params(labelsize=7)
+            for spine in panel.spines.values():
+                spine.set_linewidth(2.2 if sees else 0.6)
+    axes[0, 0].set_title("residual", fontsize=9)
+    axes[0, 1].set_title("CUSUM in parts of its threshold", fontsize=9)
+    for panel in axes[-1]:
+        panel.set_xlabel("log time [s]", fontsize=8)
+    handles = [Patch(color=shade, label=mode) for mode, shade in SHADES.items()]
+    handles.append(Patch(color=ALARM, label="alarm"))
+    figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=8, frameon=False)
+    name, case = one.verdict.recording, one.case.label
+    figure.suptitle(f"{name}: {case}", fontsize=10, fontweight="bold", x=0.01, ha="left")
+    alarmed = [e.tests[row].generator for row in rows if story.alarm[:, row].any()]
+    alt = f"Residuals and CUSUM sums of {name}, {case}; alarms of {', '.join(alarmed) or 'no generator'}."
+    caption = (
+        f"{name}, {case}. Dashed: threshold and onset; red: alarm; gaps: cannot tell; behind: operating mode (white: "
+        "partial dose). A thick frame: the test is sensitive to the fault by structure."
+    )
+    return figure, alt, caption
+
+
+def _trace(axes: Axes, t_s: Array, values: Array, alarm: Mask) -> None:
+    axes.plot(t_s, values, color=RESIDUAL, linewidth=0.7)
+    axes.plot(t_s, np.where(alarm, values, np.nan), color=ALARM, linewidth=0.9)
+    axes.margins(x=0)
+
+
+def _behind(axes: Axes, story: Story, onset_s: float | None) -> None:
+    """Operating modes as shades, and the onset."""
+    edges = np.flatnonzero(np.diff(story.mode)) + 1
+    for start, stop in zip([0, *edges], [*edges, len(story.mode)], strict=True):
+        shade = SHADES.get(MODES[story.mode[start]])
+        if shade:
+            axes.axvspan(story.t_s[start], story.t_s[stop - 1], color=shade, linewidth=0, zorder=0)
+    if onset_s is not None:
+        axes.axvline(onset_s, color=ONSET, linestyle="--", linewidth=1)

@@ -1,0 +1,40 @@
+"""Writes the report's two files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from analysis.evaluation.measure.facts import Facts
+from analysis.evaluation.report.document import evaluation
+from analysis.evaluation.report.page import page
+from analysis.evaluation.report.pictures import pictures
+from analysis.evaluation.story import Story
+from service.bundle import Bundle
+from service.core.errors import InputError
+
+PAGE, DATA = "report.html", "report.json"
+
+
+def write(
+    folder: Path,
+    bundle: Bundle,
+    judged: Sequence[Facts],
+    stories: Sequence[Story],
+    required: Sequence[tuple[str, str | None]] = (),
+) -> None:
+    """Writes `report.html` and `report.json`; `stories` are those of the recordings shown over time.
+
+    Raises:
+        InputError: the recordings do not make a report (`report.document.evaluation`), or the folder cannot be written.
+    """
+    document = evaluation(bundle, judged, required)
+    files = {
+        PAGE: page(document, pictures(document, judged, stories)).encode(),
+        DATA: msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n",
+    }
+    try:
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error

@@ -1,0 +1,36 @@
+"""A verdict in a line, and several in one."""
+
+from collections.abc import Sequence
+
+from analysis.evaluation.judge import Verdict
+from analysis.evaluation.measure.facts import Facts
+from analysis.evaluation.measure.intervals import rate
+
+
+def sentence(v: Verdict) -> str:
+    """What became of one recording."""
+    blind = f"; {', '.join(v.blind)} could never tell" if v.blind else ""
+    if not v.faults:
+        return f"{v.recording}: fault-free, {v.false_alarms} false alarms{blind}"
+    found = (
+        f"detected after {v.delay_s:g} s, isolated {{{', '.join(v.isolated)}}}, first {', '.join(v.first)}"
+        if v.detected
+        else "not detected"
+    )
+    fault = f"{', '.join(v.faults)} from {v.onset_s:g} s"
+    return f"{v.recording}: {fault}, {found}; {v.false_alarms} false alarms before{blind}"
+
+
+def summary(of: Sequence[Facts]) -> str:
+    """What became of several."""
+    faulty = [one for one in of if one.verdict.faults]
+    detected = sum(one.verdict.detected for one in faulty)
+    contained = sum(one.told.rank is not None for one in faulty)
+    alone = sum(one.told.alone for one in faulty)
+    false = rate(sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of))
+    hours = sum(float(one.hours.sum()) for one in of)
+    bound = f" (95 %: at most {false.high:.2g} an hour)" if false.high is not None else ""
+    return (
+        f"{len(of)} recordings, {hours:.1f} h: {detected} of {len(faulty)} faults detected, the true diagnosis among "
+        f"those told of {contained}, first alone of {alone}; {false.events} false alarms in {false.hours:.1f} h{bound}"
+    )
