@@ -20,6 +20,7 @@ from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.thresholds import Seen, seen, tune_detectors
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
+from service.core.manifest import brief
 
 GOLDEN_TICKS = 150
 
@@ -105,10 +106,11 @@ def _golden(s: Seen) -> list[list[float]]:
 
 
 def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
-    lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge"]
+    units = {g.name: unit for g, unit in zip(runnable.generators, runnable.units, strict=True)}
+    lines = [f"{'generator':<12}{'detector, nu, J':<26}   spread idle / partial / maximum / edge"]
     lines += [
-        f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {unit}"
-        for d, unit in zip(tuning.detectors, runnable.units, strict=True)
+        f"{d.generator:<12}{brief(d)}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {units[d.generator]}"
+        for d in tuning.detectors
     ]
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")
