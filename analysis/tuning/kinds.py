@@ -47,6 +47,12 @@ class Described(NamedTuple):
     usual: Array
 
 
+def described_by(detector: Detector) -> Described:
+    """What a detector says of its generator."""
+    usual = detector.usual if isinstance(detector, AdaptiveDetector) else [1.0] * len(detector.scale)
+    return Described(detector.generator, np.array(detector.offset), np.array(detector.scale), np.array(usual))
+
+
 class Run(NamedTuple):
     """A standardised residual: tick numbers (n,) and s (n,)."""
 

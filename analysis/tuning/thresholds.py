@@ -145,7 +145,7 @@ def describe(
     return Described(name, centres, scales, usual)
 
 
-def standard(s: Seen, row: int, described: Described, kind: Kind) -> Run:
+def standard(s: Seen, row: int, described: Described, kind: str) -> Run:
     """The standardised residual of a generator, where it could tell."""
     use, mode = s.usable[:, row], s.mode[s.usable[:, row]]
     spread = described.scale[mode]

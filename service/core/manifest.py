@@ -176,7 +176,8 @@ def kind_of(detector: Detector) -> str:
 def brief(detector: Detector) -> str:
     """Kind (or side), nu where it has one, and J, in columns of 26 characters in all."""
     if isinstance(detector, CusumDetector):
-        return f"{kind_of(detector) if detector.side == 'both' else detector.side:<9}{detector.nu:>7.2f}{detector.J:>10.1f}"
+        kind = kind_of(detector) if detector.side == "both" else detector.side
+        return f"{kind:<9}{detector.nu:>7.2f}{detector.J:>10.1f}"
     return f"{kind_of(detector):<16}{detector.J:>10.1f}"
 
 
@@ -234,6 +235,8 @@ class Count(_Part, frozen=True):
 class Claim(_Part, frozen=True):
     """What fault-free recordings say of false alarms: suspicions (a detector alarms) and confirmed diagnoses.
 
+    Of all the drives, so many were `left_out` of tuning in turn, and counted on.
+
     `target` [1/h] is of suspicions: *shown* where the upper bound is below it, *kept* where only the rate is, *missed*
     where that is not. `extrapolated`: the recordings were too short for the target, a tail was drawn on. `said` is all
     of that as a sentence.
@@ -241,6 +244,7 @@ class Claim(_Part, frozen=True):
 
     drives: Annotated[int, Meta(ge=1)]
     vehicles: Annotated[int, Meta(ge=1)]
+    left_out: Annotated[int, Meta(ge=0)]
     suspicions: Count
     diagnoses: Count
     target: Positive | None

@@ -47,6 +47,7 @@ def made(tmp_path: Path) -> Made:
         modes=modes_of(load_model("uds4")),
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
+        zero=[d.offset for d in golden.manifest.detectors],
         detectors=golden.manifest.detectors,
         evidence=golden.manifest.evidence,
         golden_z=golden.golden.z[:40],
