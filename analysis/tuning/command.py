@@ -27,7 +27,7 @@ from analysis.tuning.manifest import manifest_of
 from analysis.tuning.part import evidence_of_part
 from analysis.tuning.target import Rule
 from analysis.tuning.thresholds import Seen
-from analysis.tuning.vehicles import Vehicle, offsets, pooled, read
+from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, read
 from service.core.errors import InputError
 from service.core.manifest import Detector, brief
 
@@ -171,6 +171,7 @@ def _vehicles(
         if (name := vehicle_of(each.bank.model)) in names:
             raise InputError(f"--also {index}: its model is of {name!r} again; name the drives of a vehicle together")
         vehicles.append(read(each, paths, used, progress))
+        check_modes(vehicles[-1], stand_ins(each.bank.model))
         used |= {drive.sha256: "twice" for drive in vehicles[-1].drives}
     return vehicles
 

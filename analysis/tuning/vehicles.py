@@ -79,37 +79,38 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     return Vehicle(runnable, drives)
 
 
-def hardly_seen(drives: Sequence[Drive], stand_ins: Sequence[int]) -> str | None:
-    """The first test and mode that drives show too little of, as a phrase; None where there is none."""
-    generators = drives[0].seen.usable.shape[1]
-    for row in range(generators):
-        for mode in stand_ins:
-            ticks = sum(int(drive.seen.inside(row, mode).sum()) for drive in drives)
-            if ticks < MINIMUM_TICKS:
-                return f"test {row} saw mode {MODES[mode]!r} for {ticks} ticks only"
+def hardly_seen(drives: Sequence[Drive], stand_ins: Sequence[int]) -> tuple[int, int, int] | None:
+    """The first generator and mode that drives show too little of, and its ticks; None where there is none."""
+    for row, mode in np.ndindex(drives[0].seen.usable.shape[1], len(MODES)):
+        ticks = sum(int(drive.seen.inside(row, stand_ins[mode]).sum()) for drive in drives)
+        if ticks < MINIMUM_TICKS:
+            return row, stand_ins[mode], ticks
     return None
+
+
+def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
+    """Raises InputError where the vehicle's drives hardly show a mode: unknown is not zero."""
+    if (missing := hardly_seen(vehicle.drives, stand_ins)) is not None:
+        row, mode, ticks = missing
+        raise InputError(
+            f"tuning data ({', '.join(drive.seen.name for drive in vehicle.drives)}): "
+            f"{vehicle.runnable.generators[row].name} saw mode {MODES[mode]!r} for {ticks} ticks only; "
+            "add a fault-free recording that stays in it"
+        )
 
 
 def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array | None = None) -> Array:
     """The median residual (T, modes) of drives of one vehicle, `otherwise` (T, modes) where a mode was hardly seen.
 
-    Raises:
-        InputError: a mode was hardly seen, and there is nothing otherwise.
+    Without `otherwise` the drives must show every mode (`check_modes`).
     """
     shape = drives[0].seen.usable.shape[1], len(MODES)
-    found = np.zeros(shape)
+    found = np.full(shape, np.nan) if otherwise is None else otherwise.copy()
     for row, mode in np.ndindex(shape):
         r = np.concatenate([d.seen.r[d.seen.inside(row, stand_ins[mode]), row] for d in drives])
         if len(r) >= MINIMUM_TICKS:
             found[row, mode] = np.median(r)
-        elif otherwise is not None:
-            found[row, mode] = otherwise[row, mode]
-        else:
-            names = ", ".join(d.seen.name for d in drives)
-            raise InputError(
-                f"tuning data ({names}): a test saw mode {MODES[stand_ins[mode]]!r} for {len(r)} ticks only; "
-                "add a fault-free recording of this vehicle that stays in it"
-            )
+    assert np.isfinite(found).all(), "a mode is missing that nobody has checked"
     return found
 
 
