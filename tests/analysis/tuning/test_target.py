@@ -184,7 +184,8 @@ def test_the_claim_counts_bounds_and_says_what_was_left_out() -> None:
     made = claim(THREE, left_out, counts, 10.0, extrapolated=False)
     hours = 6 * 4000 / HOUR
     assert (made.vehicles, made.drives, made.left_out) == (3, 6, 6)
-    assert (made.suspicions.count, made.suspicions.hours) == (3, pytest.approx(hours))
+    assert made.suspicions.count == 3
+    assert made.suspicions.hours == pytest.approx(hours)
     assert made.suspicions.upper == pytest.approx(7.754 / hours, rel=1e-3)  # Poisson: 3 events, 95 %
     assert made.diagnoses.upper == pytest.approx(2.996 / hours, rel=1e-3)
     assert made.suspicions.low == 0.0
