@@ -174,7 +174,7 @@ def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_pa
 
 def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tmp_path: Path) -> None:
     base = load_tuning(fleet.base)
-    given = [fleet.b, fleet.drives["b1"], "--adapt", tmp_path / "base.json"]
+    given: list[str | Path] = [fleet.b, fleet.drives["b1"], "--adapt", tmp_path / "base.json"]
 
     def written(changed: Tuning) -> None:
         (tmp_path / "base.json").write_bytes(msgspec.json.encode(changed))
