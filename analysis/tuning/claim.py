@@ -19,6 +19,7 @@ from analysis.tuning.thresholds import tune_detectors
 from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
 from service.core.decision import Decision
 from service.core.detectors.bank import DetectorBank
+from service.core.generators import Generators
 from service.core.manifest import Claim, Count, Detector, Evidence, Manifest
 
 Array = npt.NDArray[np.float64]
@@ -26,9 +27,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fold:
-    """Vehicles to tune on, and drives left out with the offsets (T, modes) that their vehicle has without them."""
+    """Vehicles to tune on, and drives of a vehicle left out, with the offsets (T, modes) that it has without them."""
 
     train: Sequence[Vehicle]
+    vehicle: Vehicle
     test: Sequence[tuple[Drive, Array]]
 
     @property
@@ -52,7 +54,7 @@ def folds(vehicles: Sequence[Vehicle], stand_ins: Sequence[int]) -> list[Fold]:
         vehicle = vehicles[0]
         rests = [(drive, vehicle.without(index)) for index, drive in enumerate(vehicle.drives)]
         return [
-            Fold([rest], [(drive, offsets(rest.drives, stand_ins))])
+            Fold([rest], vehicle, [(drive, offsets(rest.drives, stand_ins))])
             for drive, rest in rests
             if rest.drives and hardly_seen(rest.drives, stand_ins) is None
         ]
@@ -61,7 +63,7 @@ def folds(vehicles: Sequence[Vehicle], stand_ins: Sequence[int]) -> list[Fold]:
         train = [*vehicles[:index], *vehicles[index + 1 :]]
         usual = np.mean([offsets(other.drives, stand_ins) for other in train], axis=0)
         drives = enumerate(vehicle.drives)
-        found.append(Fold(train, [(d, left_out_offset(vehicle, i, stand_ins, usual)) for i, d in drives]))
+        found.append(Fold(train, vehicle, [(d, left_out_offset(vehicle, i, stand_ins, usual)) for i, d in drives]))
     return found
 
 
@@ -121,15 +123,16 @@ def shifted_evidence(evidence: Evidence, by: Array) -> Evidence:
     return msgspec.structs.replace(evidence, offset=(np.array(evidence.offset) + by.T).tolist())
 
 
-def told(manifest: Manifest, drive: Drive) -> tuple[int, int]:
-    """Suspicions and confirmed diagnoses in a drive."""
+def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:
+    """Suspicions and confirmed diagnoses in a drive, its samples taken through fresh generators again."""
     bank = DetectorBank(manifest.detectors, [generator.name for generator in manifest.generators])
     decision = Decision(manifest)
     suspicions = diagnoses = 0
     suspected = diagnosed = False
     for tick in drive.ticks:
-        bank.update(tick.number, tick.mode, tick.residuals)
-        decision.update(tick.number, tick.mode, tick.residuals)
+        residuals = generators.step(tick.z, tick.usable)
+        bank.update(tick.number, tick.mode, residuals)
+        decision.update(tick.number, tick.mode, residuals)
         suspicions += bank.suspicious and not suspected
         suspected = bank.suspicious
         now = bool(decision.diagnoses)
@@ -144,7 +147,7 @@ def count(left_out: Sequence[Fold], manifests: Sequence[Manifest], to: Array, sa
     for index, (fold, manifest) in enumerate(zip(left_out, manifests, strict=True)):
         for drive, offset in fold.test:
             say(f"{drive.seen.name}, left out")
-            counts[index] += told(shifted(manifest, offset - to), drive)
+            counts[index] += told(shifted(manifest, offset - to), drive, fold.vehicle.runnable.fresh())
     return counts
 
 
