@@ -1,7 +1,6 @@
 """Write the bundle: graph, manifest, DBC and golden vectors of a calibrated, tuned model."""
 
 import argparse
-import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -10,14 +9,14 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
-from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import FAULTS, GRAPH, PERIOD_S, Bank, build_bank
+from analysis.graph.bank import FAULTS, GRAPH, Bank, build_bank
 from analysis.graph.networks import GRAPH as NETWORKS
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.structure.lint import sound_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest
+from analysis.tuning.manifest import GOLDEN, manifest_of
 from service.bundle import (
     MANIFEST,
     SEAL,
@@ -32,9 +31,6 @@ from service.bundle import (
 from service.core.consistency import FILE_NAME
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.core.manifest import SCHEMA, Equation, Fault, File, Manifest, Origin
-
-GOLDEN = "golden.json"
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
@@ -80,48 +76,12 @@ def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    bank = runnable.bank
     graphs = runnable.graphs | runnable.of_hypotheses(tuning.evidence)
     files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = Manifest(
-        schema=SCHEMA,
-        name=bank.model.name,
-        sensor_set="instrumented",
-        period_s=PERIOD_S,
-        start_within_s=tuning.start_within_s,
-        dbc=dbc_name,
-        graphs=runnable.files,
-        golden=GOLDEN,
-        files={name: File(sha256=hashlib.sha256(raw).hexdigest(), size=len(raw)) for name, raw in files.items()},
-        origin=Origin(
-            model=bank.model.name,
-            model_sha256=tuning.model_sha256,
-            calibrate=recordings_of(bank.model),
-            train=runnable.trained_on,
-            tune=tuning.recordings,
-        ),
-        inputs=list(bank.inputs),
-        generators=list(runnable.generators),
-        modes=tuning.modes,
-        detectors=tuning.detectors,
-        faults=[
-            Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
-        ],
-        equations=_equations(runnable),
-        evidence=tuning.evidence,
-    )
+    manifest = manifest_of(runnable, tuning, files, dbc_name)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
-
-
-def _equations(runnable: Runnable) -> list[Equation]:
-    """Those that generators use, in the model's order."""
-    model = runnable.bank.model
-    described = {name: equation.description for name, equation in model.equations.items()}
-    described |= {d.name: f"{d.derivative} is the derivative of {d.state}" for d in model.differentials}
-    used = {name for generator in runnable.generators for name in generator.equations}
-    return [Equation(name=name, description=text) for name, text in described.items() if name in used]
 
 
 def _dbc(path: Path, bank: Bank) -> bytes:

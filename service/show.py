@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 
 from service.bundle import Bundle, load_bundle, verify_golden
+from service.core.manifest import brief
 
 EXAMPLE = """example:
   faultline bundle show bundle
@@ -47,11 +48,15 @@ def _summary(bundle: Bundle) -> str:
         f"sensor set {m.sensor_set}, a tick every {m.period_s:g} s, model {m.origin.model_sha256[:12]}",
         "inputs: " + ", ".join(f"{i.signal} [{i.unit}]" for i in m.inputs),
         "",
-        f"{'generator':<12}{'predicts':<10}{'nu':>6}{'J':>8}  " + " ".join(f"{name:>8}" for name in faults),
+        f"{'generator':<12}{'predicts':<10}{'detector, nu, J':<26}  " + " ".join(f"{name:>8}" for name in faults),
     ]
-    for generator, detector in zip(m.generators, m.detectors, strict=True):
+    for generator in m.generators:
         marks = " ".join(f"{'X' if name in generator.faults else '.':>8}" for name in faults)
-        lines.append(f"{generator.name:<12}{generator.predicts:<10}{detector.nu:>6.2f}{detector.J:>8.1f}  {marks}")
+        first, *more = [brief(detector) for detector in m.detectors if detector.generator == generator.name]
+        lines.append(f"{generator.name:<12}{generator.predicts:<10}{first:<26}  {marks}")
+        lines += [f"{'':<22}{settings}" for settings in more]
+    if m.claim is not None:
+        lines += ["", m.claim.said]
     lines += ["", *(f"{fault.name:<9} {fault.component}: {fault.description}" for fault in m.faults)]
     lines += ["", "equations, near which an unknown fault may be:"]
     lines += [f"{equation.name:<9} {equation.description}" for equation in m.equations]

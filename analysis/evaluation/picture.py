@@ -124,20 +124,19 @@ def _residuals(axes: Axes, story: Story) -> None:
         trace = (story.r[:, row] / detectors[row].scale[PARTIAL]).clip(-SPREADS, SPREADS) / (2 * SPREADS)
         trace[~story.usable[:, row]] = float("nan")
         axes.plot(story.t_s, trace - row, linewidth=0.6, color="#333333")
-        trace[abs(story.sums[:, row]) < detectors[row].J] = float("nan")
+        trace[abs(story.sums[:, row]) < 1.0] = float("nan")
         axes.plot(story.t_s, trace - row, linewidth=0.8, color=ALARM)
         axes.text(story.t_s[0], -row, f"{generator.name} ", ha="right", va="center", fontsize=8)
     axes.set_yticks([])
-    axes.set_ylim(0.6 - len(detectors), 0.6)
+    axes.set_ylim(0.6 - len(story.bundle.manifest.generators), 0.6)
     axes.set_ylabel("residuals\n(red: alarm)", labelpad=28)
 
 
 def _sums(axes: Axes, story: Story) -> None:
     for row, generator in enumerate(story.bundle.manifest.generators):
-        parts = abs(story.sums[:, row]) / story.bundle.manifest.detectors[row].J
-        axes.plot(story.t_s, parts, linewidth=1, label=generator.name)
+        axes.plot(story.t_s, abs(story.sums[:, row]), linewidth=1, label=generator.name)
     axes.axhline(1.0, color=ALARM, linestyle=":", linewidth=1.2)
-    axes.set_ylabel("CUSUM / J")
+    axes.set_ylabel("detector / J")
     axes.set_ylim(0, 2.6)  # sums end at 2 J; the room above is the legend's
     axes.legend(loc="upper left", ncols=10, fontsize=8, handlelength=1)
 

@@ -1,35 +1,64 @@
 """Set thresholds and ranking evidence from fault-free recordings."""
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
-from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
+from analysis.calibration.provenance import recordings_of, vehicle_of
 from analysis.graph.bank import build_bank
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
-from analysis.recordings.observe import START_WITHIN_S, open_known, ticks_of
+from analysis.recordings.observe import START_WITHIN_S
 from analysis.structure.lint import sound_model
+from analysis.tuning.adapt import adapt, check_alike, golden
+from analysis.tuning.claim import claim, count, folds, thresholds
 from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
-from analysis.tuning.thresholds import Seen, seen, tune_detectors
-from service.core.decode import compile_dbc
+from analysis.tuning.kinds import LEVEL_KINDS, Kind
+from analysis.tuning.manifest import manifest_of
+from analysis.tuning.target import Rule
+from analysis.tuning.thresholds import Seen
+from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, read
 from service.core.errors import InputError
+from service.core.manifest import Detector, brief
 
-GOLDEN_TICKS = 150
+Array = npt.NDArray[np.float64]
 
 EXAMPLE = """example:
   faultline tune calibrated.toml logs/bench-drive-s2 logs/bench-drive-s3 --out tuning.json
+  faultline tune one.toml logs/one-a logs/one-b --also two.toml logs/two-a logs/two-b --target 0.2 --out tuning.json
+  faultline tune this.toml logs/this-short --adapt tuning.json --out adapted.json
 """
 
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
+    options = _parser().parse_args(argv)
+    _check(options)
+    runnable = _runnable(options.model, options.networks)
+    with Progress(f"tuning {runnable.bank.model.name}") as progress:
+        if options.adapt is not None:
+            tuning = adapt(runnable, options.recording, options.adapt, progress)
+        else:
+            also = [(_runnable(model, None), [Path(path) for path in paths]) for model, *paths in options.also]
+            kinds: tuple[Kind, ...] = (options.detector, "spread") if options.spread else (options.detector,)
+            given = Given(also=also, target=options.target, kinds=kinds, claim=True)
+            tuning = tune(runnable, options.recording, progress, given)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_bytes(msgspec.json.encode(tuning))
+    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "faultline tune", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -38,78 +67,154 @@ def main(argv: list[str]) -> int:
         "recording", type=Path, nargs="+", help="instrumented, fault-free, none that the model was made from"
     )
     parser.add_argument(
+        "--also",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("MODEL", "RECORDING"),
+        help="another vehicle of the kind: its own calibrated model file and its fault-free recordings (repeatable)",
+    )
+    parser.add_argument("--target", type=float, metavar="RATE", help="suspicions per hour of all detectors together")
+    parser.add_argument("--detector", choices=LEVEL_KINDS, default="cusum", help="what tests a level (default: cusum)")
+    parser.add_argument("--spread", action="store_true", help="test the variance besides: it raises suspicion only")
+    parser.add_argument(
+        "--adapt", type=Path, metavar="BASE", help="keep this tuning of other vehicles, find this one's offsets only"
+    )
+    parser.add_argument(
         "--networks", type=Path, metavar="DIR", help="networks besides, as `faultline train` wrote them"
     )
     parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
     parser.add_argument("--json", action="store_true", help="print the detectors as JSON")
-    options = parser.parse_args(argv)
-    bank = build_bank(sound_model(options.model))
-    runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
-    with Progress(f"tuning {bank.model.name}") as progress:
-        tuning = tune(runnable, options.recording, progress)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_bytes(msgspec.json.encode(tuning))
-    print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
-    return 0
+    return parser
 
 
-def tune(runnable: Runnable, recordings: list[Path], progress: Progress) -> Tuning:
+def _check(options: argparse.Namespace) -> None:
+    if options.target is not None and not 0.0 < options.target < np.inf:
+        raise InputError(f"--target {options.target:g}: a rate is a positive number of suspicions per hour; give one")
+    for also in options.also:
+        if len(also) < 2:
+            raise InputError(f"--also {also[0]}: no recording of that vehicle; give its model file and its drives")
+    if options.also and options.networks:
+        raise InputError("--also with --networks: networks are of one vehicle only; leave one of them out")
+    set_by_base = {
+        "--also": options.also,
+        "--target": options.target,
+        "--spread": options.spread,
+        "--networks": options.networks,
+        "--detector": options.detector != "cusum",
+    }
+    if options.adapt is not None and (given := [name for name, value in set_by_base.items() if value]):
+        raise InputError(f"--adapt with {given[0]}: the base says that; leave it out, or tune the base anew")
+
+
+def _runnable(model: str, networks: Path | None) -> Runnable:
+    bank = build_bank(sound_model(model))
+    return Runnable(bank, load_networks(networks, bank.model) if networks else None)
+
+
+@dataclass(frozen=True)
+class Given:
+    """What may be asked of a tuning besides.
+
+    Other vehicles with their recordings, a target of suspicions [1/h], the kinds of detectors, and whether to count
+    false alarms on drives left out.
+    """
+
+    also: Sequence[tuple[Runnable, Sequence[Path]]] = ()
+    target: float | None = None
+    kinds: Sequence[Kind] = ("cusum",)
+    claim: bool = False
+
+
+def tune(runnable: Runnable, recordings: Sequence[Path], progress: Progress, given: Given = Given()) -> Tuning:
     """The tuning of generators from fault-free recordings.
 
     Ranking looks at the residuals of the model's equations only: what a fault does to them can be predicted.
 
     Raises:
         InputError: a recording was used for calibration or training, is named twice or is of another vehicle, its
-            tests could hardly ever tell, or an operating mode is missing.
+            tests could hardly ever tell, an operating mode is missing, or another vehicle's model has other tests.
     """
-    bank = runnable.bank
-    calibrated, trained = recordings_of(bank.model), runnable.trained_on
-    units = {channel.signal: channel.unit for channel in bank.inputs}
-    watched: list[Seen] = []
-    digests: list[str] = []
-    for path in recordings:
-        log = open_known(path, progress.note)
-        used = {"to make the model": calibrated, "to train the networks": trained, "twice": digests}
-        if (how := next((how for how, known in used.items() if log.sha256 in known), None)) is not None:
-            raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
-        check_vehicle(log, path, vehicle_of(bank.model), f"the calibration of {bank.model.name}")
-        if runnable.networks:
-            check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
-        progress.say(log.id)
-        table = compile_dbc(log.dbc, units, str(path))
-        ticks = ticks_of(bank.model, bank.inputs, table, log.relative(), runnable.fresh())
-        watched.append(seen(log.id, ticks))
-        digests.append(log.sha256)
-    described = stand_ins(bank.model)
-    detectors = tune_detectors([g.name for g in runnable.generators], watched, runnable.sigma, described)
-    own = len(bank.generators)
+    vehicles = _vehicles(runnable, recordings, given.also, progress)
+    described = stand_ins(runnable.bank.model)
+    rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds)
+    to = offsets(vehicles[0].drives, described)
+    left_out = folds(vehicles, described) if given.claim or given.target is not None else []
+    progress.say("thresholds")
+    found = thresholds(vehicles, left_out, rule, given.target, to)
     progress.say("fault hypotheses")
+    tuning = _tuning(vehicles, found.detectors, to)
+    if not given.claim:
+        return tuning
+    manifests = []
+    for fold, detectors in zip(left_out, found.of_folds, strict=True):
+        part = _without(tuning, detectors, runnable, pooled(fold.train, to, described), described)
+        manifests.append(manifest_of(runnable, part, {}, "none"))
+    counts = count(left_out, manifests, to, progress.say)
+    promised = claim(vehicles, left_out, counts, given.target, found.extrapolated)
+    return msgspec.structs.replace(tuning, claim=promised)
+
+
+def _vehicles(
+    runnable: Runnable, recordings: Sequence[Path], also: Sequence[tuple[Runnable, Sequence[Path]]], progress: Progress
+) -> list[Vehicle]:
+    """All vehicles, this one first."""
+    everything = [(runnable, recordings), *also]
+    used = dict.fromkeys(runnable.trained_on, "to train the networks")
+    for each, _ in everything:
+        used |= dict.fromkeys(recordings_of(each.bank.model), "to make the model")
+    vehicles: list[Vehicle] = []
+    for index, (each, paths) in enumerate(everything):
+        check_alike(runnable, each, f"--also {index}: {each.bank.model.name}")
+        names = [name for name in (vehicle_of(v.runnable.bank.model) for v in vehicles) if name is not None]
+        if (name := vehicle_of(each.bank.model)) in names:
+            raise InputError(f"--also {index}: its model is of {name!r} again; name the drives of a vehicle together")
+        vehicles.append(read(each, paths, used, progress))
+        check_modes(vehicles[-1], stand_ins(each.bank.model))
+        used |= {drive.sha256: "twice" for drive in vehicles[-1].drives}
+    return vehicles
+
+
+def _without(
+    tuning: Tuning, detectors: list[Detector], runnable: Runnable, seen: Sequence[Seen], described: Sequence[int]
+) -> Tuning:
+    """What the tuning would be from some of the drives alone."""
+    own = len(runnable.bank.generators)
+    some = [s.only(own) for s in seen]
+    evidence = gather(runnable.bank, detectors[:own], some, described)
+    return msgspec.structs.replace(tuning, detectors=detectors, evidence=evidence)
+
+
+def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -> Tuning:
+    """The tuning of the first vehicle."""
+    runnable, bank = vehicles[0].runnable, vehicles[0].runnable.bank
+    described, own = stand_ins(bank.model), len(bank.generators)
+    seen = [s.only(own) for s in pooled(vehicles, to, described)]
+    zero = np.sqrt(np.mean([offsets(v.drives, described, to) ** 2 for v in vehicles], axis=0))
     return Tuning(
         schema=SCHEMA,
         model_sha256=model_digest(dump_model(bank.model)),
-        recordings=digests,
+        recordings=[drive.sha256 for vehicle in vehicles for drive in vehicle.drives],
         modes=modes_of(bank.model),
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
         detectors=detectors,
-        evidence=gather(bank, detectors[:own], [s.only(own) for s in watched], described),
+        evidence=gather(bank, detectors[:own], seen, described),
+        zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
-        golden_z=_golden(watched[0]),
+        golden_z=golden(vehicles[0].drives[0].seen),
     )
 
 
-def _golden(s: Seen) -> list[list[float]]:
-    """Samples from where the tests begin to tell: before, the pump stands and a graph has little to compute."""
-    first = int(np.argmax(s.usable.sum(axis=1)))  # as many as ever: networks may find some operation novel
-    return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
-
-
 def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
-    lines = [f"{'generator':<12}{'nu':>7}{'J':>8}   spread idle / partial / maximum / edge"]
+    units = {g.name: unit for g, unit in zip(runnable.generators, runnable.units, strict=True)}
+    lines = [f"{'generator':<12}{'detector, nu, J':<26}   spread idle / partial / maximum / edge"]
     lines += [
-        f"{d.generator:<12}{d.nu:>7.2f}{d.J:>8.1f}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {unit}"
-        for d, unit in zip(tuning.detectors, runnable.units, strict=True)
+        f"{d.generator:<12}{brief(d)}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {units[d.generator]}"
+        for d in tuning.detectors
     ]
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
+    if tuning.claim is not None:
+        lines.append(tuning.claim.said)
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")
     return "\n".join(lines)

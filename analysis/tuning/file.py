@@ -6,16 +6,18 @@ from pathlib import Path
 import msgspec
 
 from service.core.errors import InputError
-from service.core.manifest import Detector, Evidence, Modes
+from service.core.manifest import Claim, Detector, Evidence, Modes, PerMode
 
-SCHEMA = "faultline.tuning/1"
+SCHEMA = "faultline.tuning/2"
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Detectors and evidence of one calibrated model, and of the networks beside it if there are any.
 
     `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
-    logs used, `golden_z` (K, nz) samples from the beginning of the first of them.
+    logs used, `golden_z` (K, nz) samples from the beginning of the first of them. `zero` (T, modes) [unit of r] is how
+    far from zero the vehicles' offsets lie, root mean square; `base` the SHA-256 of the tuning that this one was
+    adapted from.
     """
 
     schema: str
@@ -27,7 +29,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     detectors: list[Detector]
     evidence: Evidence
     golden_z: list[list[float]]
+    zero: list[PerMode[float]]
     networks_sha256: str | None = None
+    claim: Claim | None = None
+    base: str | None = None
 
 
 def model_digest(text: str) -> str:

@@ -2,43 +2,52 @@
 
 A residual is standardised by the median and the spread of its mode. The drift nu of its CUSUM covers what lasts: the
 largest mean over 15 s that any recording shows, of either sign, plus an allowance, because a constant bias above nu
-crosses every threshold in the end. J is then a multiple of the largest sum reached, and never below `MINIMUM_J`.
+crosses every threshold in the end. J is then a multiple of the largest sum reached, and never below a minimum. The
+thresholds of other kinds are set in the same way, from what they compare.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 import numpy.typing as npt
 
-from service.core.cusum import Cusum
+from analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kind, Run, closed, opened, reached
+from service.core.detectors.spread import LARGEST
 from service.core.errors import InputError
-from service.core.manifest import MODES, Detector
+from service.core.manifest import MODES, Detector, kind_of
 from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 
 MINIMUM_TICKS = 50  # of a mode, over all recordings
-LASTING_TICKS = 75  # 15 s
-ALLOWANCE = 0.25  # of the mode's spread, on top of what lasted in the tuning recordings
 MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
-MINIMUM_J = 15.0
 OWN = tuple(range(len(MODES)))  # every mode is described by its own ticks
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,)."""
+    """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,).
+
+    `sigma` (K, T) is the generators' own spread; only adaptive detectors need it.
+    """
 
     name: str
     z: Array
     r: Array
     usable: npt.NDArray[np.bool_]
     mode: npt.NDArray[np.int64]
+    sigma: Array | None = None
 
     def only(self, count: int) -> "Seen":
         """With the first `count` generators alone."""
-        return replace(self, r=self.r[:, :count], usable=self.usable[:, :count])
+        sigma = None if self.sigma is None else self.sigma[:, :count]
+        return replace(self, r=self.r[:, :count], usable=self.usable[:, :count], sigma=sigma)
+
+    def inside(self, row: int, mode: int) -> npt.NDArray[np.bool_]:
+        """The ticks (K,) of a mode at which a generator could tell."""
+        return np.asarray(self.usable[:, row] & (self.mode == mode))
 
 
 def seen(name: str, ticks: Sequence[Tick]) -> Seen:
@@ -61,54 +70,105 @@ def seen(name: str, ticks: Sequence[Tick]) -> Seen:
         r=np.array([tick.residuals.r for tick in ticks]),
         usable=usable,
         mode=np.array([tick.mode for tick in ticks]),
+        sigma=np.array([tick.residuals.sigma for tick in ticks]),
     )
 
 
 def tune_detectors(
-    generators: Sequence[str], recordings: Sequence[Seen], floor: Array, stand_ins: Sequence[int] = OWN
+    generators: Sequence[str],
+    recordings: Sequence[Seen],
+    floor: Array,
+    stand_ins: Sequence[int] = OWN,
+    kinds: Sequence[Kind] = ("cusum",),
+    offset: Array | None = None,
 ) -> list[Detector]:
-    """A detector for each generator; `floor` (T,) is the spread that the sensors alone give.
+    """Detectors for each generator; `floor` (T,) is the spread that the sensors alone give.
 
-    Mode m is described by the ticks of mode `stand_ins[m]` (see `analysis.recordings.modes`).
+    Mode m is described by the ticks of mode `stand_ins[m]` (see `analysis.recordings.modes`). `offset` (T, modes) is
+    known where the recordings have been centred on it, and else their median. The detectors of the first kind come
+    first, one for each generator, as a manifest has them.
 
     Raises:
         InputError: an operating mode was hardly visited: its residuals are unknown, and unknown is not zero.
     """
-    return [_detector(name, row, recordings, float(floor[row]), stand_ins) for row, name in enumerate(generators)]
+    found: list[list[Detector]] = []
+    for name in generators:
+        row = len(found)
+        known = None if offset is None else offset[row]
+        found.append([])
+        for kind in kinds:
+            described = describe(name, row, recordings, float(floor[row]), stand_ins, kind, known)
+            runs = [standard(s, row, described, kind) for s in recordings]
+            for detector in opened(kind, described, runs):
+                largest = max(float(reached(detector, run).max()) for run in runs)
+                found[row].append(closed(detector, max(LEAST[kind_of(detector)], MARGIN * largest)))
+    return in_order(found)
 
 
-def _detector(name: str, row: int, recordings: Sequence[Seen], floor: float, stand_ins: Sequence[int]) -> Detector:
-    offset, scale = [], []
-    for mode in stand_ins:
-        r = np.concatenate([s.r[s.usable[:, row] & (s.mode == mode), row] for s in recordings])
+def in_order(of_generators: Sequence[Sequence[Detector]]) -> list[Detector]:
+    """All the generators' first detectors, then all their second ones, and so on."""
+    return [each for rank in zip_longest(*of_generators) for each in rank if each is not None]
+
+
+def describe(
+    name: str,
+    row: int,
+    recordings: Sequence[Seen],
+    floor: float,
+    stand_ins: Sequence[int],
+    kind: Kind,
+    offset: Array | None = None,
+) -> Described:
+    """A generator without a fault, as a kind of detector needs it.
+
+    Raises:
+        InputError: an operating mode was hardly visited.
+    """
+    centres, scales, usual = np.zeros(len(MODES)), np.zeros(len(MODES)), np.ones(len(MODES))
+    for mode, stand_in in enumerate(stand_ins):
+        inside = [s.inside(row, stand_in) for s in recordings]
+        r = np.concatenate([s.r[use, row] for s, use in zip(recordings, inside, strict=True)])
         if len(r) < MINIMUM_TICKS:
             raise InputError(
-                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[mode]!r} "
+                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[stand_in]!r} "
                 f"for {len(r)} ticks only; add a fault-free recording that stays in it"
             )
-        centre = float(np.median(r))
-        offset.append(centre)
-        scale.append(max(float(1.4826 * np.median(np.abs(r - centre))), floor / 2))
-    centres, scales = np.array(offset), np.array(scale)
-    runs = []
-    for s in recordings:
-        use = s.usable[:, row]
-        runs.append((s.r[use, row] - centres[s.mode[use]]) / scales[s.mode[use]])
-    nu = ALLOWANCE + max(_largest_lasting(run) for run in runs)
-    J = max(MINIMUM_J, MARGIN * max(_largest_sum(run, nu) for run in runs))
-    return Detector(generator=name, offset=offset, scale=scale, nu=nu, J=J)
+        sigma = np.concatenate([_sigma(s, row)[use] for s, use in zip(recordings, inside, strict=True)])
+        centres[mode] = float(np.median(r)) if offset is None else offset[mode]
+        usual[mode] = float(np.median(sigma))
+        away = r - centres[mode]
+        if kind == "adaptive":
+            away = away * usual[mode] / sigma
+        if kind == "spread":
+            away = np.concatenate([_steps(s.r[:, row], use) for s, use in zip(recordings, inside, strict=True)])
+        scales[mode] = max(_spread_of(away, kind), floor / 2)
+    return Described(name, centres, scales, usual)
 
 
-def _largest_lasting(s: Array) -> float:
-    """The largest absolute mean over `LASTING_TICKS` in a row."""
-    sums = np.concatenate([[0.0], np.cumsum(s)])
-    return float(np.abs(sums[LASTING_TICKS:] - sums[:-LASTING_TICKS]).max() / LASTING_TICKS)
+def standard(s: Seen, row: int, described: Described, kind: str) -> Run:
+    """The standardised residual of a generator, where it could tell."""
+    use, mode = s.usable[:, row], s.mode[s.usable[:, row]]
+    spread = described.scale[mode]
+    if kind == "adaptive":
+        spread = spread * _sigma(s, row)[use] / described.usual[mode]
+    return Run(np.flatnonzero(use), (s.r[use, row] - described.offset[mode]) / spread)
 
 
-def _largest_sum(s: Array, nu: float) -> float:
-    cusum = Cusum(nu, np.inf)
-    largest = 0.0
-    for tick, value in enumerate(s):
-        cusum.update(tick, float(value))
-        largest = max(largest, cusum.value)
-    return largest
+def _sigma(s: Seen, row: int) -> Array:
+    return np.ones(len(s.r)) if s.sigma is None else s.sigma[:, row]
+
+
+def _steps(r: Array, use: npt.NDArray[np.bool_]) -> Array:
+    """Successive differences within a mode, with the variance of r."""
+    steps: Array = np.diff(r)[use[1:] & use[:-1]] / np.sqrt(2.0)
+    return steps
+
+
+def _spread_of(away: Array, kind: Kind) -> float:
+    """The robust spread of deviations; that of a variance test such that its variance has no bias."""
+    if not len(away):
+        return 0.0
+    spread = float(1.4826 * np.median(np.abs(away)))
+    if kind != "spread" or spread == 0.0:
+        return spread
+    return spread * float(np.sqrt(np.minimum((away / spread) ** 2, LARGEST).mean()))

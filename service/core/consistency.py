@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from service.core.manifest import MODES, Evidence, Manifest
+from service.core.manifest import MODES, CusumDetector, Detector, Evidence, Manifest, SpreadDetector
 from service.core.signals import Vector
 
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
@@ -101,11 +101,29 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     yield from _unknown(modes.edges, signals, "modes.edges", "signal")
     if not modes.idle_below < modes.maximum_above:
         yield f"modes.idle_below: {modes.idle_below:g} is not below maximum_above, {modes.maximum_above:g}"
-    if [detector.generator for detector in manifest.detectors] != names:
-        yield "detectors: not one for each generator, in the same order"
+    yield from _detectors(manifest.detectors, names)
     yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], faults, f"evidence.hypotheses[{index}].fault", "fault")
+
+
+def _detectors(detectors: Sequence[Detector], names: Sequence[str]) -> Iterator[str]:
+    """One of the level for each generator, in their order; then any others, none of them twice."""
+    first = detectors[: len(names)]
+    if [detector.generator for detector in first] != names:
+        yield "detectors: not one for each generator, in the same order"
+    for row, detector in enumerate(detectors):
+        if row < len(names) and isinstance(detector, SpreadDetector):
+            yield f"detectors[{row}].kind: 'spread' does not test the level of {detector.generator!r}"
+        yield from _unknown([detector.generator], names, f"detectors[{row}].generator", "generator")
+        if any(_same(detector, other) for other in detectors[:row]):
+            yield f"detectors[{row}]: of {detector.generator!r}, its kind is there twice"
+
+
+def _same(detector: Detector, other: Detector) -> bool:
+    """Whether both do the same to the same generator."""
+    sides = (d.side if isinstance(d, CusumDetector) else "both" for d in (detector, other))
+    return type(detector) is type(other) and detector.generator == other.generator and len({*sides}) == 1
 
 
 def _evidence(evidence: Evidence) -> Iterator[str]:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.core.cusum import Cusum
+from service.core.detectors.bank import DetectorBank
 from service.core.events import Diagnosis, candidates
 from service.core.generators import Residuals
 from service.core.hypotheses import Hypotheses, Look, confined
@@ -67,10 +67,8 @@ class Decision:
         self._tests = [generator.test for generator in manifest.generators]
         self._sensitive = [frozenset(generator.faults) for generator in manifest.generators]
         self._equations = [frozenset(generator.equations) for generator in manifest.generators]
-        self._detectors = [Cusum(detector.nu, detector.J) for detector in manifest.detectors]
-        self._offset = np.array([detector.offset for detector in manifest.detectors])  # (T, modes)
-        self._scale = np.array([detector.scale for detector in manifest.detectors])
         names = [generator.name for generator in manifest.generators]
+        self._detectors = DetectorBank(manifest.detectors, names)
         of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
         self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
         self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
@@ -93,19 +91,15 @@ class Decision:
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
         self._usable = residuals.usable
-        s = (residuals.r - self._offset[:, mode]) / self._scale[:, mode]
-        for row, detector in enumerate(self._detectors):
-            if residuals.usable[row]:
-                detector.update(tick, float(s[row]))
-        alarmed = frozenset(row for row, detector in enumerate(self._detectors) if detector.alarm)
-        if not alarmed:
+        self._detectors.update(tick, mode, residuals)
+        if not self._detectors.suspicious:
             self._wait(tick, mode)
             return
         if self._latest is None:
             self._look, self._deviating, self._settled = None, frozenset(), False
-            self._showing[:] = False
+            self._showing[:], self._alarmed = False, frozenset()
             self._window.clear()
-        self._latest, self._alarmed = tick, alarmed
+        self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
         self._quiet[:] = 0.0
         if self._alarming == self._settle_ticks:
             self._window.clear()
@@ -141,27 +135,26 @@ class Decision:
 
     @property
     def sums(self) -> Vector:
-        """Each test's CUSUM in parts of its threshold, with the residual's sign (T,)."""
-        return np.array([detector.sign * detector.value for detector in self._detectors])
+        """Each generator's largest level detector in parts of its threshold, with the residual's sign (T,)."""
+        return self._detectors.sums
 
     @property
     def alarm(self) -> list[str]:
         """Tests that alarm and can tell now: one of their generators does."""
-        rows = zip(self._tests, self._detectors, self._usable, strict=True)
-        return list(dict.fromkeys(test for test, detector, usable in rows if detector.alarm and usable))
+        alarmed = self._detectors.alarmed
+        return list(dict.fromkeys(test for row, test in enumerate(self._tests) if row in alarmed and self._usable[row]))
 
     @property
     def cannot_tell(self) -> list[str]:
         """Tests that cannot tell now: none of their generators can, or one that alarms cannot and no other alarms."""
-        rows = [*zip(self._tests, self._detectors, self._usable, strict=True)]
-        telling = {test for test, _, usable in rows if usable}
-        frozen = {test for test, detector, usable in rows if detector.alarm and not usable} - {*self.alarm}
+        telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
+        frozen = {self._tests[row] for row in self._detectors.alarmed if not self._usable[row]} - {*self.alarm}
         return [test for test in dict.fromkeys(self._tests) if test not in telling or test in frozen]
 
     @property
     def since(self) -> int | None:
         """The tick at which the evidence of the alarmed tests began."""
-        return min((d.since for d in self._detectors if d.alarm and d.since is not None), default=None)
+        return self._detectors.since
 
     @property
     def suspected(self) -> bool:

@@ -25,6 +25,9 @@ Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Period = Annotated[float, Meta(ge=1e-3)]  # shorter ones would keep the vehicle computing ticks for ever
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
+Memory = Annotated[float, Meta(ge=1, le=1e6)]
+"""Of a filter, in ticks."""
+Side = Literal["both", "above", "below"]
 NotEmpty = Annotated[list[T], Meta(min_length=1)]
 PerMode = Annotated[list[T], Meta(min_length=len(MODES), max_length=len(MODES))]
 
@@ -43,7 +46,8 @@ class File(_Part, frozen=True):
 class Origin(_Part, frozen=True):
     """What the bundle was made from: data sets by the SHA-256 of their logs.
 
-    Those of tuning are none that the model was calibrated or the networks were trained with.
+    Those of tuning are none that the model was calibrated or the networks were trained with. `base` is the tuning of
+    other vehicles that was adapted to this one.
     """
 
     model: Text
@@ -51,6 +55,7 @@ class Origin(_Part, frozen=True):
     calibrate: list[Sha256]
     train: list[Sha256]
     tune: NotEmpty[Sha256]
+    base: Sha256 | None = None
 
 
 class Input(_Part, frozen=True):
@@ -114,14 +119,67 @@ class Modes(_Part, frozen=True):
     settle_ticks: Ticks
 
 
-class Detector(_Part, frozen=True):
-    """The two-sided CUSUM of one generator on (r - offset) / scale of the mode; drift `nu`, threshold `J`."""
+class _Detector(_Part, frozen=True, tag_field="kind"):
+    """A test of one generator on (r - offset) / scale of the mode [unit of r]."""
 
     generator: Name
     offset: PerMode[float]
     scale: PerMode[Positive]
+
+
+class CusumDetector(_Detector, frozen=True, tag="cusum"):
+    """A CUSUM with drift `nu` and threshold `J`, of both sides or of one (`service.core.detectors.cusum`)."""
+
     nu: NotNegative
     J: Positive
+    side: Side = "both"
+
+
+class ThresholdDetector(_Detector, frozen=True, tag="threshold"):
+    """Threshold `J` on the residual of a tick, held for `hold_ticks` (`service.core.detectors.threshold`)."""
+
+    J: Positive
+    hold_ticks: Ticks
+
+
+class LowPassDetector(_Detector, frozen=True, tag="low-pass"):
+    """Threshold `J` behind a low-pass filter of `time_ticks` (`service.core.detectors.low_pass`)."""
+
+    J: Positive
+    hold_ticks: Ticks
+    time_ticks: Memory
+
+
+class AdaptiveDetector(_Detector, frozen=True, tag="adaptive"):
+    """Threshold `J` that follows the generator's sigma, `usual` in the mode (`service.core.detectors.adaptive`)."""
+
+    J: Positive
+    hold_ticks: Ticks
+    usual: PerMode[Positive]
+
+
+class SpreadDetector(_Detector, frozen=True, tag="spread"):
+    """Threshold `J` on |ln variance|, forgotten over `memory_ticks` (`service.core.detectors.spread`)."""
+
+    J: Annotated[float, Meta(gt=0, le=100)]  # it bounds the variance by exp(2 J), which must be a number
+    hold_ticks: Ticks
+    memory_ticks: Memory
+
+
+Detector = CusumDetector | ThresholdDetector | LowPassDetector | AdaptiveDetector | SpreadDetector
+
+
+def kind_of(detector: Detector) -> str:
+    """The name of its kind: the `kind` of the manifest."""
+    return str(type(detector).__struct_config__.tag)
+
+
+def brief(detector: Detector) -> str:
+    """Kind (or side), nu where it has one, and J, in columns of 26 characters in all."""
+    if isinstance(detector, CusumDetector):
+        kind = kind_of(detector) if detector.side == "both" else detector.side
+        return f"{kind:<9}{detector.nu:>7.2f}{detector.J:>10.1f}"
+    return f"{kind_of(detector):<16}{detector.J:>10.1f}"
 
 
 class Fault(_Part, frozen=True):
@@ -168,8 +226,46 @@ class Evidence(_Part, frozen=True):
     hypotheses: list[Hypothesis]
 
 
+class Count(_Part, frozen=True):
+    """Events `count` in `hours`, on drives that tuning had left out.
+
+    `upper` [1/h] is the exact 95 % upper bound of a Poisson rate, None without an hour; `low` and `high` [1/h] span
+    95 % of the rates that a bootstrap over vehicles (over drives, where there is one vehicle) gives.
+    """
+
+    count: Annotated[int, Meta(ge=0)]
+    hours: NotNegative
+    upper: Positive | None
+    low: NotNegative
+    high: NotNegative
+
+
+class Claim(_Part, frozen=True):
+    """What fault-free recordings say of false alarms: suspicions (a detector alarms) and confirmed diagnoses.
+
+    Of all the drives, so many were `left_out` of tuning in turn, and counted on.
+
+    `target` [1/h] is of suspicions: *shown* where the upper bound is below it, *kept* where only the rate is, *missed*
+    where that is not. `extrapolated`: the recordings were too short for the target, a tail was drawn on. `said` is all
+    of that as a sentence.
+    """
+
+    drives: Annotated[int, Meta(ge=1)]
+    vehicles: Annotated[int, Meta(ge=1)]
+    left_out: Annotated[int, Meta(ge=0)]
+    suspicions: Count
+    diagnoses: Count
+    target: Positive | None
+    result: Literal["shown", "kept", "missed"] | None
+    extrapolated: bool
+    said: Text
+
+
 class Manifest(_Part, frozen=True):
-    """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts."""
+    """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
+
+    The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
+    """
 
     schema: Literal["faultline.bundle/1"]
     name: Text
@@ -188,3 +284,4 @@ class Manifest(_Part, frozen=True):
     faults: list[Fault]
     equations: list[Equation]
     evidence: Evidence
+    claim: Claim | None = None

@@ -47,6 +47,7 @@ def made(tmp_path: Path) -> Made:
         modes=modes_of(load_model("uds4")),
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
+        zero=[d.offset for d in golden.manifest.detectors],
         detectors=golden.manifest.detectors,
         evidence=golden.manifest.evidence,
         golden_z=golden.golden.z[:40],
@@ -250,7 +251,7 @@ def test_a_dbc_that_is_no_text_is_refused(made: Made, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/1'"),
+        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/2'"),
         ({"extra": 1}, "not a tuning file: Object contains unknown field `extra`"),
         ({"detectors": None}, "not a tuning file: Expected `array`, got `null`"),
     ],

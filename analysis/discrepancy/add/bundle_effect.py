@@ -23,7 +23,7 @@ from analysis.recordings.observe import open_known
 from analysis.tuning.command import tune
 from service.bundle import Bundle, load_bundle, verify_golden
 from service.core.errors import InputError
-from service.core.manifest import Generator
+from service.core.manifest import CusumDetector, Generator
 from service.core.modes import EDGE
 from service.logs import Log
 
@@ -178,7 +178,11 @@ def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
         judged[log.id] = _judged(bundle, log, truth)
     return Bundled(
         generators=runnable.generators,
-        tolerated=tuple(d.nu * mean(s for k, s in enumerate(d.scale) if k != EDGE) for d in tuned.detectors),
+        tolerated=tuple(
+            d.nu * mean(s for k, s in enumerate(d.scale) if k != EDGE)
+            for d in tuned.detectors
+            if isinstance(d, CusumDetector)
+        ),
         judged=judged,
     )
 

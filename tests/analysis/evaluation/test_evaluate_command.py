@@ -54,7 +54,9 @@ def test_the_story_is_the_monitors_with_everything_in_it(story: Story) -> None:
     bundle, log = story.bundle, open_log(LOG)
     alone = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
     assert story.events == list(alone.log(log.relative()))
-    assert {"started", "cannot_tell", "suspected", "occurred", "refined"} == {event.transition for event in story.events}
+    assert {"started", "cannot_tell", "suspected", "occurred", "refined"} == {
+        event.transition for event in story.events
+    }
     ticks, tests = story.r.shape
     assert tests == len(story.bundle.manifest.generators)
     assert story.sums.shape == story.usable.shape == story.y_hat.shape == (ticks, tests)

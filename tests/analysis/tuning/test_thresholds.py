@@ -1,23 +1,18 @@
 """Detectors from made residuals whose centre, spread and lasting bias are known."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.tuning.thresholds import (
-    ALLOWANCE,
-    LASTING_TICKS,
-    MARGIN,
-    MINIMUM_J,
-    MINIMUM_TICKS,
-    Seen,
-    seen,
-    tune_detectors,
-)
-from service.core.cusum import Cusum
+from analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J
+from analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen
+from analysis.tuning.thresholds import tune_detectors as tune_all
+from service.core.detectors.cusum import Cusum
 from service.core.errors import InputError
 from service.core.generators import Residuals
-from service.core.manifest import MODES, Detector
+from service.core.manifest import MODES, CusumDetector
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.core.observer import Tick
 
@@ -41,13 +36,23 @@ def replaced(run: Seen, r: Array | None = None, usable: npt.NDArray[np.bool_] | 
     return Seen(run.name, run.z, run.r if r is None else r, run.usable if usable is None else usable, run.mode)
 
 
-def sums(detector: Detector, run: Seen, row: int = 0) -> Array:
+def tune_detectors(
+    names: Sequence[str], recordings: Sequence[Seen], floor: Array, stand_ins: Sequence[int] = OWN
+) -> list[CusumDetector]:
+    """The usual kind."""
+    detectors = tune_all(names, recordings, floor, stand_ins)
+    cusums = [detector for detector in detectors if isinstance(detector, CusumDetector)]
+    assert cusums == detectors
+    return cusums
+
+
+def sums(detector: CusumDetector, run: Seen, row: int = 0) -> Array:
     """The detector's larger sum at every tick of a recording, by the vehicle's own CUSUM."""
     cusum, reached = Cusum(detector.nu, detector.J), []
     offset, scale = np.array(detector.offset), np.array(detector.scale)
     for tick, value in enumerate((run.r[:, row] - offset[run.mode]) / scale[run.mode]):
         cusum.update(tick, float(value))
-        reached.append(cusum.value)
+        reached.append(cusum.value * detector.J)
     return np.array(reached)
 
 

@@ -1,11 +1,19 @@
 """A sealed manifest that cannot be meant is refused with the path of the bad value."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_bundle import Change, copied, edit, refused, write
 
 from service.bundle import load_bundle
+
+
+def spread(detector: dict[str, Any]) -> dict[str, Any]:
+    """A test of the variance in the place of one of the level."""
+    kept = {name: detector[name] for name in ("generator", "offset", "scale")}
+    return {**kept, "kind": "spread", "J": 1.0, "hold_ticks": 5, "memory_ticks": 50}
+
 
 SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m.update({"a\nb" * 1000: 1}), "top level: Object contains unknown field `a b"),
@@ -37,6 +45,8 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["detectors"][3]["scale"].pop(), r"detectors\[3\]\.scale: Expected `array` of length >= 4"),
     (lambda m: m["detectors"][3]["offset"].append(0), r"detectors\[3\]\.offset: Expected `array` of length <= 4"),
     (lambda m: m["detectors"][3].update(nu=-0.1), r"detectors\[3\]\.nu: Expected `float` >= 0"),
+    (lambda m: m["detectors"][3].pop("kind"), r"detectors\[3\]: Object missing required field `kind`"),
+    (lambda m: m["detectors"][3].update(kind="glr"), r"detectors\[3\]\.kind: Invalid value 'glr'"),
     (lambda m: m["detectors"][3].update(J=0), r"detectors\[3\]\.J: Expected `float` > 0"),
     (lambda m: m["evidence"].update(generators=[]), r"evidence\.generators: Expected `array` of length >= 1"),
     (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: Expected `array` of length >= 4"),
@@ -81,6 +91,15 @@ TOGETHER: list[tuple[Change, str]] = [
     ),
     (lambda m: m["detectors"].reverse(), "detectors: not one for each generator, in the same order"),
     (lambda m: m["detectors"].pop(), "detectors: not one for each generator, in the same order"),
+    (lambda m: m["detectors"].append(m["detectors"][2]), r"detectors\[10\]: of 't08\.ode', its kind is there twice"),
+    (
+        lambda m: m["detectors"].append({**m["detectors"][2], "side": "above", "generator": "t99.ode"}),
+        r"detectors\[10\]\.generator: unknown generator 't99\.ode'",
+    ),
+    (
+        lambda m: m["detectors"].__setitem__(2, spread(m["detectors"][2])),
+        r"detectors\[2\]\.kind: 'spread' does not test the level of 't08\.ode'",
+    ),
     (lambda m: m["modes"].update(signal="y_x"), r"modes\.signal: unknown signal 'y_x'"),
     (lambda m: m["modes"]["edges"].update(y_x=1.0), r"modes\.edges: unknown signal 'y_x'"),
     (lambda m: m["modes"].update(idle_below=0.99), r"modes\.idle_below: 0\.99 is not below maximum_above, 0\.98"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.cusum import Cusum
+from service.core.detectors.cusum import Cusum
 from service.core.manifest import Input, Modes
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
@@ -17,8 +17,8 @@ def test_follows_the_definition_of_the_two_sums(samples: list[float], nu: float,
         cusum.update(tick, s)
         above = min(2 * J, max(0.0, above + s - nu))
         below = min(2 * J, max(0.0, below - s - nu))
-        assert cusum.value == max(above, below)
-        if cusum.value >= J:
+        assert cusum.value == max(above, below) / J
+        if max(above, below) >= J:
             assert cusum.alarm
         if cusum.value == 0:
             assert not cusum.alarm

@@ -1,10 +1,12 @@
-"""The two-sided CUSUM test (thesis eq. 2.3; Page 1954), bounded so that it can also end.
+"""The CUSUM test, two-sided or of one side (thesis eq. 2.3; Page 1954), bounded so that it can also end.
 
     g+ <- min(C, max(0, g+ + s - nu))        s: standardised residual, nu: drift, J: threshold, C = 2 J
     g- <- min(C, max(0, g- - s - nu))
 
-It alarms when the larger sum reaches J and stays so until that sum is back at zero.
+It alarms when the larger sum reaches J and stays so until that sum is back at zero. One side is one of the two sums.
 """
+
+from service.core.manifest import Side
 
 
 class Cusum:
@@ -21,9 +23,10 @@ class Cusum:
     (107, 100)
     """
 
-    def __init__(self, nu: float, J: float) -> None:
+    def __init__(self, nu: float, J: float, side: Side = "both") -> None:
         self._nu = nu
         self._J = J
+        self._side = side
         self._above = 0.0
         self._below = 0.0
         self.alarm = False
@@ -31,8 +34,8 @@ class Cusum:
 
     @property
     def value(self) -> float:
-        """The larger sum; the test alarms from J on."""
-        return max(self._above, self._below)
+        """The larger sum in parts of J; the test alarms from 1 on."""
+        return max(self._above, self._below) / self._J
 
     @property
     def sign(self) -> int:
@@ -42,12 +45,15 @@ class Cusum:
     def update(self, tick: int, s: float) -> None:
         """Takes the standardised residual of a tick; not called (sums frozen) while the test cannot tell."""
         ceiling = 2 * self._J
-        self._above = min(ceiling, max(0.0, self._above + s - self._nu))
-        self._below = min(ceiling, max(0.0, self._below - s - self._nu))
-        if self.value == 0.0:
+        if self._side != "below":
+            self._above = min(ceiling, max(0.0, self._above + s - self._nu))
+        if self._side != "above":
+            self._below = min(ceiling, max(0.0, self._below - s - self._nu))
+        largest = max(self._above, self._below)
+        if largest == 0.0:
             self.alarm = False
             self.since = None
             return
         if self.since is None:
             self.since = tick
-        self.alarm = self.alarm or self.value >= self._J
+        self.alarm = self.alarm or largest >= self._J

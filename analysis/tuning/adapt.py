@@ -1,0 +1,172 @@
+"""A workshop's act: a tuning of reference vehicles is taken over for this one, which brings its offsets alone.
+
+Spread, thresholds and what is known of straying come from the base; where each residual lies without a fault, from a
+short fault-free drive of this vehicle. A fault that is there already would be adapted away: so an offset is taken only
+where the reference vehicles make it plausible, and only where the drive was long enough to know it.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.provenance import recordings_of
+from analysis.graph.bank import PERIOD_S
+from analysis.graph.runnable import Runnable
+from analysis.model import dump_model
+from analysis.progress import Progress
+from analysis.recordings.modes import modes_of, stand_ins
+from analysis.tuning.evidence import gather
+from analysis.tuning.file import Tuning, load_tuning, model_digest
+from analysis.tuning.thresholds import Seen
+from analysis.tuning.vehicles import Vehicle, offsets, pooled, read
+from service.core.errors import InputError
+from service.core.manifest import MODES, Detector, Evidence
+from service.core.modes import EDGE
+
+Array = npt.NDArray[np.float64]
+
+LEAST_S = 20.0  # in a mode: some visits, or a visit in which the hose has settled
+PLAUSIBLE = 4.0
+"""Standard deviations from zero up to which an offset is a calibration's error."""
+GOLDEN_TICKS = 150
+
+
+def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: Progress) -> Tuning:
+    """The base tuning in the file at `path`, with the offsets that these recordings show.
+
+    Raises:
+        InputError: base and model have different tests or modes, a recording was used for either or is of another
+            vehicle, a mode was not seen for long enough, or an offset looks like a fault.
+    """
+    base, bank = load_tuning(path), runnable.bank
+    _check_base(base, runnable, path)
+    calibrated = recordings_of(bank.model)
+    if shared := set(calibrated) & set(base.recordings):
+        raise InputError(
+            f"{path}: its recording {min(shared)[:12]} has made the model; take a base without this vehicle's drives"
+        )
+    used = dict.fromkeys(base.recordings, "in the base") | dict.fromkeys(calibrated, "to make the model")
+    vehicle = read(runnable, recordings, used, progress)
+    described = stand_ins(bank.model)
+    _check_length(vehicle, described)
+    found = offsets(vehicle.drives, described)
+    _check_plausible(vehicle, base, found, described, path)
+    names = [generator.name for generator in bank.generators]
+    detectors: list[Detector] = [
+        msgspec.structs.replace(d, offset=found[names.index(d.generator)].tolist()) for d in base.detectors
+    ]
+    progress.say("fault hypotheses")
+    return msgspec.structs.replace(
+        base,
+        model_sha256=model_digest(dump_model(bank.model)),
+        recordings=[*base.recordings, *(drive.sha256 for drive in vehicle.drives)],
+        detectors=detectors,
+        evidence=_evidence(vehicle, base, detectors, found, described),
+        golden_z=golden(vehicle.drives[0].seen),
+        base=hashlib.sha256(path.read_bytes()).hexdigest(),
+        claim=base.claim if base.claim is not None and base.claim.vehicles > 1 else None,  # of drives it was else
+    )
+
+
+def golden(s: Seen) -> list[list[float]]:
+    """Samples from where the tests begin to tell: before, the pump stands and a graph has little to compute."""
+    first = int(np.argmax(s.usable.sum(axis=1)))  # as many as ever: networks may find some operation novel
+    return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
+
+
+def check_alike(runnable: Runnable, other: Runnable, where: str) -> None:
+    """Raises InputError where two models do not have the same tests and operating modes."""
+    if runnable.bank.generators != other.bank.generators:
+        mine, others = ([g.name for g in each.bank.generators] for each in (runnable, other))
+        differ = sorted({*mine} ^ {*others}) or list(mine)
+        raise InputError(
+            f"{where}: its tests are not those of {runnable.bank.model.name} ({', '.join(differ)}); "
+            "give vehicles that were calibrated from the same model"
+        )
+    if modes_of(runnable.bank.model) != modes_of(other.bank.model):
+        raise InputError(f"{where}: its operating modes are others; give vehicles calibrated from the same model")
+
+
+def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
+    if base.networks_sha256 is not None:
+        raise InputError(f"{path}: has networks, which are of one vehicle only; adapt a base without networks")
+    names = [generator.name for generator in runnable.bank.generators]
+    theirs = [detector.generator for detector in base.detectors[: len(names)]]
+    if theirs != names or not {detector.generator for detector in base.detectors}.issubset(names):
+        raise InputError(
+            f"{path}: its tests are {', '.join(theirs)}, those of {runnable.bank.model.name} {', '.join(names)}; "
+            "adapt a base of the same model"
+        )
+    if base.modes != modes_of(runnable.bank.model):
+        raise InputError(f"{path}: its operating modes are not the model's; adapt a base of the same model")
+
+
+def _check_length(vehicle: Vehicle, described: Sequence[int]) -> None:
+    names = ", ".join(drive.seen.name for drive in vehicle.drives)
+    short = []
+    for mode in dict.fromkeys(described):
+        ticks = sum(drive.seen.usable[drive.seen.mode == mode].sum(axis=0).min() for drive in vehicle.drives)
+        if (seconds := float(ticks) * PERIOD_S) < LEAST_S:
+            short.append(f"{MODES[mode]!r} for {seconds:.0f} s")
+    if short:
+        raise InputError(
+            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; add a fault-free drive that stays in it"
+        )
+
+
+def _check_plausible(vehicle: Vehicle, base: Tuning, found: Array, described: Sequence[int], path: Path) -> None:
+    """A fault that is there already is not to become normal."""
+    evidence = base.evidence
+    names = [generator.name for generator in vehicle.runnable.bank.generators]
+    rows = [names.index(name) for name in evidence.generators]
+    for mode in dict.fromkeys(described):
+        if mode == EDGE:  # no decision looks at the level there
+            continue
+        variance = np.array(base.zero)[rows, mode] ** 2 + np.array(evidence.allowance)[mode] ** 2
+        variance += sum((np.array(drift)[mode] ** 2 for drift in evidence.drifts), np.zeros(len(rows)))
+        ticks, visits = _counts(vehicle, mode)
+        variance += np.diag(np.array(evidence.noise)[mode]) / ticks + np.diag(np.array(evidence.visit)[mode]) / visits
+        far = np.abs(found[rows, mode]) / np.sqrt(variance)
+        worst = int(np.argmax(far))
+        if far[worst] > PLAUSIBLE:
+            drives = ", ".join(drive.seen.name for drive in vehicle.drives)
+            raise InputError(
+                f"{drives}: {evidence.generators[worst]} lies {found[rows[worst], mode]:.3g} off in mode "
+                f"{MODES[mode]!r}, {far[worst]:.1f} standard deviations of what {path} makes plausible "
+                f"({PLAUSIBLE:.0f} are taken): a fault that is there would be adapted away; repair or calibrate anew"
+            )
+
+
+def _counts(vehicle: Vehicle, mode: int) -> tuple[int, int]:
+    """Ticks in a mode, and visits to it."""
+    ticks = visits = 0
+    for drive in vehicle.drives:
+        inside = drive.seen.usable.all(axis=1) & (drive.seen.mode == mode)
+        ticks += int(inside.sum())
+        visits += int((np.diff(inside.astype(np.int8), prepend=0) > 0).sum())
+    return max(ticks, 1), max(visits, 1)
+
+
+def _evidence(
+    vehicle: Vehicle, base: Tuning, detectors: Sequence[Detector], found: Array, described: Sequence[int]
+) -> Evidence:
+    """The base's evidence around these offsets, with the hypotheses of this vehicle's own model."""
+    bank = vehicle.runnable.bank
+    names = [generator.name for generator in bank.generators]
+    rows = [names.index(name) for name in base.evidence.generators]
+    seen = [
+        Seen(name=s.name, z=s.z, r=s.r[:, rows], usable=s.usable[:, rows], mode=s.mode)
+        for s in pooled([vehicle], found, described)
+    ]
+    own = gather(bank.only(rows), [detectors[row] for row in rows], seen, described)
+    if own.generators != base.evidence.generators:
+        missing = [name for name in base.evidence.generators if name not in own.generators]
+        raise InputError(
+            f"{', '.join(s.name for s in seen)}: does not tell {', '.join(missing)} from the other tests; "
+            "add a fault-free drive of more operating conditions"
+        )
+    return msgspec.structs.replace(base.evidence, offset=own.offset, hypotheses=own.hypotheses)

@@ -1,0 +1,229 @@
+"""What can be promised: false alarms counted on drives that the thresholds have not seen.
+
+Tuned on all vehicles but one (on all drives but one, where there is one vehicle), counted on the one left out, and so
+on in turn. A vehicle left out is known by its offsets alone, and those from its other drives. Counts are of a Poisson
+process within a vehicle, but vehicles differ: so the exact bound of the rate comes with the spread that resampling of
+whole vehicles (drives) gives; resampling of seconds would not know the difference.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
+from analysis.tuning.thresholds import tune_detectors
+from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
+from service.core.decision import Decision
+from service.core.detectors.bank import DetectorBank
+from service.core.generators import Generators
+from service.core.manifest import Claim, Count, Detector, Evidence, Manifest
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Vehicles to tune on, and drives of a vehicle left out, with the offsets (T, modes) that it has without them."""
+
+    train: Sequence[Vehicle]
+    vehicle: Vehicle
+    test: Sequence[tuple[Drive, Array]]
+
+    @property
+    def hours(self) -> float:
+        """Of the drives left out."""
+        return sum(drive.hours for drive, _ in self.test)
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Detectors from everything, those of each fold, and whether a tail was drawn on for them."""
+
+    detectors: list[Detector]
+    of_folds: list[list[Detector]]
+    extrapolated: bool = False
+
+
+def folds(vehicles: Sequence[Vehicle], stand_ins: Sequence[int]) -> list[Fold]:
+    """What is left out in turn; nothing of a single drive, nor where the rest does not show every mode."""
+    if len(vehicles) == 1:
+        vehicle = vehicles[0]
+        rests = [(drive, vehicle.without(index)) for index, drive in enumerate(vehicle.drives)]
+        return [
+            Fold([rest], vehicle, [(drive, offsets(rest.drives, stand_ins))])
+            for drive, rest in rests
+            if rest.drives and hardly_seen(rest.drives, stand_ins) is None
+        ]
+    found = []
+    for index, vehicle in enumerate(vehicles):
+        train = [*vehicles[:index], *vehicles[index + 1 :]]
+        usual = np.mean([offsets(other.drives, stand_ins) for other in train], axis=0)
+        drives = enumerate(vehicle.drives)
+        found.append(Fold(train, vehicle, [(d, left_out_offset(vehicle, i, stand_ins, usual)) for i, d in drives]))
+    return found
+
+
+def thresholds(
+    vehicles: Sequence[Vehicle], left_out: Sequence[Fold], rule: Rule, target: float | None, to: Array
+) -> Thresholds:
+    """Detectors by the usual rule, or for a target [1/h]; `to` (T, modes) are the first vehicle's offsets.
+
+    A fold's factor is found without its own drives, so that what is counted there has chosen nothing.
+    """
+    if target is None:
+        usual = [_usual(each, rule, to) for each in (vehicles, *(fold.train for fold in left_out))]
+        return Thresholds(usual[0], usual[1:])
+    whole = levels(vehicles, rule, to)
+    of_folds = [levels(fold.train, rule, to) for fold in left_out]
+    blocks: list[list[Trace]] = [
+        [trace(level, moved(drive.seen, to - offset), rule, drive.hours) for drive, offset in fold.test]
+        for fold, level in zip(left_out, of_folds, strict=True)
+    ]
+    if not blocks:  # a single drive must do for both
+        own = pooled(vehicles, to, rule.stand_ins)
+        drives = [drive for vehicle in vehicles for drive in vehicle.drives]
+        blocks = [[trace(whole, s, rule, d.hours)] for s, d in zip(own, drives, strict=True)]
+    factor = factor_for(target, blocks)
+    others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(of_folds))]
+    return Thresholds(
+        detectors=scaled(whole, factor.value),
+        of_folds=[
+            scaled(level, factor_for(target, other).value) for level, other in zip(of_folds, others, strict=True)
+        ],
+        extrapolated=factor.extrapolated,
+    )
+
+
+def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array) -> list[Detector]:
+    seen = pooled(vehicles, to, rule.stand_ins)
+    return tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to)
+
+
+def shifted(manifest: Manifest, by: Array) -> Manifest:
+    """The manifest for a vehicle whose offsets lie further by (T, modes)."""
+    names = [generator.name for generator in manifest.generators]
+    return msgspec.structs.replace(
+        manifest,
+        detectors=[shifted_detector(d, by[names.index(d.generator)]) for d in manifest.detectors],
+        evidence=shifted_evidence(manifest.evidence, by[[names.index(name) for name in manifest.evidence.generators]]),
+    )
+
+
+def shifted_detector(detector: Detector, by: Array) -> Detector:
+    """The detector with its offsets moved by (modes,)."""
+    return msgspec.structs.replace(detector, offset=(np.array(detector.offset) + by).tolist())
+
+
+def shifted_evidence(evidence: Evidence, by: Array) -> Evidence:
+    """The evidence with its offsets moved by (K, modes), K being its generators."""
+    return msgspec.structs.replace(evidence, offset=(np.array(evidence.offset) + by.T).tolist())
+
+
+def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:
+    """Suspicions and confirmed diagnoses in a drive, its samples taken through fresh generators again."""
+    bank = DetectorBank(manifest.detectors, [generator.name for generator in manifest.generators])
+    decision = Decision(manifest)
+    suspicions = diagnoses = 0
+    suspected = diagnosed = False
+    for tick in drive.ticks:
+        residuals = generators.step(tick.z, tick.usable)
+        bank.update(tick.number, tick.mode, residuals)
+        decision.update(tick.number, tick.mode, residuals)
+        suspicions += bank.suspicious and not suspected
+        suspected = bank.suspicious
+        now = bool(decision.diagnoses)
+        diagnoses += now and not diagnosed
+        diagnosed = now
+    return suspicions, diagnoses
+
+
+def count(left_out: Sequence[Fold], manifests: Sequence[Manifest], to: Array, say: Callable[[str], None]) -> Array:
+    """Suspicions and diagnoses of every fold (folds, 2)."""
+    counts = np.zeros((len(left_out), 2))
+    for index, (fold, manifest) in enumerate(zip(left_out, manifests, strict=True)):
+        for drive, offset in fold.test:
+            say(f"{drive.seen.name}, left out")
+            moved_there = shifted(manifest, offset - to)
+            counts[index] += told(moved_there, drive, fold.vehicle.runnable.fresh(moved_there.evidence))
+    return counts
+
+
+def claim(
+    vehicles: Sequence[Vehicle], left_out: Sequence[Fold], counts: Array, target: float | None, extrapolated: bool
+) -> Claim:
+    """The claim of counts (folds, 2): suspicions and diagnoses."""
+    hours = np.array([fold.hours for fold in left_out])
+    suspicions, diagnoses = (rate_of(column, hours) for column in counts.reshape(len(left_out), 2).T)
+    drives = sum(len(vehicle.drives) for vehicle in vehicles)
+    result = None
+    if target is not None:
+        kept = suspicions.hours > 0 and suspicions.count <= target * suspicions.hours
+        shown = suspicions.upper is not None and suspicions.upper <= target
+        result = "shown" if shown else "kept" if kept else "missed"
+    made = Claim(
+        drives=drives,
+        vehicles=len(vehicles),
+        left_out=sum(len(fold.test) for fold in left_out),
+        suspicions=suspicions,
+        diagnoses=diagnoses,
+        target=target,
+        result=result,  # type: ignore[arg-type]
+        extrapolated=extrapolated,
+        said="",
+    )
+    return msgspec.structs.replace(made, said=sentence(made))
+
+
+def rate_of(counts: Array, hours: Array) -> Count:
+    """The rate of counts (n,) in hours (n,), each of a vehicle or drive.
+
+    >>> one = rate_of(np.array([0.0, 0.0]), np.array([1.0, 2.0]))
+    >>> one.count, one.hours, round(one.upper, 3), one.high  # 3 / T
+    (0, 3.0, 0.999, 0.0)
+    """
+    total, n = float(hours.sum()), int(counts.sum())
+    if total == 0.0:
+        return Count(count=0, hours=0.0, upper=None, low=0.0, high=0.0)
+    chosen = np.random.default_rng(SEED).integers(len(hours), size=(RESAMPLES, len(hours)))
+    rates = counts[chosen].sum(axis=1) / hours[chosen].sum(axis=1)
+    low, high = np.quantile(rates, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    upper = float(chi2.ppf(CONFIDENCE, 2 * (n + 1))) / 2.0 / total
+    return Count(count=n, hours=total, upper=upper, low=float(low), high=float(high))
+
+
+def sentence(claim: Claim) -> str:
+    """The claim in words."""
+    of = f"{_number(claim.drives, 'fault-free drive')} of {_number(claim.vehicles, 'vehicle')}"
+    if claim.suspicions.upper is None:
+        said = f"false alarms: {of}, none of which the others could do without, so nothing is known of their rate"
+    else:
+        whole = "vehicles" if claim.vehicles > 1 else "drives"
+        suspicions, diagnoses = claim.suspicions, claim.diagnoses
+        said = (
+            f"false alarms: {of}, {claim.left_out} left out of tuning in turn, {suspicions.hours:.2f} h: "
+            f"{_number(suspicions.count, 'suspicion')}, {suspicions.count / suspicions.hours:.2g} per hour "
+            f"(95 %: at most {suspicions.upper:.2g}; resampling {whole}: {suspicions.low:.2g} to {suspicions.high:.2g})"
+            f"; {diagnoses.count} confirmed as faults (95 %: at most {diagnoses.upper:.2g} per hour)"
+        )
+    if claim.target is None:
+        return said
+    verdict = {"shown": "shown", "kept": "kept by the count, not shown", "missed": "missed", None: ""}[claim.result]
+    said += f"; target {claim.target:g} suspicions per hour: {verdict}"
+    if claim.result != "shown":
+        said += f" (to show it needs {3.0 / claim.target:.3g} h without one, there are {claim.suspicions.hours:.2f} h)"
+    if claim.extrapolated:
+        said += "; the drives are too short for it: thresholds are drawn on by an exponential tail, at its upper bound"
+    return said
+
+
+def _number(count: int, what: str) -> str:
+    """The count with its noun.
+
+    >>> _number(1, "drive"), _number(3, "drive")
+    ('1 drive', '3 drives')
+    """
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

@@ -1,0 +1,125 @@
+"""The kinds of detectors that can be tuned: what each needs besides offset and scale, and how far runs take it.
+
+A detector is first made with an open threshold, so high that it bounds nothing; what a fault-free run makes of it in
+units of its own is then looked at, and the threshold set.
+"""
+
+from collections.abc import Sequence
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from msgspec.structs import replace
+
+from service.core.detectors.bank import detector
+from service.core.manifest import (
+    AdaptiveDetector,
+    CusumDetector,
+    Detector,
+    LowPassDetector,
+    Side,
+    SpreadDetector,
+    ThresholdDetector,
+)
+
+Array = npt.NDArray[np.float64]
+Kind = Literal["cusum", "one-sided", "threshold", "low-pass", "adaptive", "spread"]
+
+LEVEL_KINDS: Final[tuple[Kind, ...]] = ("cusum", "one-sided", "threshold", "low-pass", "adaptive")
+
+LASTING_TICKS = 75  # 15 s
+ALLOWANCE = 0.25  # of the mode's spread, on top of what lasted in the tuning recordings
+HOLD_TICKS = 50  # 10 s: as long as residuals take to calm down after a step of the dose
+TIME_TICKS = 25.0  # 5 s
+MEMORY_TICKS = 150.0  # 30 s
+OPEN, OPEN_SPREAD = 1e9, 100.0
+MINIMUM_J = 15.0
+LEAST = {"cusum": MINIMUM_J, "threshold": 4.0, "low-pass": 1.0, "adaptive": 4.0, "spread": float(np.log(1.5))}
+"""No threshold is lower: a few minutes do not show less than this."""
+
+
+class Described(NamedTuple):
+    """A generator without a fault: per mode (modes,) offset and scale [unit of r], and what its sigma usually is."""
+
+    generator: str
+    offset: Array
+    scale: Array
+    usual: Array
+
+
+def described_by(detector: Detector) -> Described:
+    """What a detector says of its generator."""
+    usual = detector.usual if isinstance(detector, AdaptiveDetector) else [1.0] * len(detector.scale)
+    return Described(detector.generator, np.array(detector.offset), np.array(detector.scale), np.array(usual))
+
+
+class Run(NamedTuple):
+    """A standardised residual: tick numbers (n,) and s (n,)."""
+
+    tick: npt.NDArray[np.int64]
+    s: Array
+
+
+def opened(kind: Kind, d: Described, runs: Sequence[Run]) -> list[Detector]:
+    """The detectors of a kind for one generator, their thresholds open."""
+    name, offset, scale = d.generator, d.offset.tolist(), d.scale.tolist()
+    match kind:
+        case "cusum" | "one-sided":
+            sides: tuple[Side, ...] = ("both",) if kind == "cusum" else ("above", "below")
+            return [
+                CusumDetector(
+                    generator=name, offset=offset, scale=scale, nu=ALLOWANCE + lasting(runs, side), J=OPEN, side=side
+                )
+                for side in sides
+            ]
+        case "threshold":
+            return [ThresholdDetector(generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS)]
+        case "low-pass":
+            return [
+                LowPassDetector(
+                    generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS, time_ticks=TIME_TICKS
+                )
+            ]
+        case "adaptive":
+            return [
+                AdaptiveDetector(
+                    generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS, usual=d.usual.tolist()
+                )
+            ]
+        case "spread":
+            return [
+                SpreadDetector(
+                    generator=name,
+                    offset=offset,
+                    scale=scale,
+                    J=OPEN_SPREAD,
+                    hold_ticks=HOLD_TICKS,
+                    memory_ticks=MEMORY_TICKS,
+                )
+            ]
+
+
+def reached(settings: Detector, run: Run) -> Array:
+    """What an open detector compares with its threshold (n,), in the threshold's units."""
+    fresh = detector(settings)
+    values = np.empty(len(run.s))
+    for index, (tick, s) in enumerate(zip(run.tick, run.s, strict=True)):
+        fresh.update(int(tick), float(s))
+        values[index] = fresh.value
+    return values * settings.J
+
+
+def closed(settings: Detector, J: float) -> Detector:
+    """The same with its threshold."""
+    return replace(settings, J=min(J, OPEN_SPREAD) if isinstance(settings, SpreadDetector) else J)
+
+
+def lasting(runs: Sequence[Run], side: Side = "both") -> float:
+    """The largest mean of any run over `LASTING_TICKS` in a row, to either side or to one."""
+    largest = 0.0
+    for run in runs:
+        sums = np.concatenate([[0.0], np.cumsum(run.s)])
+        means = (sums[LASTING_TICKS:] - sums[:-LASTING_TICKS]) / LASTING_TICKS
+        means = {"both": np.abs(means), "above": means, "below": -means}[side]
+        largest = max(largest, float(means.max(initial=0.0)))
+    return largest

@@ -1,0 +1,55 @@
+"""The manifest that a tuning makes of a model: what export writes, and what tuning itself tries on drives left out."""
+
+import hashlib
+from collections.abc import Mapping
+
+from analysis.calibration.provenance import recordings_of
+from analysis.graph.bank import PERIOD_S
+from analysis.graph.runnable import Runnable
+from analysis.tuning.file import Tuning
+from service.core.manifest import SCHEMA, Equation, Fault, File, Manifest, Origin
+
+GOLDEN = "golden.json"
+
+
+def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], dbc_name: str) -> Manifest:
+    """The manifest; `files` are the others of the bundle by name."""
+    bank = runnable.bank
+    return Manifest(
+        schema=SCHEMA,
+        name=bank.model.name,
+        sensor_set="instrumented",
+        period_s=PERIOD_S,
+        start_within_s=tuning.start_within_s,
+        dbc=dbc_name,
+        graphs=runnable.files,
+        golden=GOLDEN,
+        files={name: File(sha256=hashlib.sha256(raw).hexdigest(), size=len(raw)) for name, raw in files.items()},
+        origin=Origin(
+            model=bank.model.name,
+            model_sha256=tuning.model_sha256,
+            calibrate=recordings_of(bank.model),
+            train=runnable.trained_on,
+            tune=tuning.recordings,
+            base=tuning.base,
+        ),
+        inputs=list(bank.inputs),
+        generators=list(runnable.generators),
+        modes=tuning.modes,
+        detectors=tuning.detectors,
+        faults=[
+            Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
+        ],
+        equations=_equations(runnable),
+        evidence=tuning.evidence,
+        claim=tuning.claim,
+    )
+
+
+def _equations(runnable: Runnable) -> list[Equation]:
+    """Those that generators use, in the model's order."""
+    model = runnable.bank.model
+    described = {name: equation.description for name, equation in model.equations.items()}
+    described |= {d.name: f"{d.derivative} is the derivative of {d.state}" for d in model.differentials}
+    used = {name for generator in runnable.generators for name in generator.equations}
+    return [Equation(name=name, description=text) for name, text in described.items() if name in used]

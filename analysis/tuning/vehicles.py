@@ -1,0 +1,147 @@
+"""Vehicles of one kind and their fault-free drives: read, checked, and centred each on its own offsets.
+
+What differs between vehicles in a residual's level is the error of each one's calibration. It is known for a vehicle
+from its own drives, and not from those of others: so residuals are centred per vehicle before anything is pooled.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.calibration.provenance import check_vehicle, vehicle_of
+from analysis.graph.bank import PERIOD_S
+from analysis.graph.runnable import Runnable
+from analysis.progress import Progress
+from analysis.recordings.observe import open_known, ticks_of
+from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, seen
+from service.core.decode import compile_dbc
+from service.core.errors import InputError
+from service.core.manifest import MODES
+from service.core.observer import Tick
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A fault-free recording through the generators of its vehicle; `ticks` are all, `seen` what tuning looks at."""
+
+    sha256: str
+    ticks: Sequence[Tick]
+    seen: Seen
+
+    @property
+    def hours(self) -> float:
+        """For how long some test could tell."""
+        return float(self.seen.usable.any(axis=1).sum()) * PERIOD_S / 3600.0
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A calibrated model, runnable, and drives of the vehicle that it was calibrated for; at least one."""
+
+    runnable: Runnable
+    drives: Sequence[Drive]
+
+    def only(self, *indices: int) -> "Vehicle":
+        """With some of the drives."""
+        return replace(self, drives=[self.drives[index] for index in indices])
+
+    def without(self, index: int) -> "Vehicle":
+        """With all drives but one."""
+        return self.only(*(other for other in range(len(self.drives)) if other != index))
+
+
+def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], progress: Progress) -> Vehicle:
+    """The vehicle's drives; `used` says of recordings (SHA-256) that must not be among them how they were used.
+
+    Raises:
+        InputError: a recording was used, is named twice or is of another vehicle, or its tests could hardly ever tell.
+    """
+    model = runnable.bank.model
+    units = {channel.signal: channel.unit for channel in runnable.bank.inputs}
+    drives: list[Drive] = []
+    for path in paths:
+        log = open_known(path, progress.note)
+        twice = "twice" if log.sha256 in {drive.sha256 for drive in drives} else None
+        if (how := used.get(log.sha256, twice)) is not None:
+            raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
+        check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
+        if runnable.networks:
+            check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
+        progress.say(log.id)
+        table = compile_dbc(log.dbc, units, str(path))
+        ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
+        drives.append(Drive(log.sha256, ticks, seen(log.id, ticks)))
+    return Vehicle(runnable, drives)
+
+
+def hardly_seen(drives: Sequence[Drive], stand_ins: Sequence[int]) -> tuple[int, int, int] | None:
+    """The first generator and mode that drives show too little of, and its ticks; None where there is none."""
+    for row, mode in np.ndindex(drives[0].seen.usable.shape[1], len(MODES)):
+        ticks = sum(int(drive.seen.inside(row, stand_ins[mode]).sum()) for drive in drives)
+        if ticks < MINIMUM_TICKS:
+            return row, stand_ins[mode], ticks
+    return None
+
+
+def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
+    """Raises InputError where the vehicle's drives hardly show a mode: unknown is not zero."""
+    if (missing := hardly_seen(vehicle.drives, stand_ins)) is not None:
+        row, mode, ticks = missing
+        raise InputError(
+            f"tuning data ({', '.join(drive.seen.name for drive in vehicle.drives)}): "
+            f"{vehicle.runnable.generators[row].name} saw mode {MODES[mode]!r} for {ticks} ticks only; "
+            "add a fault-free recording that stays in it"
+        )
+
+
+def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array | None = None) -> Array:
+    """The median residual (T, modes) of drives of one vehicle, `otherwise` (T, modes) where a mode was hardly seen.
+
+    Without `otherwise` the drives must show every mode (`check_modes`).
+    """
+    shape = drives[0].seen.usable.shape[1], len(MODES)
+    found = np.full(shape, np.nan) if otherwise is None else otherwise.copy()
+    for row, mode in np.ndindex(shape):
+        r = np.concatenate([d.seen.r[d.seen.inside(row, stand_ins[mode]), row] for d in drives])
+        if len(r) >= MINIMUM_TICKS:
+            found[row, mode] = np.median(r)
+    assert np.isfinite(found).all(), "a mode is missing that nobody has checked"
+    return found
+
+
+def left_out_offset(vehicle: Vehicle, index: int, stand_ins: Sequence[int], otherwise: Array) -> Array:
+    """What the vehicle's other drives say of its offsets (T, modes), `otherwise` where they say nothing."""
+    others = vehicle.without(index).drives
+    return offsets(others, stand_ins, otherwise) if others else otherwise
+
+
+def moved(s: Seen, by: Array) -> Seen:
+    """The same recording with its residuals moved by (T, modes)."""
+    return replace(s, r=s.r + by.T[s.mode])
+
+
+def pooled(vehicles: Sequence[Vehicle], to: Array, stand_ins: Sequence[int]) -> list[Seen]:
+    """All drives, those of each vehicle moved such that their own offsets are `to` (T, modes)."""
+    found: list[Seen] = []
+    for vehicle in vehicles:
+        by = to - offsets(vehicle.drives, stand_ins, to)
+        found += [moved(drive.seen, by) for drive in vehicle.drives]
+    return found
+
+
+def pooled_left_out(vehicles: Sequence[Vehicle], to: Array, stand_ins: Sequence[int]) -> list[Seen]:
+    """The same, each drive moved by what the other drives of its vehicle say: what differs from drive to drive stays.
+
+    A vehicle's only drive is moved by what it says itself.
+    """
+    found: list[Seen] = []
+    for vehicle in vehicles:
+        own = offsets(vehicle.drives, stand_ins, to)
+        for index, drive in enumerate(vehicle.drives):
+            found.append(moved(drive.seen, to - left_out_offset(vehicle, index, stand_ins, own)))
+    return found

@@ -1,0 +1,86 @@
+"""All detectors of a bundle: built from its manifest, fed with every tick's residuals, asked by generator."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.core.detectors.adaptive import Adaptive
+from service.core.detectors.cusum import Cusum
+from service.core.detectors.low_pass import LowPass
+from service.core.detectors.protocol import Detector
+from service.core.detectors.spread import Spread
+from service.core.detectors.standard import Standard
+from service.core.detectors.threshold import Threshold
+from service.core.generators import Residuals
+from service.core.manifest import (
+    AdaptiveDetector,
+    CusumDetector,
+    LowPassDetector,
+    SpreadDetector,
+    ThresholdDetector,
+)
+from service.core.manifest import Detector as Settings
+from service.core.signals import Vector
+
+
+def detector(settings: Settings) -> Detector:
+    """A fresh detector."""
+    match settings:
+        case CusumDetector():
+            return Cusum(settings.nu, settings.J, settings.side)
+        case ThresholdDetector():
+            return Threshold(settings.J, settings.hold_ticks)
+        case LowPassDetector():
+            return LowPass(settings.J, settings.hold_ticks, settings.time_ticks)
+        case AdaptiveDetector():
+            return Adaptive(settings.J, settings.hold_ticks)
+        case SpreadDetector():
+            return Spread(settings.J, settings.hold_ticks, settings.memory_ticks)
+
+
+class DetectorBank:
+    """The detectors of T generators, of which each has one that tests its level, and may have more.
+
+    A detector of a generator that cannot tell is frozen and its alarm stands. One that tests the spread raises
+    suspicion; only one that tests the level can be a conflict, because only that has the structural row of its
+    generator.
+    """
+
+    def __init__(self, settings: Sequence[Settings], generators: Sequence[str]) -> None:
+        self._count = len(generators)
+        self._rows = [generators.index(each.generator) for each in settings]
+        self._level = [not isinstance(each, SpreadDetector) for each in settings]
+        self._detectors = [detector(each) for each in settings]
+        self._standard = Standard(settings, self._rows)
+
+    def update(self, tick: int, mode: int, residuals: Residuals) -> None:
+        """Takes the residuals (T,) of a tick; those that cannot tell are not looked at."""
+        standard = self._standard(mode, residuals)
+        for each, row, s in zip(self._detectors, self._rows, standard, strict=True):
+            if residuals.usable[row]:
+                each.update(tick, float(s))
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether any detector alarms."""
+        return any(each.alarm for each in self._detectors)
+
+    @property
+    def alarmed(self) -> frozenset[int]:
+        """The generators whose level alarms."""
+        told = zip(self._detectors, self._rows, self._level, strict=True)
+        return frozenset(row for each, row, level in told if level and each.alarm)
+
+    @property
+    def since(self) -> int | None:
+        """The tick at which the evidence of what alarms began."""
+        return min((each.since for each in self._detectors if each.alarm and each.since is not None), default=None)
+
+    @property
+    def sums(self) -> Vector:
+        """For each generator (T,) the largest value of its level detectors, in parts of the threshold, signed."""
+        sums = np.zeros(self._count)
+        for each, row, level in zip(self._detectors, self._rows, self._level, strict=True):
+            if level and each.value > abs(sums[row]):
+                sums[row] = each.sign * each.value
+        return sums

@@ -1,0 +1,237 @@
+"""Several vehicles, a target, and adaptation in the workshop, by the commands alone; vehicles are the model itself."""
+
+import contextlib
+import dataclasses
+import hashlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from made_drive import DBC, HOLD_S, UDS4, frames, freed, write_recording
+
+from analysis.export import main as export
+from analysis.model import Model, dump_model
+from analysis.tuning.adapt import LEAST_S
+from analysis.tuning.command import main as tune
+from analysis.tuning.file import Tuning, load_tuning
+from analysis.tuning.thresholds import MARGIN
+from service.bundle import load_bundle
+from service.core.errors import InputError
+from service.core.manifest import CusumDetector
+from service.core.modes import IDLE
+from service.logs import open_log
+
+ZERO = {"y_p_ap": 0.0}
+
+
+def of(vehicle: str, recordings: tuple[str, ...] = ()) -> Model:
+    """The model as if it had been calibrated for a vehicle."""
+    entry: Mapping[str, object] = {"command": "calibrate", "recordings": [*recordings], "vehicle": vehicle}
+    return dataclasses.replace(freed(UDS4, ()), provenance=(entry,))
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Models of vehicles `a` and `b`, two drives of each, and a base tuned on those of `a`."""
+
+    folder: Path
+    a: Path
+    b: Path
+    drives: dict[str, Path]
+    base: Path
+
+    def tune(self, *words: str | Path) -> Tuning:
+        out = self.folder / "out.json"
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert tune([*map(str, words), "--out", str(out)]) == 0
+        return load_tuning(out)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
+    folder = tmp_path_factory.mktemp("fleet")
+    drives = {}
+    for seed, name in enumerate(("a1", "a2", "b1", "b2"), 30):
+        drives[name] = write_recording(folder / name, frames(UDS4, {}, seed, zero=ZERO), name[0])
+    models = {name: folder / f"{name}.toml" for name in "ab"}
+    for name, path in models.items():
+        path.write_text(dump_model(of(name)))
+    base = folder / "base.json"
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert tune([str(models["a"]), str(drives["a1"]), str(drives["a2"]), "--out", str(base)]) == 0
+    return Fleet(folder, models["a"], models["b"], drives, base)
+
+
+def test_tuning_says_what_it_can_claim(fleet: Fleet) -> None:
+    claim = load_tuning(fleet.base).claim
+    assert claim is not None
+    assert (claim.vehicles, claim.drives, claim.left_out, claim.target, claim.result) == (1, 2, 2, None, None)
+    assert claim.suspicions.upper is not None
+    assert claim.suspicions.upper >= 3.0 / claim.suspicions.hours - 0.1
+    assert claim.said.startswith("false alarms: 2 fault-free drives of 1 vehicle, 2 left out of tuning in turn")
+
+
+def test_several_vehicles_and_a_target_travel_into_the_bundle(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    d, out, bundle = fleet.drives, tmp_path / "tuning.json", tmp_path / "bundle"
+    also = ["--also", str(fleet.b), str(d["b1"]), str(d["b2"])]
+    given = [str(fleet.a), str(d["a1"]), str(d["a2"]), *also, "--target", "0.01", "--out", str(out)]
+    assert tune(given) == 0
+    printed = capsys.readouterr().out
+    tuning = load_tuning(out)
+    claim = tuning.claim
+    assert claim is not None
+    assert claim.said in printed
+    assert (claim.vehicles, claim.drives, claim.left_out, claim.target, claim.extrapolated) == (2, 4, 4, 0.01, True)
+    assert claim.result in {"kept", "missed"}
+    assert "to show it needs 300 h without one" in claim.said
+    assert tuning.recordings == [open_log(d[name]).sha256 for name in ("a1", "a2", "b1", "b2")]
+    usual = load_tuning(fleet.base)
+    assert all(t.J > u.J for t, u in zip(tuning.detectors, usual.detectors, strict=True))
+    dbc = tmp_path / "uds.dbc"
+    dbc.write_bytes(DBC)
+    assert export([str(fleet.a), "--tuning", str(out), "--dbc", str(dbc), "--out", str(bundle)]) == 0
+    assert load_bundle(bundle).manifest.claim == claim
+
+
+def test_without_a_target_other_vehicles_are_pooled_by_the_usual_rule(fleet: Fleet) -> None:
+    """Each centred on its own offsets: the pooled spread is that of one, the offsets are the first one's."""
+    d = fleet.drives
+    both = fleet.tune(fleet.a, d["a1"], d["a2"], "--also", fleet.b, d["b1"], d["b2"])
+    one = load_tuning(fleet.base)
+    for pooled, own in zip(both.detectors, one.detectors, strict=True):
+        assert pooled.offset == own.offset
+        np.testing.assert_allclose(pooled.scale, own.scale, rtol=0.5)
+        assert pooled.J >= 0.5 * own.J / MARGIN
+
+
+@pytest.mark.parametrize(("kind", "count"), [("one-sided", 20), ("threshold", 10), ("low-pass", 10), ("adaptive", 10)])
+def test_every_detector_can_be_asked_for_and_exported(fleet: Fleet, kind: str, count: int, tmp_path: Path) -> None:
+    tuning = fleet.tune(fleet.a, fleet.drives["a1"], "--detector", kind, "--spread")
+    assert len(tuning.detectors) == count + 10
+    dbc, bundle = tmp_path / "uds.dbc", tmp_path / "bundle"
+    dbc.write_bytes(DBC)
+    assert (
+        export([str(fleet.a), "--tuning", str(fleet.folder / "out.json"), "--dbc", str(dbc), "--out", str(bundle)]) == 0
+    )
+    assert load_bundle(bundle).manifest.detectors == tuning.detectors
+
+
+def test_adapting_keeps_the_base_and_brings_the_offsets(fleet: Fleet, tmp_path: Path) -> None:
+    base, drive = load_tuning(fleet.base), fleet.drives["b1"]
+    adapted = fleet.tune(fleet.b, drive, "--adapt", fleet.base)
+    own = fleet.tune(fleet.b, drive)
+    for mine, theirs, alone in zip(adapted.detectors, base.detectors, own.detectors, strict=True):
+        assert isinstance(mine, CusumDetector)
+        assert isinstance(theirs, CusumDetector)
+        assert (mine.nu, mine.J, mine.scale) == (theirs.nu, theirs.J, theirs.scale)
+        np.testing.assert_allclose(mine.offset, alone.offset)
+        assert mine.offset != theirs.offset
+    assert adapted.evidence.noise == base.evidence.noise
+    assert adapted.evidence.allowance == base.evidence.allowance
+    assert adapted.base == hashlib.sha256(fleet.base.read_bytes()).hexdigest()
+    assert adapted.claim is None  # the base's is of drives of one vehicle
+    adapted_file = tmp_path / "adapted.json"
+    adapted_file.write_bytes(msgspec.json.encode(adapted))
+    dbc, bundle = tmp_path / "uds.dbc", tmp_path / "bundle"
+    dbc.write_bytes(DBC)
+    assert export([str(fleet.b), "--tuning", str(adapted_file), "--dbc", str(dbc), "--out", str(bundle)]) == 0
+    assert load_bundle(bundle).manifest.origin.base == adapted.base
+
+
+@pytest.mark.parametrize("bias", [20_000.0, -20_000.0])
+def test_a_fault_that_is_there_is_not_adapted_away(fleet: Fleet, bias: float, tmp_path: Path) -> None:
+    biased = write_recording(tmp_path / "biased", frames(UDS4, {}, 40, zero={"y_p_du": bias}), "b")
+    message = r"biased: t\d\d.ode lies .* off in mode '\w+', [\d.]+ standard deviations of what .*base.json makes plaus"
+    with pytest.raises(InputError, match=message):
+        fleet.tune(fleet.b, biased, "--adapt", fleet.base)
+
+
+def test_adapting_needs_every_mode_for_long_enough(fleet: Fleet, tmp_path: Path) -> None:
+    log = [frame for frame in frames(UDS4, {}, 41, zero=ZERO) if frame.t < 3 * HOLD_S + 15.0]
+    short = write_recording(tmp_path / "short", log, "b")
+    with pytest.raises(InputError, match=rf"short: saw mode .*'maximum' for \d+ s.*, {LEAST_S:.0f} s are needed; add"):
+        fleet.tune(fleet.b, short, "--adapt", fleet.base)
+
+
+def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a1: this recording is used in the base; tune on"):
+        fleet.tune(fleet.a, fleet.drives["a1"], "--adapt", fleet.base)
+    seen = open_log(fleet.drives["b1"]).sha256
+    model = tmp_path / "b.toml"
+    model.write_text(dump_model(of("b", recordings=(seen,))))
+    with pytest.raises(InputError, match=r"b1: this recording is used to make the model; tune on"):
+        fleet.tune(model, fleet.drives["b1"], "--adapt", fleet.base)
+    model.write_text(dump_model(of("b", recordings=(load_tuning(fleet.base).recordings[0],))))
+    with pytest.raises(InputError, match=r"base.json: its recording [0-9a-f]{12} has made the model; take a base with"):
+        fleet.tune(model, fleet.drives["b1"], "--adapt", fleet.base)
+
+
+def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tmp_path: Path) -> None:
+    base = load_tuning(fleet.base)
+    given: list[str | Path] = [fleet.b, fleet.drives["b1"], "--adapt", tmp_path / "base.json"]
+
+    def written(changed: Tuning) -> None:
+        (tmp_path / "base.json").write_bytes(msgspec.json.encode(changed))
+
+    written(msgspec.structs.replace(base, detectors=base.detectors[1:]))
+    with pytest.raises(InputError, match=r"base.json: its tests are t06.ode, .* those of uds4 t02.ode, .*; adapt a ba"):
+        fleet.tune(*given)
+    written(msgspec.structs.replace(base, modes=msgspec.structs.replace(base.modes, settle_ticks=3)))
+    with pytest.raises(InputError, match=r"base.json: its operating modes are not the model's; adapt a base of the sa"):
+        fleet.tune(*given)
+    written(msgspec.structs.replace(base, networks_sha256="0" * 64))
+    with pytest.raises(InputError, match=r"base.json: has networks, which are of one vehicle only; adapt a base witho"):
+        fleet.tune(*given)
+    written(msgspec.structs.replace(base, schema="faultline.tuning/1"))
+    with pytest.raises(InputError, match=r"base.json: schema: this is 'faultline.tuning/1', wanted is .*; run `faultl"):
+        fleet.tune(*given)
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
+def test_a_target_that_is_no_rate_is_refused(fleet: Fleet, rate: str) -> None:
+    with pytest.raises(InputError, match=r"--target .*: a rate is a positive number of suspicions per hour; give one"):
+        fleet.tune(fleet.a, fleet.drives["a1"], f"--target={rate}")
+
+
+def test_also_refuses_what_is_no_other_vehicle_of_the_kind(fleet: Fleet, tmp_path: Path) -> None:
+    d = fleet.drives
+    with pytest.raises(InputError, match=r"--also .*b.toml: no recording of that vehicle; give its model file and its"):
+        fleet.tune(fleet.a, d["a1"], "--also", fleet.b)
+    with pytest.raises(InputError, match=r"a2: recorded on vehicle 'a', the calibration of uds4 is of 'b'"):
+        fleet.tune(fleet.a, d["a1"], "--also", fleet.b, d["a2"])
+    with pytest.raises(InputError, match=r"--also 1: its model is of 'a' again; name the drives of a vehicle together"):
+        fleet.tune(fleet.a, d["a1"], "--also", fleet.a, d["a2"])
+    other = tmp_path / "other.toml"
+    other.write_text(dump_model(dataclasses.replace(of("b"), warm_up_s=5.0)))
+    with pytest.raises(
+        InputError, match=r"--also 1: .*: its tests are not those of uds4 \(.*\); give vehicles that wer"
+    ):
+        fleet.tune(fleet.a, d["a1"], "--also", other, d["b1"])
+    with pytest.raises(InputError, match=r"b1: this recording is used twice; tune on"):
+        fleet.tune(fleet.a, d["a1"], "--also", fleet.b, d["b1"], d["b1"])
+    with pytest.raises(
+        InputError, match=r"--also with --networks: networks are of one vehicle only; leave one of them"
+    ):
+        fleet.tune(fleet.a, d["a1"], "--also", fleet.b, d["b1"], "--networks", tmp_path)
+    with pytest.raises(InputError, match=r"--adapt with --target: the base says that; leave it out, or tune the base"):
+        fleet.tune(fleet.b, d["b1"], "--adapt", fleet.base, "--target", "1")
+
+
+def test_also_refuses_a_vehicle_that_hardly_shows_a_mode(fleet: Fleet, tmp_path: Path) -> None:
+    """Whatever the first one shows: how this one's residuals lie there is unknown."""
+    partial = write_recording(tmp_path / "partial", [f for f in frames(UDS4, {}, 6, zero=ZERO) if f.t < 90.0], "b")
+    with pytest.raises(InputError, match=r"tuning data \(partial\): t02.ode saw mode 'maximum' for 0 ticks only; add"):
+        fleet.tune(fleet.a, fleet.drives["a1"], "--also", fleet.b, partial)
+
+
+def test_the_base_says_how_far_from_zero_offsets_lie(fleet: Fleet) -> None:
+    """Of one vehicle: its own."""
+    base = load_tuning(fleet.base)
+    own = [abs(detector.offset[IDLE]) for detector in base.detectors]
+    np.testing.assert_allclose([of_generator[IDLE] for of_generator in base.zero], own)

@@ -1,0 +1,216 @@
+"""Targets, folds and claims on made drives, whose rate of alarms is known."""
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from analysis.graph.runnable import Runnable
+from analysis.tuning.claim import claim, folds, rate_of, thresholds
+from analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
+from analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
+from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
+from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
+from service.core.detectors.bank import DetectorBank
+from service.core.generators import Residuals
+from service.core.manifest import MODES, Detector, kind_of
+from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from service.core.observer import Tick
+
+Array = npt.NDArray[np.float64]
+
+SPREAD = np.array([200.0, 900.0, 400.0, 2000.0])
+NAMES = ["ta.ode", "tb.ode"]
+FLOOR = np.array([100.0, 100.0])
+NOBODY = cast("Runnable", None)  # a vehicle's model is asked for nothing here
+HOUR = 18_000
+
+
+def drive(seed: int, offset: float = 0.0, ticks: int = 4000, without: Sequence[int] = ()) -> Drive:
+    """White residuals of two generators in 100-tick holds of every mode."""
+    rng = np.random.default_rng(seed)
+    mode = np.tile(np.repeat([EDGE, IDLE, PARTIAL, MAXIMUM], 100), ticks // 400)
+    r = offset + SPREAD[mode][:, None] * rng.standard_normal((ticks, 2))
+    usable = np.repeat(~np.isin(mode, [*without])[:, None], 2, axis=1)
+    sigma = np.full((ticks, 2), 50.0)
+    seen = Seen(f"made-{seed}", np.zeros((ticks, 5)), r, usable, mode, sigma)
+    told = [
+        Tick(k, 0.2 * k, np.zeros(5), np.ones(5, np.bool_), int(mode[k]), Residuals(r[k], r[k], sigma[k], usable[k]))
+        for k in range(ticks)
+    ]
+    return Drive(f"{seed:064d}", told, seen)
+
+
+def vehicle(*drives: Drive) -> Vehicle:
+    return Vehicle(NOBODY, drives)
+
+
+def rule(kind: Kind = "cusum") -> Rule:
+    return Rule(NAMES, FLOOR, OWN, (kind,))
+
+
+def suspected(detectors: Sequence[Detector], s: Drive) -> int:
+    bank, before, count = DetectorBank(detectors, NAMES), False, 0
+    for tick in s.ticks:
+        bank.update(tick.number, tick.mode, tick.residuals)
+        count += bank.suspicious and not before
+        before = bank.suspicious
+    return count
+
+
+THREE = [vehicle(drive(10 * v, 500.0 * v), drive(10 * v + 1, 500.0 * v)) for v in (1, 2, 3)]
+
+
+def test_vehicles_are_centred_each_on_its_own_offsets() -> None:
+    to = offsets(THREE[0].drives, OWN)
+    assert abs(to[:, IDLE] - 500.0).max() < 50.0
+    for s in pooled(THREE, to, OWN):
+        assert abs(np.median(s.r[s.mode == IDLE], axis=0) - 500.0).max() < 50.0
+    again = pooled(THREE[:1], to, OWN)
+    np.testing.assert_array_equal(again[0].r, THREE[0].drives[0].seen.r)
+
+
+def test_a_drive_left_out_is_centred_by_the_others_of_its_vehicle() -> None:
+    strange = vehicle(drive(1, 100.0), drive(2, 900.0))
+    usual = np.zeros((2, len(MODES)))
+    assert left_out_offset(strange, 1, OWN, usual)[0, IDLE] == pytest.approx(100.0, abs=60.0)
+    np.testing.assert_array_equal(left_out_offset(strange.only(0), 0, OWN, usual), usual)
+
+
+def test_a_mode_that_the_rest_does_not_show_leaves_nothing_out() -> None:
+    pair = vehicle(drive(1), drive(2, without=[MAXIMUM]))
+    assert hardly_seen(pair.drives[1:], OWN) == (0, MAXIMUM, 0)
+    assert [fold.test[0][0] for fold in folds([pair], OWN)] == [pair.drives[1]]
+    assert folds([pair.only(0)], OWN) == []
+
+
+def test_of_several_vehicles_whole_ones_are_left_out() -> None:
+    found = folds(THREE, OWN)
+    assert [[d for d, _ in fold.test] for fold in found] == [list(each.drives) for each in THREE]
+    for index, fold in enumerate(found):
+        assert THREE[index] not in fold.train
+        assert fold.hours == pytest.approx(2 * 4000 / HOUR)
+
+
+@pytest.mark.parametrize("kind", LEVEL_KINDS)
+def test_every_kind_is_tuned_quiet_and_sees_a_large_shift(kind: Kind) -> None:
+    one = vehicle(drive(1), drive(2), drive(3))
+    detectors = tune_detectors(NAMES, [d.seen for d in one.drives], FLOOR, OWN, (kind, "spread"))
+    assert [d.generator for d in detectors[:2]] == NAMES
+    assert [kind_of(d) for d in detectors[-2:]] == ["spread", "spread"]
+    level = detectors[:-2]
+    assert suspected(detectors, one.drives[0]) == 0
+    fresh = drive(4)
+    far = np.array([40.0 * SPREAD, np.zeros(len(MODES))])
+    ticks = [
+        t._replace(residuals=t.residuals._replace(r=t.residuals.r + far[:, t.mode] * (t.number > 2000)))
+        for t in fresh.ticks
+    ]
+    assert suspected(level, Drive(fresh.sha256, ticks, fresh.seen)) >= 1
+    assert suspected(level, fresh) == 0
+
+
+def test_a_louder_residual_is_seen_by_the_spread_alone() -> None:
+    one = vehicle(drive(1), drive(2), drive(3))
+    detectors = tune_detectors(NAMES, [d.seen for d in one.drives], FLOOR, OWN, ("cusum", "spread"))
+    loud = drive(4)
+    ticks = [t._replace(residuals=t.residuals._replace(r=0.2 * t.residuals.r)) for t in loud.ticks]
+    quiet = Drive(loud.sha256, ticks, loud.seen)
+    assert suspected(detectors[2:], quiet) == 1
+    assert suspected([*detectors[:2]], quiet) == 0
+
+
+def poisson(seed: int, hours: float, rate: float) -> Trace:
+    """Exponential peaks of mean 1 above 0, `rate` of them an hour above 5."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros(round(hours * HOUR))
+    at = rng.choice(len(x) // 100, rng.poisson(hours * rate * np.exp(5.0)), replace=True) * 100
+    np.maximum.at(x, at, rng.exponential(1.0, len(at)))
+    return Trace(x, hours)
+
+
+def test_with_hours_enough_the_factor_is_counted_and_right() -> None:
+    """1 an hour lies at 5."""
+    blocks = [[poisson(seed, 10.0, 1.0)] for seed in range(6)]
+    factor = factor_for(1.0, blocks)
+    assert not factor.extrapolated
+    assert factor.value == pytest.approx(5.0, abs=0.4)
+    assert sum(len(peaks(t.x, factor.value)) for [t] in blocks) <= 60
+
+
+def test_with_too_few_hours_the_tail_is_drawn_on_and_holds() -> None:
+    """0.02 an hour lies at 5 + ln 50 = 8.9; from two hours the upper bound is beyond that, and not absurdly."""
+    blocks = [[poisson(seed, 0.5, 1.0)] for seed in range(4)]
+    factor = factor_for(0.02, blocks)
+    assert factor.extrapolated
+    assert 8.9 <= factor.value < 25.0
+
+
+@pytest.mark.parametrize("target", [5.0, 0.5])
+def test_thresholds_for_a_target_keep_it_on_other_drives(target: float) -> None:
+    """Counted on hours that nothing was tuned on, within what chance makes of it (99.9 %)."""
+    to = offsets(THREE[0].drives, OWN)
+    found = thresholds(THREE, folds(THREE, OWN), rule(), target, to)
+    assert found.extrapolated is (target * sum(f.hours for f in folds(THREE, OWN)) < 1.0)
+    assert len(found.of_folds) == 3
+    fresh = [drive(seed, 500.0, ticks=20_000) for seed in (91, 92)]
+    hours = sum(each.hours for each in fresh)
+    assert sum(suspected(found.detectors, each) for each in fresh) <= 3 + 3 * target * hours
+    assert all(LEAST["cusum"] <= d.J for d in found.detectors)
+
+
+def test_a_single_drive_has_thresholds_and_no_claim() -> None:
+    one = [vehicle(drive(1))]
+    to = offsets(one[0].drives, OWN)
+    found = thresholds(one, [], rule(), 0.1, to)
+    assert found.extrapolated
+    made = claim(one, [], np.zeros((0, 2)), 0.1, extrapolated=True)
+    assert (made.suspicions.upper, made.result, made.left_out) == (None, "missed", 0)
+    assert "nothing is known of their rate" in made.said
+
+
+def test_levels_are_the_mean_of_what_drives_reach_and_never_below_the_least() -> None:
+    to = offsets(THREE[0].drives, OWN)
+    assert {d.J for d in levels(THREE, rule(), to)} == {LEAST["cusum"] / MARGIN}
+    strange = vehicle(*THREE[0].drives, drive(7, 900.0))  # a drive whose level differs: nu must cover it
+    assert levels([strange], rule(), to)[0].nu > levels(THREE, rule(), to)[0].nu + 0.5  # type: ignore[union-attr]
+
+
+def test_the_claim_counts_bounds_and_says_what_was_left_out() -> None:
+    counts = np.array([[2.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+    left_out = folds(THREE, OWN)
+    made = claim(THREE, left_out, counts, 10.0, extrapolated=False)
+    hours = 6 * 4000 / HOUR
+    assert (made.vehicles, made.drives, made.left_out) == (3, 6, 6)
+    assert made.suspicions.count == 3
+    assert made.suspicions.hours == pytest.approx(hours)
+    assert made.suspicions.upper == pytest.approx(7.754 / hours, rel=1e-3)  # Poisson: 3 events, 95 %
+    assert made.diagnoses.upper == pytest.approx(2.996 / hours, rel=1e-3)
+    assert made.suspicions.low == 0.0
+    assert made.suspicions.high == pytest.approx(2.0 / (2 * 4000 / HOUR))  # the worst vehicle three times
+    assert made.result == "shown"
+    assert "6 fault-free drives of 3 vehicles, 6 left out of tuning in turn, 1.33 h: 3 suspicions" in made.said
+    assert claim(THREE, left_out, counts, 3.0, extrapolated=False).result == "kept"
+    missed = claim(THREE, left_out, counts, 0.01, extrapolated=True)
+    assert missed.result == "missed"
+    assert "to show it needs 300 h without one, there are 1.33 h" in missed.said
+    assert "exponential tail" in missed.said
+
+
+def test_resampling_whole_vehicles_shows_that_they_differ() -> None:
+    """The same count of one bad vehicle and of all alike: the exact bound is the same, the spread is not."""
+    hours = np.ones(6)
+    bad, alike = rate_of(np.array([6.0, 0, 0, 0, 0, 0]), hours), rate_of(np.ones(6), hours)
+    assert bad.upper == alike.upper
+    assert (alike.low, alike.high) == (1.0, 1.0)
+    assert bad.high >= 2.0
+
+
+def test_moving_a_recording_moves_each_mode_by_its_own() -> None:
+    s = THREE[0].drives[0].seen
+    by = np.arange(8.0).reshape(2, 4)
+    np.testing.assert_allclose(
+        (moved(s, by).r - s.r)[s.mode == PARTIAL], [[1.0, 5.0]] * int((s.mode == PARTIAL).sum()), atol=1e-9
+    )

@@ -1,0 +1,241 @@
+"""What every detector must do, whatever its kind; the shared suite, then what each kind is for."""
+
+import math
+import pickle
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.core.detectors.adaptive import Adaptive
+from service.core.detectors.bank import DetectorBank, detector
+from service.core.detectors.cusum import Cusum
+from service.core.detectors.low_pass import LowPass
+from service.core.detectors.protocol import Detector
+from service.core.detectors.spread import Spread
+from service.core.detectors.threshold import Threshold
+from service.core.generators import Residuals
+from service.core.manifest import (
+    MODES,
+    AdaptiveDetector,
+    CusumDetector,
+    LowPassDetector,
+    SpreadDetector,
+    ThresholdDetector,
+)
+from service.core.manifest import Detector as Settings
+
+Array = npt.NDArray[np.float64]
+
+EVERY_MODE = [0.0] * len(MODES), [1.0] * len(MODES)
+HELD = 10
+
+
+def kinds(generator: str = "ta.ode") -> dict[str, Settings]:
+    zero, one = EVERY_MODE
+    level: dict[str, Any] = {"generator": generator, "offset": zero, "scale": one}
+    return {
+        "cusum": CusumDetector(**level, nu=0.5, J=12.0),
+        "above": CusumDetector(**level, nu=0.5, J=12.0, side="above"),
+        "below": CusumDetector(**level, nu=0.5, J=12.0, side="below"),
+        "threshold": ThresholdDetector(**level, J=6.0, hold_ticks=HELD),
+        "low-pass": LowPassDetector(**level, J=1.5, hold_ticks=HELD, time_ticks=25.0),
+        "adaptive": AdaptiveDetector(**level, J=6.0, hold_ticks=HELD, usual=one),
+        "spread": SpreadDetector(**level, J=1.0, hold_ticks=HELD, memory_ticks=75.0),
+    }
+
+
+KINDS = kinds()
+SIDES = [(name, sign) for name in KINDS for sign in (1, -1) if name != {1: "below", -1: "above"}[sign]]
+QUIET = np.random.default_rng(1).standard_normal(4000)
+
+
+def fault(name: str, sign: int, count: int) -> Array:
+    """What this kind is to see: another level, or another variance."""
+    noise = np.random.default_rng(2).standard_normal(count)
+    if name == "spread":
+        return 3.0 * noise if sign > 0 else 0.3 * noise
+    return noise + 8.0 * sign
+
+
+def fed(each: Detector, samples: Iterable[float], first: int = 0) -> Detector:
+    for tick, s in enumerate(samples, first):
+        each.update(tick, float(s))
+    return each
+
+
+def state(each: Detector) -> bytes:
+    return pickle.dumps(each)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_fresh_it_says_nothing_and_without_a_fault_neither(name: str) -> None:
+    each = detector(KINDS[name])
+    assert (each.alarm, each.since, each.value, each.sign) == (False, None, 0.0, 0)
+    for tick, s in enumerate(QUIET):
+        each.update(tick, float(s))
+        assert not each.alarm, tick
+
+
+@pytest.mark.parametrize(("name", "sign"), SIDES)
+def test_it_alarms_on_what_it_is_for_with_sign_and_onset(name: str, sign: int) -> None:
+    each = fed(detector(KINDS[name]), QUIET[:1000])
+    for tick, s in enumerate(fault(name, sign, 300), 1000):
+        each.update(tick, float(s))
+        if each.alarm:
+            break
+    assert each.alarm
+    assert each.value >= 1.0
+    assert each.sign == sign
+    assert each.since is not None
+    assert 985 <= each.since <= tick  # a sum may have stood a little above zero when the fault came
+    assert tick < 1150
+    onset = each.since
+    fed(each, fault(name, sign, 50), tick + 1)
+    assert (each.since, each.sign) == (onset, sign)
+
+
+@pytest.mark.parametrize(("name", "sign"), SIDES)
+def test_it_is_bounded_and_ends_in_bounded_time(name: str, sign: int) -> None:
+    """However long and large the fault was."""
+    each = detector(KINDS[name])
+    samples = 1e9 * fault(name, sign, 20_000) if (name, sign) != ("spread", -1) else np.zeros(20_000)
+    for tick, s in enumerate(samples):
+        each.update(tick, float(s))
+        assert 0.0 <= each.value <= 2.0
+    alarmed = [each.alarm]
+    assert alarmed[0]
+    for tick, s in enumerate(QUIET[:1000], 20_000):
+        each.update(tick, float(s))
+        alarmed.append(each.alarm)
+    assert not alarmed[-1]
+    assert sum(alarmed) < 300
+    assert fed(detector(KINDS[name]), QUIET[:1000]).alarm == each.alarm
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_two_of_them_share_nothing_so_that_a_restart_is_fresh(name: str) -> None:
+    used = fed(detector(KINDS[name]), fault(name, -1 if name == "below" else 1, 200))
+    after, alone = detector(KINDS[name]), pickle.loads(state(detector(KINDS[name])))  # noqa: S301
+    assert state(after) == state(alone)
+    for tick, s in enumerate(QUIET[:200]):
+        used.update(200 + tick, 50.0)
+        after.update(tick, float(s))
+        alone.update(tick, float(s))
+    assert (after.value, after.sign, after.alarm, after.since) == (alone.value, alone.sign, alone.alarm, alone.since)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_its_memory_does_not_grow(name: str) -> None:
+    each = fed(detector(KINDS[name]), QUIET)
+    early = len(state(each))
+    assert len(state(fed(each, np.tile(QUIET, 5), len(QUIET)))) <= early + 16  # larger numbers need more digits
+
+
+@pytest.mark.parametrize("name", KINDS)
+@given(samples=st.lists(st.floats(-1e12, 1e12), max_size=60))
+def test_whatever_finite_comes_what_it_says_is_consistent(name: str, samples: list[float]) -> None:
+    each = detector(KINDS[name])
+    for tick, s in enumerate(samples):
+        each.update(tick, s)
+        assert 0.0 <= each.value <= 2.0
+        assert each.sign in {-1, 0, 1}
+        assert each.alarm or each.value < 1.0
+        assert not each.alarm or (each.since is not None and each.since <= tick and each.sign != 0)
+
+
+def residuals(r: float, usable: bool, sigma: float = 1.0) -> Residuals:
+    """Of two generators; the second never tells."""
+    return Residuals(np.array([r, np.nan]), np.zeros(2), np.array([sigma, np.nan]), np.array([usable, False]))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_that_is_none(name: str) -> None:
+    settings = [KINDS[name], kinds("tb.ode")[name]]
+    bank, each = DetectorBank(settings, ["ta.ode", "tb.ode"]), detector(KINDS[name])
+    sign = -1 if name == "below" else 1
+    for tick, s in enumerate(fault(name, sign, 200)):
+        each.update(tick, float(s))
+        bank.update(tick, 1, residuals(float(s), usable=True))
+    alarmed, sums = bank.alarmed, bank.sums
+    assert bank.suspicious
+    for tick in range(200, 2000):
+        bank.update(tick, 1, residuals(np.nan, usable=False, sigma=np.nan))
+        assert (bank.alarmed, bank.suspicious, bank.since) == (alarmed, True, each.since)
+    np.testing.assert_array_equal(bank.sums, sums)
+
+
+def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
+    """Its generator's row of the fault signature matrix is that of the level."""
+    bank = DetectorBank([KINDS["cusum"], KINDS["spread"]], ["ta.ode"])
+    for tick, s in enumerate(0.2 * QUIET[:500]):
+        bank.update(tick, 1, Residuals(np.array([s]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
+    assert bank.suspicious
+    assert bank.alarmed == frozenset()
+    assert bank.since is not None
+    assert abs(bank.sums[0]) < 1.0
+
+
+def test_a_generator_may_have_several() -> None:
+    bank = DetectorBank([KINDS["above"], KINDS["below"]], ["ta.ode"])
+    for tick in range(40):
+        bank.update(tick, 1, Residuals(np.array([-2.0]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
+    assert bank.alarmed == {0}
+    assert bank.sums[0] <= -1.0
+
+
+@pytest.mark.parametrize("sigma", [0.5, 1.0, 4.0])
+def test_the_adaptive_threshold_follows_mode_and_sigma(sigma: float) -> None:
+    """Mode 2: spread 3 where sigma is 2; the threshold of six spreads lies at 18 sigma / 2."""
+    settings = AdaptiveDetector(
+        generator="ta.rnn",
+        offset=[0.0, 0.0, 1.0, 0.0],
+        scale=[1.0, 1.0, 3.0, 1.0],
+        usual=[1.0, 1.0, 2.0, 1.0],
+        J=6.0,
+        hold_ticks=0,
+    )
+    at = 1.0 + 18.0 * sigma / 2.0
+    for r, alarms in ((0.99 * at, False), (1.01 * at, True)):
+        bank = DetectorBank([settings], ["ta.rnn"])
+        bank.update(0, 2, Residuals(np.array([r]), np.zeros(1), np.array([sigma]), np.ones(1, np.bool_)))
+        assert bank.suspicious is alarms
+
+
+@pytest.mark.parametrize("make", [lambda: Threshold(3.0, HELD), lambda: Adaptive(3.0, HELD)])
+def test_an_alarm_is_held_over_a_lull_and_no_longer(make: Callable[[], Threshold]) -> None:
+    each = fed(make(), [4.0, *[0.0] * HELD])
+    assert each.alarm
+    assert each.sign == 1
+    each.update(HELD + 1, 0.0)
+    assert (each.alarm, each.since) == (False, None)
+
+
+def test_the_low_pass_reaches_a_level_as_its_time_constant_says() -> None:
+    """1 - (1 - 1/tau)^n of a step after n ticks."""
+    each = fed(LowPass(J=10.0, hold_ticks=0, time_ticks=20.0), [5.0] * 20)
+    assert each.value * 10.0 == pytest.approx(5.0 * (1.0 - 0.95**20))
+
+
+def test_one_side_is_deaf_on_the_other() -> None:
+    assert not fed(Cusum(0.5, 5.0, "above"), [-4.0] * 50).alarm
+    assert not fed(Cusum(0.5, 5.0, "below"), [4.0] * 50).alarm
+
+
+def test_the_spread_does_not_see_a_level_and_measures_a_variance() -> None:
+    level = fed(Spread(1.0, HELD, 75.0), np.concatenate([QUIET[:500], QUIET[500:1000] + 100.0]))
+    assert not level.alarm
+    halved = Spread(2.0, HELD, 400.0)
+    fed(halved, 0.5 * QUIET)
+    assert halved.value * halved.sign * 2.0 == pytest.approx(2.0 * math.log(0.5), rel=0.2)
+
+
+def test_over_a_gap_the_spread_takes_no_difference() -> None:
+    each = Spread(1.0, HELD, 10.0)
+    for tick in range(0, 400, 2):
+        each.update(tick, 100.0 * (-1) ** (tick // 2))
+    assert each.value == 0.0
