@@ -56,6 +56,7 @@ campaign-stories: .venv/.test  ## all stories of docs/: do their commands print 
 
 campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/grey_box.py
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/effort.py
 
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info
