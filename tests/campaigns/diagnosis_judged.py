@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 Record = dict[str, Any]
-Said = list[tuple[str, int, float | None]]
-"""Diagnoses as (faults joined by +, or unknown; rank; p)."""
+Said = list[tuple[str, int, float | None, list[str]]]
+"""Diagnoses as (faults joined by +, or unknown; rank; p; equations that the unknown is near to)."""
 
 LOOKS_S = (30.0, 60.0, 120.0, 300.0)
 """A diagnosis is looked at so long after the first one was told."""
@@ -55,6 +55,11 @@ class Judged:
         """Whether the truth is a diagnosis of rank 1: the fault, or the pair of them."""
         return "+".join(sorted(self.faults)) in self.first(look_s)
 
+    def located(self, equation: str, look_s: float = LOOK_S) -> bool:
+        """Whether the diagnosis of rank 1 is unknown, and near to this equation of the model among others."""
+        said = self.standing.get(look_s, [])
+        return first(said) == ["unknown"] and any(equation in near for _, rank, _, near in said if rank == 1)
+
     def wrong_alone(self, look_s: float = LOOK_S) -> bool:
         """Whether one diagnosis alone is of rank 1, names something, and names no true fault."""
         said = self.first(look_s)
@@ -63,18 +68,23 @@ class Judged:
 
 def first(said: Said) -> list[str]:
     """Those of rank 1."""
-    return [name for name, rank, _ in said if rank == 1]
+    return [name for name, rank, _, _ in said if rank == 1]
+
+
+def candidates(said: Said) -> list[tuple[str, int]]:
+    """Names and ranks: what is new when it changes, as a probability creeps."""
+    return [(name, rank) for name, rank, _, _ in said]
 
 
 def judged(vehicle: int, told: Record) -> Judged:
     """The judgement of a record of `diagnosis_shop.told_of`."""
     onset = told["onset_s"] if told["faults"] else told["seconds"]
-    events = [
-        (t, excited, transition, [(n, r, p) for n, r, p in said]) for t, excited, transition, said in told["events"]
-    ]
+    events = [(t, excited, how, [(*row,) for row in said]) for t, excited, how, said in told["events"]]
     before = [said for t, _, _, said in events if t < onset]
-    stood = before[-1] if before else []
-    news = next(((t, excited) for t, excited, _, said in events if t >= onset and said and said != stood), None)
+    stood = candidates(before[-1]) if before else []
+    news = next(
+        ((t, excited) for t, excited, _, said in events if t >= onset and said and candidates(said) != stood), None
+    )
     standing = {}
     if news is not None and told["faults"]:
         for look in LOOKS_S:
@@ -86,7 +96,7 @@ def judged(vehicle: int, told: Record) -> Judged:
         label=told["label"],
         faults=tuple(told["faults"]),
         free_s=onset,
-        false=[first(said) for t, _, transition, said in events if transition == "occurred" and t < onset],
+        false=[first(said) for t, _, how, said in events if how == "occurred" and t < onset],
         alarms=[test for _, test in told["alarms"]],
         delay_s=None if news is None else round(news[0] - onset, 1),
         excited_s=None if news is None else news[1],

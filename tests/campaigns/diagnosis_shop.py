@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from diagnosis_cases import PROFILE, Case, Set, request, seed_of
 
@@ -16,7 +17,7 @@ from analysis.export import main as export
 from analysis.tuning.command import main as tune
 from service.bundle import Bundle, load_bundle
 from service.core.decision import Decision
-from service.core.events import Event
+from service.core.events import Diagnosis, Event
 from service.core.monitor import Monitor
 from service.core.observer import Tick
 from testbench.bus import load_dbc
@@ -162,10 +163,16 @@ def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
     )
 
 
+def said(diagnosis: Diagnosis) -> list[Any]:
+    """A diagnosis as a row of the records: faults, rank, p, and equations that what is unknown is near to."""
+    given = msgspec.to_builtins(diagnosis)
+    return ["+".join(diagnosis.faults) or "unknown", diagnosis.rank, diagnosis.p, given.get("near", [])]
+
+
 def told_of(case: Case, seen: Watched, period_s: float) -> Record:
     """What is kept of a judged recording: who told what when; what it means is `diagnosis_judged`'s matter.
 
-    Of each event: log time [s], exciting operation since the onset [s], transition, diagnoses as [faults, rank, p].
+    Of each event: log time [s], exciting operation since the onset [s], transition, diagnoses as `said`.
     """
     onset = case.onset_s if case.faults else case.seconds
     exciting = period_s * np.cumsum(seen.dosing & (seen.t >= onset))
@@ -173,8 +180,7 @@ def told_of(case: Case, seen: Watched, period_s: float) -> Record:
 
     def row(t: float, event: Event) -> list[Any]:
         since = exciting[max(int(np.searchsorted(seen.t, t, side="right")) - 1, 0)]
-        diagnoses = [["+".join(d.faults) or "unknown", d.rank, d.p] for d in event.diagnoses]
-        return [round(t, 1), round(float(since), 1), event.transition, diagnoses]
+        return [round(t, 1), round(float(since), 1), event.transition, [said(d) for d in event.diagnoses]]
 
     return {
         "case": case.name,

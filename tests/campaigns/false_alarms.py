@@ -19,8 +19,7 @@ from typing import Any, get_args
 import msgspec
 from diagnosis import FROZEN, RESULTS, kept, shard, workshop
 from diagnosis_cases import VEHICLES, Set, request
-from diagnosis_judged import first
-from diagnosis_shop import Workshop, run_of, watched
+from diagnosis_shop import Workshop, run_of, said, watched
 from results_page import digest, head_commit
 
 Record = dict[str, Any]
@@ -38,13 +37,12 @@ def hour(shop: Workshop, number: int, seconds: float = DRIVE_S) -> Record:
     asked = request(shop.number, shop.effects_set, "drive", seed, seconds, shop.profile)
     seen = watched(bundle, asked, run_of(asked))
     occurred = [(t, event) for t, event in seen.events if event.transition == "occurred"]
-    named = [[("+".join(d.faults) or "unknown", d.rank, d.p) for d in event.diagnoses] for _, event in occurred]
     return {
         "vehicle": shop.number,
         "set": shop.effects_set,
         "hour": number,
         "seconds": seconds,
-        "false": [[round(t, 1), first(said)] for (t, _), said in zip(occurred, named, strict=True)],
+        "false": [[round(t, 1), [said(d)[0] for d in event.diagnoses if d.rank == 1]] for t, event in occurred],
         "alarms": dict(Counter(test for _, test in seen.alarms)),
         "cannot_tell": round(float(seen.blind.mean()), 4),
         "cpu_s": round(time.process_time() - busy, 1),

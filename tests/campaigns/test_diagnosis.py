@@ -86,30 +86,32 @@ def made(number: int, *events: tuple[float, list[list[Any]]], label: str = "larg
 
 
 def test_a_recording_is_judged_by_what_stood() -> None:
-    both = [["fA_du", 1, None], ["fy_p_ap", 1, None], ["fA_ori", 3, None]]
-    one = judged(401, made(401, (100.0, [["fA_ori", 1, None]]), (170.0, both), (400.0, []), fA_du=0.2)["judged"][0])
+    both = [["fA_du", 1, None, []], ["fy_p_ap", 1, None, []], ["fA_ori", 3, None, []]]
+    one = judged(401, made(401, (100.0, [["fA_ori", 1, None, []]]), (170.0, both), (400.0, []), fA_du=0.2)["judged"][0])
     assert one.false == [["fA_ori"]]
     assert (one.delay_s, one.excited_s) == (20.0, 10.0)
     assert one.first(60.0) == ["fA_du", "fy_p_ap"]
     assert one.holds(120.0)
     assert one.first(300.0) == []
     assert not one.holds(300.0)
-    alone = judged(401, made(401, (170.0, [["fA_ori", 1, None]]), fA_du=0.2)["judged"][0])
+    alone = judged(401, made(401, (170.0, [["fA_ori", 1, None, []]]), fA_du=0.2)["judged"][0])
     assert alone.wrong_alone()
-    unknown = judged(401, made(401, (170.0, [["unknown", 1, None]]), fA_du=0.2)["judged"][0])
+    unknown = judged(401, made(401, (170.0, [["unknown", 1, None, ["e10"]]]), fA_du=0.2)["judged"][0])
     assert not unknown.wrong_alone()
-    standing = judged(401, made(401, (100.0, [["fA_ori", 1, None]]), fA_du=0.2)["judged"][0])
+    crept = made(401, (140.0, [["fA_ori", 1, 0.9, []]]), (170.0, [["fA_ori", 1, 0.8, []]]), fA_du=0.2)
+    assert not judged(401, crept["judged"][0]).detected  # a probability that creeps is no news
+    standing = judged(401, made(401, (100.0, [["fA_ori", 1, None, []]]), fA_du=0.2)["judged"][0])
     assert not standing.detected
-    pair = judged(401, made(401, (170.0, [["fA_du+fA_t", 1, None]]), fA_t=0.3, fA_du=0.2)["judged"][0])
+    pair = judged(401, made(401, (170.0, [["fA_du+fA_t", 1, None, []]]), fA_t=0.3, fA_du=0.2)["judged"][0])
     assert pair.holds()
     assert not pair.wrong_alone()
-    other = judged(401, made(401, (170.0, [["fA_ori", 1, None]]), fA_t=0.3, fA_du=0.2)["judged"][0])
+    other = judged(401, made(401, (170.0, [["fA_ori", 1, None, []]]), fA_t=0.3, fA_du=0.2)["judged"][0])
     assert other.wrong_alone()
 
 
 def test_mates_come_from_the_other_half() -> None:
-    both: list[list[Any]] = [["fA_du", 1, None], ["fy_p_ap", 1, None]]
-    three = [*both, ["fA_ori", 1, None]]
+    both: list[list[Any]] = [["fA_du", 1, None, []], ["fy_p_ap", 1, None, []]]
+    three = [*both, ["fA_ori", 1, None, []]]
     looked = all_of([made(401, (170.0, both), fA_du=0.2), made(402, (170.0, three), fA_du=0.2)])
     table = excused(looked)
     assert table[0]["fA_du", "large"] == {"fy_p_ap"}  # of the odd ones, for the even ones
@@ -119,11 +121,19 @@ def test_mates_come_from_the_other_half() -> None:
 
 def test_the_page_has_every_part() -> None:
     stamp = {"commit": "abc", "code": "def"}
+    ori: list[list[Any]] = [["fA_ori", 1, None, []]]
     records = [
-        made(401, (170.0, [["fA_du", 1, 0.9]]), fA_du=0.2),
-        made(402, (100.0, [["fA_ori", 1, None]]), (120.0, []), (300.0, [["fA_t", 1, None]]), label="small", fA_t=0.1),
-        made(402, (170.0, [["unknown", 1, None]]), leak_ap=0.1),
-        made(403, (170.0, [["fA_du+fA_t", 1, None]]), fA_t=0.3, fA_du=0.2),
+        made(401, (170.0, [["fA_du", 1, 0.9, []]]), fA_du=0.2),
+        made(
+            402,
+            (100.0, ori),
+            (120.0, []),
+            (300.0, [["fA_t", 1, None, []]]),
+            label="small",
+            fA_t=0.1,
+        ),
+        made(402, (170.0, [["unknown", 1, None, ["e10"]]]), leak_ap=0.1),
+        made(403, (170.0, [["fA_du+fA_t", 1, None, []]]), fA_t=0.3, fA_du=0.2),
         made(404, fA_p=0.8),
     ]
     records[4]["judged"][0]["changes"] = False
@@ -132,6 +142,7 @@ def test_the_page_has_every_part() -> None:
     assert "| fault-free: diagnoses told | none in 500 h over 20 vehicles | 1 in 0.2 h" in said
     assert "| small: detected within 300 s of exciting operation | >= 90 % | 1 of 1" in said
     assert "| leak: unknown | 100 % | 1 of 1" in said
+    assert "| leak: unknown, near the hose's balance | 100 % | 1 of 1" in said
     assert "| pairs: the true pair in the diagnosis | >= 60 % | 1 of 1" in said
     assert "| fA_p that changes nothing: quiet | 100 % | 1 of 1" in said
     assert "| fA_t + fA_du | 20 | fA_du+fA_t | yes |" in said
