@@ -30,12 +30,36 @@ Record = dict[str, Any]
 RESULTS = Path("docs/results")
 WORK = Path("out/campaign-diagnosis")
 """Bundles and series of residuals, by the code that made them; not in git."""
-FROZEN = ("analysis", "service", "testbench", "dbc", *(f"tests/campaigns/diagnosis_{n}.py" for n in ("cases", "shop")))
+WAYS = ("own", "adapted")
+"""A vehicle is tuned on drives of its own, or adapts the tuning of the reference vehicles."""
+_OWN = (f"tests/campaigns/diagnosis_{name}.py" for name in ("cases", "shop", "reference"))
+FROZEN = ("analysis", "service", "testbench", "dbc", *_OWN)
 
 
-def workshop(number: int, effects_set: Set, code: str, root: Path = WORK) -> Workshop:
-    """The vehicle's, as this code made it."""
-    return Workshop(number, effects_set, root / code / effects_set / f"truck-{number}")
+def workshops(numbers: Sequence[int], effects_set: Set, code: str, way: str) -> list[Workshop]:
+    """Those of the vehicles, as this code makes them; the reference tuning, if they adapt one, is made first."""
+    base = None
+    if way == "adapted":
+        from diagnosis_reference import reference
+
+        base = reference(WORK / code)
+    root = folder_of(effects_set, code, way)
+    return [Workshop(number, effects_set, root / f"truck-{number}", base=base) for number in numbers]
+
+
+def folder_of(effects_set: Set, code: str, way: str) -> Path:
+    """Where the vehicles of a campaign have what they made."""
+    return WORK / code / f"{effects_set}-{way}"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What both campaigns are asked."""
+    parser.add_argument("--effects", choices=get_args(Set), default=os.environ.get("EFFECTS", "A"))
+    parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the vehicles")
+    parser.add_argument("--vehicles", type=int, nargs="+", default=VEHICLES)
+    parser.add_argument("--tuning", choices=WAYS, default=os.environ.get("TUNING", WAYS[0]), help="how it is tuned")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--results", type=Path, default=RESULTS)
 
 
 def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
@@ -47,6 +71,7 @@ def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
         "set": shop.effects_set,
         "effects": hidden(shop.number, shop.effects_set),
         "doubts": shop.doubts,
+        "claim": shop.claim,
         "judged": [_judged(shop, bundle, case) for case in wanted],
         "wall_s": round(time.monotonic() - start, 1),
         "cpu_s": round(time.process_time() - busy, 1),
@@ -89,24 +114,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from diagnosis_page import write_page
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--effects", choices=get_args(Set), default=os.environ.get("EFFECTS", "A"))
-    parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the vehicles")
-    parser.add_argument("--vehicles", type=int, nargs="+", default=VEHICLES)
+    add_options(parser)
     parser.add_argument("--faults", nargs="+", help="only recordings of these, and fault-free ones")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--page-only", action="store_true", help="make nothing, write the page of what is there")
     options = parser.parse_args(arguments)
     path = kept_in(options.effects, options.results)
     if not options.page_only:
         code = digest(*FROZEN)
-        stamp = {"commit": head_commit(), "code": code}
+        stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
         there = {record["vehicle"] for record in kept(path)}
-        wanted = [
-            (workshop(number, options.effects, code), _wanted(number, options.effects, options.faults))
-            for number in shard(options.vehicles, options.shard)
-            if number not in there
-        ]
+        missing = [number for number in shard(options.vehicles, options.shard) if number not in there]
+        shops = workshops(missing, options.effects, code, options.tuning)
+        wanted = [(shop, _wanted(shop.number, options.effects, options.faults)) for shop in shops]
         options.results.mkdir(parents=True, exist_ok=True)
         with get_context("spawn").Pool(options.processes, maxtasksperchild=1) as pool:
             for record in pool.imap_unordered(_vehicle, wanted):

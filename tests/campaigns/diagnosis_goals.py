@@ -20,12 +20,13 @@ Mates = Mapping[int, Mapping[Cell, frozenset[str]]]
 
 @dataclass(frozen=True)
 class Hours:
-    """Fault-free driving: how long [h], what was told of it, and alarms by test, on how many vehicles."""
+    """Fault-free driving: how long [h], what was told of it, alarms by test, on how many vehicles; tuning's claim."""
 
     hours: float
     vehicles: int
     false: list[list[str]]
     alarms: Mapping[str, int]
+    claim: str
 
 
 def singles(told: Sequence[Judged], label: str, *, only: Sequence[str] = ()) -> list[Judged]:
@@ -79,7 +80,7 @@ def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
         (
             "fault-free: alarms of single tests",
             "at the rate tuned",
-            exact_rate(sum(free.alarms.values()), free.hours) + "; tuned: none in 20 min",
+            exact_rate(sum(free.alarms.values()), free.hours) + f"; the first vehicle's tuning: {free.claim}",
         ),
         ("large: detected", "100 %", share(large, lambda one: one.detected)),
         *(

@@ -38,7 +38,7 @@ vehicles. Intervals are exact (95 %; Clopper and Pearson, Garwood).
 def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = "") -> str:
     """The page of one set of hidden effects, as Markdown."""
     told = all_of([*records])
-    free, of_others = fault_free(told, hours), excused(told)
+    free, of_others = fault_free(told, hours, records[0]["claim"]), excused(told)
     effects = {record["vehicle"]: [*record["effects"]] for record in records}
     said = Counter(name for names in free.false for name in names)
     tables = {
@@ -65,7 +65,7 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
     return "\n".join(lines) + "\n"
 
 
-def fault_free(told: Sequence[Judged], hours: Sequence[Record]) -> Hours:
+def fault_free(told: Sequence[Judged], hours: Sequence[Record], claim: str) -> Hours:
     """What was told where there was no fault: before onsets, in fault-free drives, and in the hours driven besides."""
     counted = Counter(test for one in told for test in one.alarms)
     false = [names for one in told for names in one.false]
@@ -74,7 +74,7 @@ def fault_free(told: Sequence[Judged], hours: Sequence[Record]) -> Hours:
         false += [names for _, names in hour["false"]]
     seconds = sum(one.free_s for one in told) + sum(hour["seconds"] for hour in hours)
     vehicles = {one.vehicle for one in told} | {hour["vehicle"] for hour in hours}
-    return Hours(seconds / 3600, len(vehicles), false, counted)
+    return Hours(seconds / 3600, len(vehicles), false, counted, claim)
 
 
 def by_vehicle(hours: Sequence[Record]) -> list[str]:
@@ -89,8 +89,8 @@ def by_vehicle(hours: Sequence[Record]) -> list[str]:
 
 
 def latest(records: Sequence[Record]) -> list[Record]:
-    """Those of the code that the last of them is of: other code's do not count together with them."""
-    return [record for record in records if record["code"] == records[-1]["code"]]
+    """Those of the code and tuning that the last of them is of: others do not count together with them."""
+    return [record for record in records if all(record[name] == records[-1][name] for name in ("code", "tuning"))]
 
 
 def write_page(results: Path) -> None:

@@ -1,6 +1,7 @@
 """A vehicle's workshop: from fault-free recordings to its bundle, and what that bundle then tells of other drives."""
 
 import io
+import json
 import shutil
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
@@ -37,12 +38,16 @@ TUNING = (2, 3)
 
 @dataclass(frozen=True)
 class Workshop:
-    """A vehicle's recordings and its bundle, in a folder of its own."""
+    """A vehicle's recordings and its bundle, in a folder of its own.
+
+    `base` is the tuning of other vehicles that this one's is adapted from (`diagnosis_reference`); None tunes it anew.
+    """
 
     number: int
     effects_set: Set
     folder: Path
     profile: str = PROFILE
+    base: Path | None = None
 
     def made(self, cycle: str, k: int, seconds: float) -> Path:
         """A fault-free recording of the vehicle, on a day of its own."""
@@ -54,20 +59,31 @@ class Workshop:
         """What the vehicle runs; made once for a folder."""
         out = self.folder / "bundle"
         if not out.exists():
-            training = self.made("training", 1, TRAINING_S)
-            model = self.folder / "model.toml"
-            words = ["uds4", str(training), "--out", str(model)]
-            code, told = quietly(calibrate, words)
-            if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
-                self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))
-                must(calibrate, [*words, "--force"])
+            model, training = self.calibrated()
             drives = [self.made("drive", k, TUNING_S) for k in TUNING]
-            tuned = tuning(model, drives, self.folder / "tuning.json")
+            tuned = tuning(model, drives, self.folder / "tuning.json", self.base)
             dbc = str(training / "uds.dbc")
             must(export, [str(model), "--tuning", str(tuned), "--dbc", dbc, "--out", str(out)])
             for folder in ("logs", "truth"):
                 shutil.rmtree(self.folder / folder)
         return load_bundle(out)
+
+    def calibrated(self) -> tuple[Path, Path]:
+        """The model file, and the recording that it was calibrated on."""
+        training = self.made("training", 1, TRAINING_S)
+        model = self.folder / "model.toml"
+        words = ["uds4", str(training), "--out", str(model)]
+        code, told = quietly(calibrate, words)
+        if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
+            self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))
+            must(calibrate, [*words, "--force"])
+        return model, training
+
+    @property
+    def claim(self) -> str:
+        """What the tuning says of its false alarms; a tuning that claims nothing has none in its own drives."""
+        told = json.loads((self.folder / "tuning.json").read_text()).get("claim")
+        return told["said"] if told else f"none in the {len(TUNING)} drives of {TUNING_S:.0f} s that it was tuned on"
 
     @property
     def doubts(self) -> list[str]:
@@ -79,9 +95,10 @@ class Workshop:
         return self.folder / "doubts.txt"
 
 
-def tuning(model: Path, drives: Sequence[Path], out: Path) -> Path:
+def tuning(model: Path, drives: Sequence[Path], out: Path, base: Path | None) -> Path:
     """The vehicle's thresholds, as its workshop sets them: the one place that says how."""
-    must(tune, [str(model), *map(str, drives), "--out", str(out)])
+    adapted = [] if base is None else ["--adapt", str(base)]
+    must(tune, [str(model), *map(str, drives), *adapted, "--out", str(out)])
     return out
 
 

@@ -14,11 +14,11 @@ from collections import Counter
 from collections.abc import Sequence
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
-from diagnosis import FROZEN, RESULTS, kept, shard, workshop
-from diagnosis_cases import VEHICLES, Set, request
+from diagnosis import FROZEN, RESULTS, add_options, kept, shard, workshops
+from diagnosis_cases import Set, request
 from diagnosis_shop import Workshop, run_of, said, watched
 from results_page import digest, head_commit
 
@@ -63,17 +63,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from diagnosis_page import write_page
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--effects", choices=get_args(Set), default=os.environ.get("EFFECTS", "A"))
-    parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the vehicles")
+    add_options(parser)
     parser.add_argument("--hours", type=int, default=int(os.environ.get("HOURS", "25")), help="of each vehicle")
-    parser.add_argument("--vehicles", type=int, nargs="+", default=VEHICLES)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     path, code = kept_in(options.effects, options.results), digest(*FROZEN)
-    stamp = {"commit": head_commit(), "code": code}
-    there = {(record["vehicle"], record["hour"]) for record in kept(path) if record["code"] == code}
-    shops = [workshop(number, options.effects, code) for number in shard(options.vehicles, options.shard)]
+    stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
+    same = [record for record in kept(path) if (record["code"], record["tuning"]) == (code, options.tuning)]
+    there = {(record["vehicle"], record["hour"]) for record in same}
+    shops = workshops(shard(options.vehicles, options.shard), options.effects, code, options.tuning)
     with get_context("spawn").Pool(options.processes) as pool:
         pool.map(_made, shops)  # each once, before two processes want the same
         wanted = [(s, k) for k in range(options.hours) for s in shops if (s.number, k) not in there]

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
 
-from diagnosis import RESULTS, WORK, kept, kept_in
+from diagnosis import RESULTS, folder_of, kept, kept_in
 from diagnosis_cases import Set
 from diagnosis_goals import APART, detected
 from diagnosis_judged import Judged
-from diagnosis_page import write_page
+from diagnosis_page import latest, write_page
 from results_page import exact_rate, exact_share
 from rival_methods import Components, Forest, Rival, ThesisCusum
 from rival_series import Series, false_alarms, first_alarm, limit_for, load
@@ -190,8 +190,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     records = kept(kept_in(options.effects, options.results))
-    records = [record for record in records if record["code"] == records[-1]["code"]]
-    root = WORK / records[-1]["code"] / options.effects
+    records = latest(records)
+    root = folder_of(options.effects, records[-1]["code"], records[-1]["tuning"])
     series = load(records, root)
     manifest = load_bundle(root / f"truck-{records[0]['vehicle']}" / "bundle").manifest
     matrix = [frozenset(generator.faults) for generator in manifest.generators]

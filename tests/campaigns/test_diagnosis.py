@@ -82,7 +82,14 @@ def made(number: int, *events: tuple[float, list[list[Any]]], label: str = "larg
         )
     told: Record = {"case": "c", "kind": "pair" if len(faults) > 1 else "single", "label": label, "faults": faults}
     told |= {"onset_s": 150.0, "seconds": 900.0, "exciting_s": 300.0, "cannot_tell": 0.0, "alarms": [], "events": rows}
-    return {"vehicle": number, "effects": {"full_lift": 0.05}, "doubts": [], "cpu_s": 1.0, "judged": [told]}
+    return {
+        "vehicle": number,
+        "effects": {"full_lift": 0.05},
+        "doubts": [],
+        "claim": "none",
+        "cpu_s": 1.0,
+        "judged": [told],
+    }
 
 
 def test_a_recording_is_judged_by_what_stood() -> None:
@@ -147,7 +154,8 @@ def test_the_page_has_every_part() -> None:
     assert "| fA_p that changes nothing: quiet | 100 % | 1 of 1" in said
     assert "| fA_t + fA_du | 20 | fA_du+fA_t | yes |" in said
     assert "| full_lift | 4 | 1 in 0.2 h" in said
-    assert latest([{"code": "a"}, {"code": "b"}, {"code": "b"}]) == [{"code": "b"}, {"code": "b"}]
+    a, b = ({"code": code, "tuning": "own"} for code in "ab")
+    assert latest([a, b, {**b, "tuning": "adapted"}, b]) == [b, b]
 
 
 def test_the_interval_of_a_count_is_garwoods() -> None:
