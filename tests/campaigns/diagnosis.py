@@ -84,7 +84,7 @@ def _judged(shop: Workshop, bundle: Bundle, case: Case) -> Record:
     seen: Watched = watched(bundle, asked, run)
     seen.save(shop.folder / "series" / f"{case.name}.npz")
     told = told_of(case, seen, bundle.manifest.period_s)
-    if "fA_p" in dict(case.faults):
+    if case.kind != "pair" and "fA_p" in dict(case.faults):
         told["changes"] = changes(asked, run, run_of(case.healthy))
     return told
 

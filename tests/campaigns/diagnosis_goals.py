@@ -104,6 +104,11 @@ def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
             ">= 98 %",
             share(detected(seen), Judged.holds),
         ),
+        (
+            "fA_p that changes what is measured: alone or only with practical mates",
+            ">= 95 %",
+            share(detected(seen), lambda one: narrow(one, of_others)),
+        ),
         ("fA_p that changes nothing: quiet", "100 %", share(unseen, lambda one: not one.detected)),
         ("small: detected within 300 s of exciting operation", ">= 90 %", share(small, early)),
         ("small: true component in the diagnosis after 120 s", ">= 95 %", share(detected(small), Judged.holds)),

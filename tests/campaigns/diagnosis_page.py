@@ -56,6 +56,8 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
         f"{len(records)} vehicles, {len(told)} recordings. `calibrate` doubts its model of {doubted} of the vehicles:"
     ]
     lines[0] += " hidden effects, or a zero of y_p_tp that is the tank's level; the workshop takes it all the same."
+    blind = sum(one.cannot_tell for one in told) / len(told)
+    lines.append(f"After the onset (in fault-free drives: throughout) {100 * blind:.1f} % of the tests could not tell.")
     for title, table in tables.items():
         lines += ["", f"## {title}", "", *table]
     cpu = sum(record["cpu_s"] for record in records)
@@ -88,6 +90,12 @@ def by_vehicle(hours: Sequence[Record]) -> list[str]:
     return rows
 
 
+def of_same_code(hours: Sequence[Record], records: Sequence[Record]) -> list[Record]:
+    """The hours that were driven with what made the records."""
+    ways = {(record["code"], record["tuning"]) for record in records}
+    return [hour for hour in hours if (hour["code"], hour["tuning"]) in ways]
+
+
 def latest(records: Sequence[Record]) -> list[Record]:
     """Those of the code and tuning that the last of them is of: others do not count together with them."""
     return [record for record in records if all(record[name] == records[-1][name] for name in ("code", "tuning"))]
@@ -100,10 +108,11 @@ def write_page(results: Path) -> None:
         records, hours = (_read(results / f"{kind}-{name}.jsonl") for kind in ("diagnosis", "false-alarms"))
         rivals = results / f"diagnosis-rivals-{name}.md"
         more = "\n" + rivals.read_text() if rivals.exists() else ""
+        hours = of_same_code(hours, records)
         if hours:
-            more += "\n" + "\n".join(["## Hours by vehicle", "", *by_vehicle(latest(hours)), ""])
+            more += "\n" + "\n".join(["## Hours by vehicle", "", *by_vehicle(hours), ""])
         if records:
-            parts.append(f"# Hidden effects of set {name}\n\n" + page(records, latest(hours), more))
+            parts.append(f"# Hidden effects of set {name}\n\n" + page(records, hours, more))
     (results / PAGE).write_text("\n".join(parts))
 
 

@@ -9,13 +9,17 @@ from typing import Any
 
 import pytest
 from diagnosis import Record, vehicle
-from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidden
+from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidden, request
 from diagnosis_judged import all_of, judged
 from diagnosis_mates import excused, narrow
-from diagnosis_page import latest, page
-from diagnosis_shop import Workshop
+from diagnosis_page import latest, of_same_code, page
+from diagnosis_shop import Workshop, run_of
+from diagnosis_visible import changes
 from false_alarms import hour
 from results_page import poisson
+
+from testbench.effects import PROFILES
+from testbench.faults import Fault
 
 FAULTS = {"fA_t", "fA_du", "fy_p_du"}
 NUMBER = REFERENCE[0]
@@ -156,6 +160,24 @@ def test_the_page_has_every_part() -> None:
     assert "| full_lift | 4 | 1 in 0.2 h" in said
     a, b = ({"code": code, "tuning": "own"} for code in "ab")
     assert latest([a, b, {**b, "tuning": "adapted"}, b]) == [b, b]
+
+
+def test_a_fault_changes_what_is_measured_or_does_not() -> None:
+    """A clogged pump filter that starves no pump shows where the pump's ripple reaches the sensor before it."""
+    quiet = replace(request(301, "A", "maximum", 5, 120.0), effects=PROFILES["realistic"])
+    pulsing = replace(quiet, effects={**PROFILES["realistic"], "suction_pulsation": 10.0})
+    told = {}
+    for name, healthy in (("quiet", quiet), ("pulsing", pulsing)):
+        clogged = replace(healthy, faults=(Fault("fA_p", 0.7, 60.0),))
+        told[name] = changes(clogged, run_of(clogged), run_of(healthy))
+    large = replace(quiet, faults=(Fault("fA_t", 0.333, 60.0),))
+    told["fA_t"] = changes(large, run_of(large), run_of(quiet))
+    assert told == {"quiet": False, "pulsing": True, "fA_t": True}
+
+
+def test_hours_count_with_the_code_that_made_the_records() -> None:
+    record, other = ({"code": code, "tuning": "own"} for code in "ab")
+    assert of_same_code([record, other], [record]) == [record]
 
 
 def test_the_interval_of_a_count_is_garwoods() -> None:
