@@ -18,6 +18,7 @@ from diagnosis_visible import changes
 from false_alarms import hour
 from results_page import poisson
 
+from testbench.day import CALM
 from testbench.effects import PROFILES
 from testbench.faults import Fault
 
@@ -69,7 +70,9 @@ def test_vehicles_differ_in_what_they_hide_and_cases_do_not_share_seeds() -> Non
         assert {len(effects) for effects in chosen} == {1, 2}
         assert len(set(chosen)) > 8
         assert {effect for effects in chosen for effect in effects} == set(HIDDEN[name])
-    for number in (401, 402):
+    for number in VEHICLES:
+        asked = [case.request for name in sets for case in cases(number, name)]  # the rig refuses what cannot be
+        assert all(one.day != CALM and {*PROFILES["everyday"]} <= {*one.effects} for one in asked)
         seeds = [case.seed for case in cases(number, "A")]
         assert len(seeds) == len(set(seeds))
     pairs = [case.faults for number in VEHICLES for case in cases(number, "A") if case.kind == "pair"]
