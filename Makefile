@@ -4,6 +4,7 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench clean
 .PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
+.PHONY: campaign-false-alarms campaign-rivals
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -38,14 +39,24 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
 
-campaign-diagnosis: .venv/.test  ## faults on other vehicles: detected, named? writes docs/results
+# In parts if wanted: SHARD=1/4 ...; EFFECTS=B once, after a commit that says so.
+campaign-diagnosis: .venv/.test  ## faults on other vehicles: detected, named? an hour or more; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/diagnosis.py
+
+# Hours of each vehicle; sessions add to what is there.
+HOURS ?= 25
+campaign-false-alarms: .venv/.test  ## fault-free driving of those vehicles, a minute of computing for an hour
+	@OPENBLAS_NUM_THREADS=1 HOURS=$(HOURS) $(BIN)/python tests/campaigns/false_alarms.py
+
+campaign-rivals: .venv/.test  ## other methods on the recordings of campaign-diagnosis, whose residuals are in out
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/rivals.py
 
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py
 
 campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/grey_box.py
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/effort.py
 
 clean:
 	rm -rf .venv .venv-peer out build faultline.egg-info

@@ -14,7 +14,7 @@ from rich.progress import Progress
 from testbench.bus import load_dbc
 from testbench.can_logger import FORMATS
 from testbench.cycles import CYCLES
-from testbench.effects import EFFECTS
+from testbench.effects import EFFECTS, PROFILE_TEXTS
 from testbench.errors import RigError
 from testbench.faults import FAULTS
 from testbench.options import add_logger, add_run, number, requested
@@ -29,7 +29,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle drive --seed 2 --out recordings --truth truth
   faultline rig record --cycle validation --fault fA_du --size 0.65 --onset 200 --seed 3 --out recordings --truth truth
   faultline rig record --cycle drive --vehicle truck-7 --effect leak=0.2 --effect sensor_lag --out recs --truth truth
-  faultline rig record --cycle drive --kind instrumented --seed 2 --out logs --truth truth
+  faultline rig record --cycle drive --kind instrumented --profile everyday --seed 2 --out logs --truth truth
   faultline rig play --cycle drive --vehicle truck --bus udp_multicast:239.74.163.2:43113 --speed 20
   faultline rig picture recordings/bench-training-s1 --truth truth/bench-training-s1.toml --out training.png
   faultline rig record --cycle drive --logger starts_s=-87.3 --logger drift_ppm=150 --out recordings --truth truth
@@ -59,7 +59,9 @@ def _parser() -> argparse.ArgumentParser:
         form = argparse.RawDescriptionHelpFormatter
         return actions.add_parser(name, help=about, description=description, epilog=EXAMPLES, formatter_class=form)
 
-    show = action("list", "print cycles, vehicles, faults and effects", "Print what the other actions can be given.")
+    show = action(
+        "list", "print cycles, vehicles, faults, profiles, effects", "Print what the other actions can be given."
+    )
     show.add_argument("--json", action="store_true", help="for a program to read")
     make = action(
         "record",
@@ -97,6 +99,7 @@ def _list(arguments: argparse.Namespace) -> int:
             name: f"{text}; {size}" + (", small {:g}, large {:g}".format(*frozen()[name]) if name in frozen() else "")
             for name, (text, size) in FAULTS.items()
         },
+        "profiles": PROFILE_TEXTS,
         "effects": {name: f"{e.text}; {e.typical:g} {e.unit}, set {e.set}" for name, e in EFFECTS.items()},
     }
     if arguments.json:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from testbench.branches import Branch, Creep, Leak, Relief
+from testbench.day import CALM, Day
 from testbench.errors import RigError
 from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
 from testbench.restriction import TURBULENT, Restriction
@@ -51,6 +52,13 @@ EFFECTS: dict[str, Effect] = {
     "cake_growth": Effect("drop of the dosing unit's filter grows with each litre", "fraction", 0.5, 4.0, "A"),
     "sensor_lag": Effect("the dosing unit's pressure sensor is slow: time constant", "s", 0.4, 1.5, "A"),
     "log_delay": Effect("what the controller says is old", "s", 0.3, 1.5, "A"),
+    "suction_pulsation": Effect(
+        "the pump's flow ripple at the sensor between the filters: amplitude at rated flow, pump filter clean",
+        "mbar",
+        10.0,
+        40.0,
+        "A",
+    ),
     "leak": Effect("leak after the pump, at 10 bar", "mL/s", 0.15, 1.0, "B"),
     "creeping_hose": Effect("hose compliance that follows within seconds, of the rated one", "fraction", 0.6, 3.0, "B"),
     "back_pressure": Effect("exhaust behind the nozzle, swinging by half", "bar", 0.3, 2.0, "B"),
@@ -68,8 +76,17 @@ PROFILES: dict[str, dict[str, float]] = {
     "ideal": {},
     # Filters and bores have some laminar part (Ergun 1952; Idelchik 1986).
     "realistic": {"laminar_filters": 0.06},
+    # The same, and every recording has a day of its own (`day.py`).
+    "everyday": {"laminar_filters": 0.06},
 }
-"""What is always there: `ideal` lies inside the diagnosis model's family, `realistic` does not."""
+"""What is always there: `ideal` lies inside the diagnosis model's family, the others do not."""
+
+PROFILE_TEXTS = {
+    "ideal": "none: inside the diagnosis model's family",
+    "realistic": "filters and bores have some laminar part",
+    "everyday": "realistic, and every recording has its day: viscosity sd 5 %, zeros of y_p_tp, y_p_ap, y_p_du "
+    "sd 1, 3, 3 mbar, tank level sd 5 mbar",
+}
 
 
 def checked(effects: Mapping[str, float]) -> dict[str, float]:
@@ -133,8 +150,8 @@ def fitted(vehicle: Vehicle, effects: Mapping[str, float]) -> Vehicle:
 class Surroundings:
     """What changes while the rig runs. State: what has gone through filter and nozzle [m^3]."""
 
-    def __init__(self, effects: Mapping[str, float]) -> None:
-        self._size = dict.fromkeys(EFFECTS, 0.0) | dict(effects)
+    def __init__(self, effects: Mapping[str, float], day: Day = CALM) -> None:
+        self._size, self._day = dict.fromkeys(EFFECTS, 0.0) | dict(effects), day
         self._filtered = self._dosed = 0.0
 
     def step(self, plant: Plant, healthy: PlantParameters, t: float, h: float) -> PlantParameters:
@@ -145,10 +162,11 @@ class Surroundings:
         size = self._size
         self._filtered += h * max(plant.q_du, 0.0)
         self._dosed += h * max(plant.q_dose, 0.0)
-        plant.viscosity = 1.0 + size["viscosity_drift"] * (1.0 - math.exp(-max(t, 0.0) / WARM_UP_TIME))
+        drift = 1.0 + size["viscosity_drift"] * (1.0 - math.exp(-max(t, 0.0) / WARM_UP_TIME))
+        plant.viscosity = self._day.viscosity * drift
         level = size["falling_level"] * MBAR * (1.0 - math.exp(-max(t, 0.0) / LEVEL_TIME))
         plant.p_return = ATMOSPHERE - size["blocked_vent"] * MBAR * self._dosed / (0.1 * LITRE)
-        plant.p_tank = plant.p_return - level  # the return ends in the gas above the reductant
+        plant.p_tank = plant.p_return - level + self._day.level  # the return ends in the gas above the reductant
         swing = 1.0 + 0.5 * math.sin(2 * math.pi * t / EXHAUST_SWING)
         plant.p_nozzle = ATMOSPHERE + size["back_pressure"] * BAR * swing
         plant.inlet_spring = size["inlet_spring"] * BAR

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from testbench.cycles import CYCLES, cycle
+from testbench.day import day_of
 from testbench.effects import EFFECTS, PROFILES, checked
 from testbench.errors import RigError
 from testbench.faults import Course, Fault
@@ -29,7 +30,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add("--onset", action="append", default=[], type=number, help="s after the first frame from which it is present")
     courses = get_args(Course)
     add("--course", action="append", default=[], choices=courses, help="of each fault (default: abrupt)")
-    add("--profile", default="realistic", choices=list(PROFILES), help="which effects are always there (realistic)")
+    add("--profile", default="realistic", choices=list(PROFILES), help="what is always there (realistic)")
     add(
         "--effect",
         action="append",
@@ -70,6 +71,7 @@ def requested(arguments: argparse.Namespace, kind: Kind, words: Sequence[str] = 
         form,
         kind,
         SecondLogger(**_numbers("--logger", words, RANGES, "drift_ppm=150")),
+        day_of(arguments.profile, arguments.seed, chosen.name),
     )
 
 

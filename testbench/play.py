@@ -36,7 +36,13 @@ class Played:
 def live(request: Request, dbc: Dbc) -> Iterator[Frame]:
     """The frames that a recording of `request` would hold, simulated as they are asked for; the first is ready."""
     simulation = Simulation(
-        request.vehicle, request.cycle, request.faults, request.seed, request.duration, effects=request.effects
+        request.vehicle,
+        request.cycle,
+        request.faults,
+        request.seed,
+        request.duration,
+        effects=request.effects,
+        day=request.day,
     )
     sent = frames(request, dbc, _stretches(simulation))
     return chain([next(sent)], sent)

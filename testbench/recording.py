@@ -15,11 +15,13 @@ from pathlib import Path
 
 from testbench.bus import Dbc
 from testbench.can_logger import START_TEXT, candump, in_format
+from testbench.day import CALM
 from testbench.effects import checked, fitted
 from testbench.errors import RigError
 from testbench.request import Request
 from testbench.second_logger import Clocking, external_csv
-from testbench.simulation import MARGIN, simulate, stream
+from testbench.simulation import MARGIN, simulate
+from testbench.streams import stream
 from testbench.traffic import frames
 from testbench.vehicles import Vehicle
 
@@ -73,9 +75,8 @@ def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> 
     random = stream(seed, cycle.name, "external")
     clocking = request.logger.clocking(duration, random) if request.kind == "bench" else None
     after = clocking.needs_after if clocking else MARGIN
-    run = simulate(
-        vehicle, cycle, request.faults, seed, duration, effects=request.effects, after=after, progress=progress
-    )
+    effects, faults, day = request.effects, request.faults, request.day
+    run = simulate(vehicle, cycle, faults, seed, duration, effects=effects, day=day, after=after, progress=progress)
     can = candump(frames(request, dbc, [run]))
     files = {
         "recording.toml": _recording_toml(request, dbc).encode(),
@@ -83,8 +84,8 @@ def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> 
         "uds.dbc": dbc.content,
     }
     if clocking:
-        sensors = fitted(vehicle, request.effects).external
-        files["external.csv"] = external_csv(run, sensors, request.faults, duration, clocking, random).encode()
+        sensors, phases = fitted(vehicle, effects).external, stream(seed, cycle.name, "ripple")
+        files["external.csv"] = external_csv(run, sensors, faults, duration, clocking, day, random, phases).encode()
     return files, _truth_toml(request, clocking)
 
 
@@ -127,6 +128,8 @@ unit = "V"
 def _truth_toml(request: Request, clocking: Clocking | None) -> str:
     """What was in the recording.
 
+    `[day]`, where conditions differ from one drive to the next, says how (`Day.truth`).
+
     `[logger]`, for a bench, is what the second logger did (`Clocking`), and besides what an ideal synchronisation of
     its clock would find, exactly: can_time = offset_s + (1 + drift) logger_time, with logger_time as in the CSV (whose
     samples' own jitter is in it) and can_time in seconds after the first frame. A value in an ECU's frame is older than
@@ -144,13 +147,14 @@ profile = "{fault.profile}"
         for fault in request.faults
     )
     logger = f"\n[logger]\n{_pairs(clocking.truth())}" if clocking else ""
+    day = f"\n[day]\n{_pairs(request.day.truth())}" if request.day != CALM else ""
     return f"""schema = 1
 recording = {json.dumps(request.name)}
 {faults}
 [effects]
 {_pairs(checked(request.effects))}
 [vehicle]
-{_pairs(request.vehicle.scatter)}{logger}"""
+{_pairs(request.vehicle.scatter)}{day}{logger}"""
 
 
 def _pairs(values: Mapping[str, float]) -> str:

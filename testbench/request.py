@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from testbench.cycles import Cycle, check_duration
+from testbench.day import CALM, Day
 from testbench.effects import PROFILES, checked
 from testbench.errors import RigError
 from testbench.faults import Fault
@@ -19,7 +20,8 @@ Kind = Literal["bench", "instrumented"]
 class Request:
     """What to record: `duration` [s]; `name` is the recording's id, `effects` are the hidden ones with their sizes.
 
-    `format` is that of the CAN log, one of `FORMATS`; `logger` is the second logger, which only a bench has.
+    `format` is that of the CAN log, one of `FORMATS`; `logger` is the second logger, which only a bench has; `day` is
+    what differs from one drive to the next.
 
     Raises:
         RigError: the duration is too short for a cycle, a fault comes twice or sets in after it, an effect is unknown
@@ -36,6 +38,7 @@ class Request:
     format: str = "log"
     kind: Kind = "bench"
     logger: SecondLogger = field(default_factory=SecondLogger)
+    day: Day = CALM
 
     def __post_init__(self) -> None:
         if self.kind == "instrumented" and self.logger != SecondLogger():

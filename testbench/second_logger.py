@@ -12,9 +12,11 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from testbench.day import Day
 from testbench.errors import RigError
 from testbench.faults import Fault, strength
 from testbench.plant import Array
+from testbench.pulsation import pulse
 from testbench.sensors import ExternalSensor
 from testbench.simulation import MARGIN, Run
 
@@ -114,7 +116,9 @@ def external_csv(
     faults: Sequence[Fault],
     duration: float,
     clocking: Clocking,
+    day: Day,
     rng: np.random.Generator,
+    phases: np.random.Generator,
 ) -> str:
     """The second logger's CSV: `time_s` on its own clock, one column of volts a sensor.
 
@@ -124,15 +128,19 @@ def external_csv(
     t = np.asarray(start + np.arange(int((stop - start) / PERIOD)) * PERIOD, dtype=np.float64)
     t += rng.uniform(-JITTER, JITTER, len(t))
     t = t[rng.random(len(t)) >= clocking.dropped]
+    zeros = {"y_p_tp": day.zero_p_tp, "y_p_ap": day.zero_p_ap}
     columns = [f"{value:.4f}" for value in clocking.logger_time(t).tolist()]
     for signal, plain in sensors.items():
         sensor = replace(plain, noise=clocking.noise * plain.noise)
         true: Array = np.interp(t, run.t, run.pressures[:, COLUMN_OF[signal]])
+        if signal == "y_p_tp":
+            true = true + np.interp(t, run.ecu_t, run.ripple) * pulse(phases.random(len(t)))
         offset, off = (
             np.array([strength(faults, name, time) for time in t.tolist()])
             for name in (f"f{signal}", f"off_{signal.removeprefix('y_')}")
         )
-        volts = np.select([off == size for size in OFF_VOLTS], [*OFF_VOLTS.values()], sensor.read(true, offset, rng))
+        read = sensor.read(true, offset + zeros[signal], rng)
+        volts = np.select([off == size for size in OFF_VOLTS], [*OFF_VOLTS.values()], read)
         columns = [f"{row},{volt:.4f}" for row, volt in zip(columns, volts.tolist(), strict=True)]
     header = ",".join(["time_s", *(sensor.column for sensor in sensors.values())])
     return "\n".join([header, *columns, ""])

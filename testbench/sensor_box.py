@@ -9,7 +9,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from testbench.bus import Knowledge
+from testbench.day import Day
 from testbench.faults import Fault, reading, strength
+from testbench.pulsation import pulse
 from testbench.sensors import ExternalSensor
 from testbench.simulation import Run
 
@@ -17,22 +19,31 @@ ZEROED_OVER = 100  # 10 s at 10 Hz, within the standstill that a workshop waits 
 
 
 class SensorBox:
-    """State: the zero errors left [Pa], and the noise to come."""
+    """State: the zero errors left [Pa], the noise and the phases of the pump's ripple to come."""
 
     def __init__(
-        self, sensors: Mapping[str, ExternalSensor], faults: Sequence[Fault], rng: np.random.Generator
+        self,
+        sensors: Mapping[str, ExternalSensor],
+        faults: Sequence[Fault],
+        day: Day,
+        rng: np.random.Generator,
+        phases: np.random.Generator,
     ) -> None:
         self._p_tp, self._p_ap = sensors["y_p_tp"], sensors["y_p_ap"]
-        self._faults, self._rng = faults, rng
+        self._faults, self._rng, self._phases = faults, rng, phases
         self._zero_tp, self._zero_ap = (
             float(sensor.noise / ZEROED_OVER**0.5 * rng.standard_normal()) for sensor in (self._p_tp, self._p_ap)
         )
+        self._zero_tp += day.zero_p_tp
+        self._zero_ap += day.zero_p_ap
 
     def add(self, known: Knowledge, run: Run, t: float) -> Knowledge:
         """What is `known`, with what the box reads of the run at `t` [s]."""
         after = np.clip(np.searchsorted(run.t, t, side="right"), 1, len(run.t) - 1)
         near = slice(after - 1, after + 1)  # of a whole run, each reading would copy an hour
         p_tp, _, p_ap, _ = (np.interp(t, run.t[near], pressure) for pressure in run.pressures[near].T)
+        ripple = run.ripple[max(int(np.searchsorted(run.ecu_t, t, side="right")) - 1, 0)]
+        p_tp += ripple * float(pulse(self._phases.random(1))[0])
         return known._replace(
             p_tp=self._read(self._p_tp, "p_tp", p_tp, self._zero_tp, t),
             p_ap=self._read(self._p_ap, "p_ap", p_ap, self._zero_ap, t),

@@ -9,7 +9,8 @@ from testbench.bus import Dbc, Knowledge, Sender
 from testbench.effects import fitted
 from testbench.request import Request
 from testbench.sensor_box import SensorBox
-from testbench.simulation import Run, stream
+from testbench.simulation import Run
+from testbench.streams import stream
 
 FRAME_TIME = 0.00027  # s on the bus: 29-bit identifier, 8 bytes and some stuffing at 500 kbit/s
 
@@ -46,7 +47,13 @@ def frames(request: Request, dbc: Dbc, runs: Iterable[Run]) -> Iterator[Frame]:
     senders, box = dbc.controllers, None
     if request.kind == "instrumented":
         senders = (*senders, dbc.sensor_box)
-        box = SensorBox(vehicle.external, request.faults, stream(request.seed, request.cycle.name, "box"))
+        box = SensorBox(
+            vehicle.external,
+            request.faults,
+            request.day,
+            stream(request.seed, request.cycle.name, "box"),
+            stream(request.seed, request.cycle.name, "ripple"),
+        )
     stretches = iter(runs)
     run = next(stretches)
     for t, sender in schedule(senders, request.duration, stream(request.seed, request.cycle.name, "can")):

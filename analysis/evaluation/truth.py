@@ -19,13 +19,14 @@ class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The faults, the hidden effects with their sizes, how vehicle and second logger differ from their kind."""
+    """The faults, the hidden effects with their sizes, how vehicle, day and second logger differ from their kind."""
 
     schema: int
     recording: str
     fault: list[TrueFault] = []
     effects: dict[str, float] = {}
     vehicle: dict[str, float] = {}
+    day: dict[str, float] = {}
     logger: dict[str, float] = {}
 
 

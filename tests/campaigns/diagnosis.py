@@ -1,149 +1,144 @@
 """What is told of faults on vehicles whose thresholds nobody tuned by hand: `make campaign-diagnosis`.
 
-Every vehicle is a truck of the rig's fleet (profile `realistic`): calibrated on one training recording of 600 s and
-tuned on two fault-free drives of 600 s, as a workshop would. It is judged on other drives: fault-free ones, and with
-each fault of the frozen list, small and large by effect, from 150 s on. Nothing of a judged recording was used before.
+    SHARD=1/4 EFFECTS=A .venv/bin/python tests/campaigns/diagnosis.py --vehicles 401 402 --faults fA_du
+
+Every vehicle is a truck of the rig's fleet (profile `everyday`, with hidden effects of its own): calibrated on one
+training recording and tuned as a workshop would (`diagnosis_shop.tuning`), then judged on other drives: fault-free
+ones, and each fault of the frozen list, small and large, pairs of faults, and a curve over size. Nothing of a judged
+recording was used before. A line of the results is a vehicle; what is there is not made again.
 """
 
 import argparse
-import io
 import json
-import tempfile
+import os
+import time
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
+from diagnosis_cases import VEHICLES, Case, Set, cases, hidden
+from diagnosis_shop import Watched, Workshop, run_of, told_of, watched
+from diagnosis_visible import changes
 from results_page import digest, head_commit
 
-from analysis.calibration.command import main as calibrate
-from analysis.evaluation.truth import load_truth
-from analysis.export import main as export
-from analysis.tuning.command import main as tune
-from service.bundle import Bundle, load_bundle
-from service.core.events import Event
-from service.core.monitor import Monitor
-from service.logs import open_log
-from testbench.command import main as rig
-from testbench.sizes import frozen
+from service.bundle import Bundle
 
 Record = dict[str, Any]
 
-KEPT = Path("docs/results/diagnosis.jsonl")
-PAGE = Path("docs/results/diagnosis.md")
-
-VEHICLES = tuple(f"truck-{number}" for number in range(201, 209))
-ONSET_S, AFTER_S = 150.0, 120.0
-"""A diagnosis is judged so long after the first one was told."""
-
-
-@dataclass(frozen=True)
-class Workshop:
-    """A vehicle's recordings and its bundle, in a folder of its own."""
-
-    vehicle: str
-    folder: Path
-
-    def made(self, cycle: str, seed: int, seconds: float, *words: str) -> Path:
-        """A recording; `words` are further options of the rig."""
-        number = int(self.vehicle.removeprefix("truck-"))
-        name = "-".join([self.vehicle, cycle, str(seed), *words[1:4:2]])
-        given = ["record", "--cycle", cycle, "--vehicle", self.vehicle, "--kind", "instrumented", "--id", name]
-        given += ["--seed", str(1000 * number + seed), "--duration", str(seconds), "--out", str(self.folder / "logs")]
-        quietly(rig, [*given, "--truth", str(self.folder / "truth"), *words])
-        return self.folder / "logs" / name
-
-    def bundle(self) -> Bundle:
-        """From fault-free recordings."""
-        model, tuning, out = (str(self.folder / name) for name in ("model.toml", "tuning.json", "bundle"))
-        training = self.made("training", 1, 600.0)
-        quietly(calibrate, ["uds4", str(training), "--out", model])
-        drives = [str(self.made("drive", seed, 600.0)) for seed in (2, 3)]
-        quietly(tune, [model, *drives, "--out", tuning])
-        quietly(export, [model, "--tuning", tuning, "--dbc", str(training / "uds.dbc"), "--out", out])
-        return load_bundle(Path(out))
+RESULTS = Path("docs/results")
+WORK = Path("out/campaign-diagnosis")
+"""Bundles and series of residuals, by the code that made them; not in git."""
+WAYS = ("own", "adapted")
+"""A vehicle is tuned on drives of its own, or adapts the tuning of the reference vehicles."""
+_OWN = (f"tests/campaigns/diagnosis_{name}.py" for name in ("cases", "shop", "reference"))
+FROZEN = ("analysis", "service", "testbench", "dbc", *_OWN)
 
 
-def quietly(command: Any, words: list[str]) -> None:
-    """Runs a command that must succeed."""
-    with redirect_stdout(io.StringIO()) as told, redirect_stderr(told):
-        code = command(words)
-    assert code == 0, told.getvalue()
+def workshops(numbers: Sequence[int], effects_set: Set, code: str, way: str) -> list[Workshop]:
+    """Those of the vehicles, as this code makes them; the reference tuning, if they adapt one, is made first."""
+    base = None
+    if way == "adapted":
+        from diagnosis_reference import reference
+
+        base = reference(WORK / code)
+    root = folder_of(effects_set, code, way)
+    return [Workshop(number, effects_set, root / f"truck-{number}", base=base) for number in numbers]
 
 
-def told_of(bundle: Bundle, recording: Path, truth: Path) -> Record:
-    """What the vehicle tells of a recording, judged."""
-    log, true, at = open_log(recording), load_truth(truth, recording.name), [0.0]
-    monitor = Monitor(
-        bundle.manifest,
-        bundle.bank(),
-        bundle.table,
-        log.id,
-        bundle.id,
-        lambda tick, _: at.append(tick.t_s - tick.number * bundle.manifest.period_s),
-    )
-    told = list(monitor.log(log.relative()))
-    origin_s = at[-1]  # log time of tick 0
-    events = [(origin_s + event.t_s, event) for event in told]
-    onset_s = min((fault.onset_s for fault in true.fault), default=log.duration_s)
-    before = [event.diagnoses for t, event in events if t < onset_s]
-    first = next((t for t, e in events if t >= onset_s and e.diagnoses and e.diagnoses != before[-1]), None)
-    stood = [event for t, event in events if first is not None and t <= first + AFTER_S]
+def folder_of(effects_set: Set, code: str, way: str) -> Path:
+    """Where the vehicles of a campaign have what they made."""
+    return WORK / code / f"{effects_set}-{way}"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What both campaigns are asked."""
+    parser.add_argument("--effects", choices=get_args(Set), default=os.environ.get("EFFECTS", "A"))
+    parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the vehicles")
+    parser.add_argument("--vehicles", type=int, nargs="+", default=VEHICLES)
+    parser.add_argument("--tuning", choices=WAYS, default=os.environ.get("TUNING", WAYS[0]), help="how it is tuned")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+
+
+def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
+    """All recordings of one vehicle."""
+    start, busy = time.monotonic(), time.process_time()
+    bundle = shop.bundle()
     return {
-        "seconds": onset_s,
-        "false": [_named(event) for t, event in events if event.transition == "occurred" and t < onset_s],
-        "delay_s": None if first is None else first - onset_s,
-        "standing": _named(stood[-1]) if stood else [],
+        "vehicle": shop.number,
+        "set": shop.effects_set,
+        "effects": hidden(shop.number, shop.effects_set),
+        "doubts": shop.doubts,
+        "claim": shop.claim,
+        "judged": [_judged(shop, bundle, case) for case in wanted],
+        "wall_s": round(time.monotonic() - start, 1),
+        "cpu_s": round(time.process_time() - busy, 1),
     }
 
 
-def _named(event: Event) -> list[str]:
-    return ["+".join(d.faults) or "unknown" for d in event.diagnoses if d.rank == 1]
+def _judged(shop: Workshop, bundle: Bundle, case: Case) -> Record:
+    asked = case.request
+    run = run_of(asked)
+    seen: Watched = watched(bundle, asked, run)
+    seen.save(shop.folder / "series" / f"{case.name}.npz")
+    told = told_of(case, seen, bundle.manifest.period_s)
+    if case.kind != "pair" and "fA_p" in dict(case.faults):
+        told["changes"] = changes(asked, run, run_of(case.healthy))
+    return told
 
 
-def vehicle(name: str, faults: Sequence[str] | None = None, free: int = 4) -> Record:
-    """All recordings of one vehicle."""
-    with tempfile.TemporaryDirectory() as scratch:
-        shop = Workshop(name, Path(scratch))
-        bundle, truths = shop.bundle(), Path(scratch) / "truth"
-        judged: list[Record] = []
-        for seed in range(10, 10 + free):
-            path = shop.made("drive", seed, 600.0)
-            judged.append({"fault": None, **told_of(bundle, path, truths / f"{path.name}.toml")})
-        for row, (fault, sizes) in enumerate(frozen().items()):
-            for column, size in enumerate(("small", "large")):
-                if faults is not None and fault not in faults:
-                    continue
-                words = ("--fault", fault, "--size", size, "--onset", str(ONSET_S))
-                path = shop.made("drive", 100 + 2 * row + column, 450.0, *words)
-                told = told_of(bundle, path, truths / f"{path.name}.toml")
-                judged.append({"fault": fault, "size": size, "of": sizes[column], **told})
-    return {"vehicle": name, "judged": judged}
+def kept_in(effects_set: Set, results: Path = RESULTS) -> Path:
+    """The file of a set's results."""
+    return results / f"diagnosis-{effects_set}.jsonl"
 
 
-def kept() -> list[Record]:
+def kept(path: Path) -> list[Record]:
     """The records that are there."""
-    return [json.loads(line) for line in KEPT.read_text().splitlines()] if KEPT.exists() else []
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def shard(numbers: Sequence[int], text: str) -> list[int]:
+    """The i-th of n parts, for text i/n."""
+    i, n = (int(part) for part in text.split("/"))
+    return list(numbers)[i - 1 :: n]
+
+
+def _vehicle(asked: tuple[Workshop, list[Case]]) -> Record:
+    return vehicle(*asked)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Makes what is missing, and the page."""
-    from diagnosis_page import page
+    from diagnosis_page import write_page
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--processes", type=int, default=2)
+    add_options(parser)
+    parser.add_argument("--faults", nargs="+", help="only recordings of these, and fault-free ones")
+    parser.add_argument("--page-only", action="store_true", help="make nothing, write the page of what is there")
     options = parser.parse_args(arguments)
-    there = {record["vehicle"] for record in kept()}
-    stamp = {"commit": head_commit(), "code": digest("analysis", "service", "testbench", "dbc")}
-    with get_context("spawn").Pool(options.processes, maxtasksperchild=1) as pool, KEPT.open("ab") as out:
-        for record in pool.imap_unordered(vehicle, [name for name in VEHICLES if name not in there]):
-            print(record["vehicle"], flush=True)
-            out.write(msgspec.json.encode({**record, **stamp}) + b"\n")
-            out.flush()
-    PAGE.write_text(page(kept()))
+    path = kept_in(options.effects, options.results)
+    if not options.page_only:
+        code = digest(*FROZEN)
+        stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
+        there = {record["vehicle"] for record in kept(path)}
+        missing = [number for number in shard(options.vehicles, options.shard) if number not in there]
+        shops = workshops(missing, options.effects, code, options.tuning)
+        wanted = [(shop, _wanted(shop.number, options.effects, options.faults)) for shop in shops]
+        options.results.mkdir(parents=True, exist_ok=True)
+        with get_context("spawn").Pool(options.processes, maxtasksperchild=1) as pool:
+            for record in pool.imap_unordered(_vehicle, wanted):
+                with path.open("ab") as out:
+                    out.write(msgspec.json.encode({**record, **stamp}) + b"\n")
+                print(f"truck-{record['vehicle']}: {record['wall_s']:.0f} s", flush=True)
+    write_page(options.results)
+
+
+def _wanted(number: int, effects_set: Set, faults: Sequence[str] | None) -> list[Case]:
+    """The vehicle's cases, of these faults only where they are given."""
+    given = cases(number, effects_set)
+    return given if faults is None else [case for case in given if {name for name, _ in case.faults} <= {*faults}]
 
 
 if __name__ == "__main__":

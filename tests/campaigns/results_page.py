@@ -7,7 +7,7 @@ import platform
 import subprocess
 from pathlib import Path
 
-from scipy.stats import beta
+from scipy.stats import beta, chi2
 
 
 def wilson(found: int, of: int) -> tuple[float, float]:
@@ -38,6 +38,20 @@ def exact_share(found: int, of: int) -> str:
         return "none"
     low, high = exact(found, of)
     return f"{found} of {of}, {100 * found / of:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def poisson(count: int) -> tuple[float, float]:
+    """95 % confidence interval of an expected count (Garwood 1936); that of none is one-sided, from 0 to 3.0."""
+    low = chi2.ppf(0.025, 2 * count) / 2 if count else 0.0
+    return float(low), float(chi2.ppf(0.975 if count else 0.95, 2 * count + 2) / 2)
+
+
+def exact_rate(count: int, hours: float) -> str:
+    """Events an hour in words, with that interval."""
+    if not hours:
+        return "none"
+    low, high = (limit / hours for limit in poisson(count))
+    return f"{count} in {hours:.1f} h, {count / hours:.3g} ({low:.2g} to {high:.2g}) an hour"
 
 
 def head_commit() -> str:

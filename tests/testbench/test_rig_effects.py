@@ -53,9 +53,12 @@ def ideal() -> Array:
     return seen(run({}), {})
 
 
-@pytest.mark.parametrize("name", [*EFFECTS])
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "suction_pulsation"])
 def test_at_its_typical_size_every_effect_shows_in_the_logs(ideal: Array, name: str) -> None:
-    """Some 10 s mean is off by more than three standard deviations of its noise."""
+    """Some 10 s mean is off by more than three standard deviations of its noise.
+
+    A pulsation has no mean: `test_rig_pulsation.py` looks at the spread.
+    """
     effects = {name: EFFECTS[name].typical}
     found = seen(run(effects), effects)
     off = np.abs(found - ideal) / (np.array(NOISE) / math.sqrt(WINDOW / 0.1))

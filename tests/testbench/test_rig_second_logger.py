@@ -10,6 +10,7 @@ import pytest
 
 from testbench.command import main
 from testbench.cycles import CYCLES
+from testbench.day import CALM
 from testbench.errors import RigError
 from testbench.faults import Fault
 from testbench.second_logger import Clocking, SecondLogger, external_csv
@@ -30,7 +31,7 @@ def run() -> Run:
 def rows(run: Run, logger: SecondLogger, seed: int = 1, faults: tuple[Fault, ...] = ()) -> tuple[Rows, Clocking]:
     random = np.random.default_rng(seed)
     clocking = logger.clocking(DURATION, random)
-    text = external_csv(run, SENSORS, faults, DURATION, clocking, random)
+    text = external_csv(run, SENSORS, faults, DURATION, clocking, CALM, random, np.random.default_rng(2))
     return np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1), clocking
 
 
@@ -136,7 +137,7 @@ def test_a_sensor_that_is_off_leaves_its_table(run: Run, name: str, column: int,
 
 def test_columns_are_named(run: Run) -> None:
     clocking = SecondLogger().clocking(DURATION, np.random.default_rng(1))
-    text = external_csv(run, SENSORS, (), DURATION, clocking, np.random.default_rng(1))
+    text = external_csv(run, SENSORS, (), DURATION, clocking, CALM, np.random.default_rng(1), np.random.default_rng(2))
     assert next(csv.reader(text.splitlines())) == ["time_s", "p_tp_V", "p_ap_V"]
 
 

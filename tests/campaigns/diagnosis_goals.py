@@ -1,0 +1,127 @@
+"""What was wanted of the diagnosis beside what was measured: one row a figure."""
+
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from diagnosis_judged import EXCITED_S, LOOK_S, Judged
+from diagnosis_mates import Cell, narrow
+from results_page import exact_rate, exact_share
+
+APART = ("fA_p", "leak_ap")
+"""fA_p may change nothing that is measured; a leak is no fault of the model."""
+FAST = ("fA_ori", "fA_t", "fA_du")
+
+HOSE = "e10"
+"""The balance of the hose after the pump, in the four-state model: what a leak there adds to."""
+
+Mates = Mapping[int, Mapping[Cell, frozenset[str]]]
+
+
+@dataclass(frozen=True)
+class Hours:
+    """Fault-free driving: how long [h], what was told of it, alarms by test, on how many vehicles; tuning's claim."""
+
+    hours: float
+    vehicles: int
+    false: list[list[str]]
+    alarms: Mapping[str, int]
+    claim: str
+
+
+def singles(told: Sequence[Judged], label: str, *, only: Sequence[str] = ()) -> list[Judged]:
+    """Single faults of a size: all but those apart, or `only` these."""
+    chosen = [one for one in told if one.kind == "single" and one.label == label]
+    return [one for one in chosen if (one.faults[0] in only if only else one.faults[0] not in APART)]
+
+
+def share(told: Sequence[Judged], true: Callable[[Judged], bool]) -> str:
+    """How many of them, with the exact interval."""
+    return exact_share(sum(map(true, told)), len(told))
+
+
+def detected(told: Sequence[Judged]) -> list[Judged]:
+    """Those in which something was told after the onset, and looked at later."""
+    return [one for one in told if LOOK_S in one.standing]
+
+
+def early(one: Judged) -> bool:
+    """Whether it was detected within the exciting operation that a small fault is given."""
+    return one.excited_s is not None and one.excited_s <= EXCITED_S
+
+
+def mean_size(told: Sequence[Judged]) -> str:
+    """The mean number of diagnoses of rank 1, of those that stand; how many had healed besides."""
+    sizes = [len(one.first()) for one in detected(told)]
+    standing = [size for size in sizes if size]
+    healed = len(sizes) - len(standing)
+    return (f"{statistics.fmean(standing):.2f}" if standing else "-") + (f", {healed} healed" if healed else "")
+
+
+def median(values: Sequence[float | None]) -> str:
+    """Of those that are there."""
+    there = [value for value in values if value is not None]
+    return f"{statistics.median(there):.0f}" if there else "-"
+
+
+def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
+    """The table, as lines of Markdown."""
+    large, small = singles(told, "large"), singles(told, "small")
+    pump = [one for label in ("small", "large") for one in singles(told, label, only=["fA_p"])]
+    seen, unseen = ([one for one in pump if one.changes is changes] for changes in (True, False))
+    leaks = [one for label in ("small", "large") for one in singles(told, label, only=["leak_ap"])]
+    pairs = [one for one in told if one.kind == "pair"]
+    rows = [
+        (
+            "fault-free: diagnoses told",
+            "none in 500 h over 20 vehicles",
+            exact_rate(len(free.false), free.hours) + f", {free.vehicles} vehicles",
+        ),
+        (
+            "fault-free: alarms of single tests",
+            "at the rate tuned",
+            exact_rate(sum(free.alarms.values()), free.hours) + f"; the first vehicle's tuning: {free.claim}",
+        ),
+        ("large: detected", "100 %", share(large, lambda one: one.detected)),
+        *(
+            (
+                f"large {fault}: median delay in exciting operation",
+                "< 15 s",
+                median([one.excited_s for one in large if one.faults[0] == fault]) + " s",
+            )
+            for fault in FAST
+        ),
+        ("large: true component in the diagnosis after 120 s", ">= 98 %", share(detected(large), Judged.holds)),
+        (
+            "large: alone or only with practical mates",
+            ">= 95 %",
+            share(detected(large), lambda one: narrow(one, of_others)),
+        ),
+        ("large: mean size", "<= 1.5", mean_size(large)),
+        ("fA_p that changes what is measured: detected", "100 %", share(seen, lambda one: one.detected)),
+        (
+            "fA_p that changes what is measured: in the diagnosis after 120 s",
+            ">= 98 %",
+            share(detected(seen), Judged.holds),
+        ),
+        (
+            "fA_p that changes what is measured: alone or only with practical mates",
+            ">= 95 %",
+            share(detected(seen), lambda one: narrow(one, of_others)),
+        ),
+        ("fA_p that changes nothing: quiet", "100 %", share(unseen, lambda one: not one.detected)),
+        ("small: detected within 300 s of exciting operation", ">= 90 %", share(small, early)),
+        ("small: true component in the diagnosis after 120 s", ">= 95 %", share(detected(small), Judged.holds)),
+        ("small: mean size", "<= 2.5", mean_size(small)),
+        ("leak: unknown", "100 %", share(detected(leaks), lambda one: one.first() == ["unknown"])),
+        ("leak: unknown, near the hose's balance", "100 %", share(detected(leaks), lambda one: one.located(HOSE))),
+        ("pairs: one diagnosis alone, with no true fault", "<= 2 %", share(detected(pairs), Judged.wrong_alone)),
+        ("pairs: the true pair in the diagnosis", ">= 60 %", share(detected(pairs), Judged.holds)),
+        ("pairs: judged as two", "-", share(detected(pairs), _as_two)),
+    ]
+    head = ["| | wanted | measured |", "|---|---|---|"]
+    return [*head, *(f"| {what} | {wanted} | {measured} |" for what, wanted, measured in rows)]
+
+
+def _as_two(one: Judged) -> bool:
+    return bool(one.first()) and all("+" in said for said in one.first())

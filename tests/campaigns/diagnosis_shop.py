@@ -1,0 +1,213 @@
+"""A vehicle's workshop: from fault-free recordings to its bundle, and what that bundle then tells of other drives."""
+
+import io
+import json
+import shutil
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from diagnosis_cases import PROFILE, Case, Set, request, seed_of
+
+from analysis.calibration.command import main as calibrate
+from analysis.export import main as export
+from analysis.tuning.command import main as tune
+from service.bundle import Bundle, load_bundle
+from service.core.decision import Decision
+from service.core.events import Diagnosis, Event
+from service.core.monitor import Monitor
+from service.core.observer import Tick
+from testbench.bus import load_dbc
+from testbench.recording import record
+from testbench.request import Request
+from testbench.simulation import Run, simulate
+from testbench.traffic import frames
+
+Record = dict[str, Any]
+
+DOUBT = "the model does NOT describe these data: "
+
+TRAINING_S, TUNING_S = 600.0, 600.0
+TUNING = (2, 3)
+"""The drives that a workshop makes besides the one that calibrates."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """A vehicle's recordings and its bundle, in a folder of its own.
+
+    `base` is the tuning of other vehicles that this one's is adapted from (`diagnosis_reference`); None tunes it anew.
+    """
+
+    number: int
+    effects_set: Set
+    folder: Path
+    profile: str = PROFILE
+    base: Path | None = None
+
+    def made(self, cycle: str, k: int, seconds: float) -> Path:
+        """A fault-free recording of the vehicle, on a day of its own."""
+        wanted = request(self.number, self.effects_set, cycle, seed_of(self.number, k), seconds, self.profile)
+        where = self.folder / "logs", self.folder / "truth"
+        return record(wanted, load_dbc(), *where, force=True, progress=lambda _: None)[0]
+
+    def bundle(self) -> Bundle:
+        """What the vehicle runs; made once for a folder."""
+        out = self.folder / "bundle"
+        if not out.exists():
+            model, training = self.calibrated()
+            drives = [self.made("drive", k, TUNING_S) for k in TUNING]
+            tuned = tuning(model, drives, self.folder / "tuning.json", self.base)
+            dbc = str(training / "uds.dbc")
+            must(export, [str(model), "--tuning", str(tuned), "--dbc", dbc, "--out", str(out)])
+            for folder in ("logs", "truth"):
+                shutil.rmtree(self.folder / folder)
+        return load_bundle(out)
+
+    def calibrated(self) -> tuple[Path, Path]:
+        """The model file, and the recording that it was calibrated on."""
+        training = self.made("training", 1, TRAINING_S)
+        model = self.folder / "model.toml"
+        words = ["uds4", str(training), "--out", str(model)]
+        code, told = quietly(calibrate, words)
+        if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
+            self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))
+            must(calibrate, [*words, "--force"])
+        return model, training
+
+    @property
+    def claim(self) -> str:
+        """What the tuning says of its false alarms; a tuning that claims nothing has none in its own drives."""
+        told = json.loads((self.folder / "tuning.json").read_text()).get("claim")
+        return told["said"] if told else f"none in the {len(TUNING)} drives of {TUNING_S:.0f} s that it was tuned on"
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why calibration would rather not have written the model; known once there is a bundle."""
+        return self._doubts.read_text().splitlines() if self._doubts.exists() else []
+
+    @property
+    def _doubts(self) -> Path:
+        return self.folder / "doubts.txt"
+
+
+def tuning(model: Path, drives: Sequence[Path], out: Path, base: Path | None) -> Path:
+    """The vehicle's thresholds, as its workshop sets them: the one place that says how."""
+    adapted = [] if base is None else ["--adapt", str(base)]
+    must(tune, [str(model), *map(str, drives), *adapted, "--out", str(out)])
+    return out
+
+
+def must(command: Any, words: list[str]) -> None:
+    """Runs a command that must succeed."""
+    code, told = quietly(command, words)
+    if code:
+        raise RuntimeError(told)
+
+
+def quietly(command: Any, words: list[str]) -> tuple[int, str]:
+    """A command's exit code and what it said."""
+    with redirect_stdout(io.StringIO()) as told, redirect_stderr(told):
+        code: int = command(words)
+    return code, told.getvalue()
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What a vehicle saw and told: events with their log times, and by tick (K,) what rivals are given as well.
+
+    `t` (K,) [s] log time, `z` (K, nz) samples, `r` (K, T) residuals, `usable` (K, T), `mode` (K,). `dosing` (K,) says
+    where the dose was above idle: operation that excites. `alarms` are the tests' alarms as (log time [s], test),
+    `blind` (K,) the share of tests that could not tell.
+    """
+
+    events: list[tuple[float, Event]]
+    alarms: list[tuple[float, str]]
+    blind: np.ndarray[tuple[int], np.dtype[np.float64]]
+    t: np.ndarray[tuple[int], np.dtype[np.float64]]
+    z: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    r: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    usable: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    mode: np.ndarray[tuple[int], np.dtype[np.int64]]
+    dosing: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+    def save(self, path: Path) -> None:
+        """Keeps the series, in single precision."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        z, r = self.z.astype(np.float32), self.r.astype(np.float32)
+        np.savez_compressed(path, t=self.t, z=z, r=r, usable=self.usable, mode=self.mode, dosing=self.dosing)
+
+
+def run_of(asked: Request) -> Run:
+    """The rig's run of a request."""
+    vehicle, cycle, faults = asked.vehicle, asked.cycle, asked.faults
+    return simulate(vehicle, cycle, faults, asked.seed, asked.duration, effects=asked.effects, day=asked.day)
+
+
+def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
+    """The rig's frames straight into the vehicle's monitor: what a log of them would give, without writing one."""
+    manifest, ticks, blind = bundle.manifest, [], []
+    alarms: list[tuple[float, str]] = []
+    standing: set[str] = set()
+
+    def watch(tick: Tick, decision: Decision) -> None:
+        now = set(decision.alarm)
+        alarms.extend((tick.t_s, test) for test in sorted(now - standing))
+        standing.clear()
+        standing.update(now)
+        blind.append(len(decision.cannot_tell))
+        ticks.append(tick)
+
+    monitor = Monitor(manifest, bundle.bank(), bundle.table, asked.name, bundle.id, watch)
+    told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in frames(asked, load_dbc(), [run])))
+    origin_s = ticks[0].t_s
+    dose = [channel.signal for channel in manifest.inputs].index(manifest.modes.signal)
+    z = np.array([tick.z for tick in ticks])
+    return Watched(
+        events=[(origin_s + event.t_s, event) for event in told],
+        alarms=alarms,
+        blind=np.array(blind) / len({generator.test for generator in manifest.generators}),
+        t=np.array([tick.t_s for tick in ticks]),
+        z=z,
+        r=np.array([tick.residuals.r for tick in ticks]),
+        usable=np.array([tick.residuals.usable for tick in ticks]),
+        mode=np.array([tick.mode for tick in ticks]),
+        dosing=z[:, dose] >= manifest.modes.idle_below,
+    )
+
+
+def said(diagnosis: Diagnosis) -> list[Any]:
+    """A diagnosis as a row of the records: faults, rank, p, and equations that what is unknown is near to."""
+    given = msgspec.to_builtins(diagnosis)
+    return ["+".join(diagnosis.faults) or "unknown", diagnosis.rank, diagnosis.p, given.get("near", [])]
+
+
+def told_of(case: Case, seen: Watched, period_s: float) -> Record:
+    """What is kept of a judged recording: who told what when; what it means is `diagnosis_judged`'s matter.
+
+    Of each event: log time [s], exciting operation since the onset [s], transition, diagnoses as `said`.
+    """
+    onset = case.onset_s if case.faults else case.seconds
+    exciting = period_s * np.cumsum(seen.dosing & (seen.t >= onset))
+    there = seen.t >= onset
+
+    def row(t: float, event: Event) -> list[Any]:
+        since = exciting[max(int(np.searchsorted(seen.t, t, side="right")) - 1, 0)]
+        return [round(t, 1), round(float(since), 1), event.transition, [said(d) for d in event.diagnoses]]
+
+    return {
+        "case": case.name,
+        "kind": case.kind,
+        "label": case.label,
+        "faults": dict(case.faults),
+        "onset_s": case.onset_s if case.faults else None,
+        "seconds": case.seconds,
+        "exciting_s": round(float(exciting[-1]), 1),
+        "cannot_tell": round(float(seen.blind[there].mean()) if there.any() else float(seen.blind.mean()), 4),
+        "alarms": [[round(t, 1), test] for t, test in seen.alarms if t < onset],
+        "events": [row(t, event) for t, event in seen.events if event.transition != "cannot_tell"],
+    }

@@ -1,0 +1,126 @@
+"""The tables of the diagnosis page: one a question."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from diagnosis_goals import Hours, Mates, detected, early, mean_size, median, share, singles
+from diagnosis_judged import EXCITED_S, LOOKS_S, Judged
+from diagnosis_mates import beside, narrow
+from results_page import exact_rate
+
+ALL = "**all but fA_p and the leak**"
+
+
+def _table(columns: str, rows: Sequence[str]) -> list[str]:
+    count = columns.count("|") - 1
+    return [columns, "|" + "---|" * count, *rows]
+
+
+def by_fault(told: Sequence[Judged], of_others: Mates) -> list[str]:
+    """What was told of every fault, small and large."""
+    columns = (
+        f"| fault | size | detected | within {EXCITED_S:.0f} s exciting | median delay [s] | exciting [s] | "
+        "in the diagnosis | alone or with mates | mean size | wrong alone |"
+    )
+    cells = dict.fromkeys((one.faults[0], one.label) for one in told if one.kind == "single")
+    groups = [(fault, label, singles(told, label, only=[fault])) for fault, label in cells]
+    groups += [(ALL, label, singles(told, label)) for label in ("small", "large")]
+    rows = []
+    for fault, label, those in groups:
+        seen = detected(those)
+        cell = [
+            fault,
+            label,
+            share(those, lambda one: one.detected),
+            share(those, early),
+            median([one.delay_s for one in those]),
+            median([one.excited_s for one in those]),
+            share(seen, Judged.holds),
+            share(seen, lambda one: narrow(one, of_others)),
+            mean_size(those),
+            str(sum(one.wrong_alone() for one in seen)),
+        ]
+        rows.append("| " + " | ".join(cell) + " |")
+    return _table(columns, rows)
+
+
+def by_look(told: Sequence[Judged]) -> list[str]:
+    """How the diagnosis develops after the first one."""
+    rows = []
+    for label in ("small", "large"):
+        for look in LOOKS_S:
+            those = [one for one in singles(told, label) if look in one.standing]
+            sizes = [len(one.first(look)) for one in those if one.first(look)]
+            mean = f"{sum(sizes) / len(sizes):.2f}" if sizes else "-"
+            top = [one.standing[look][0][0] == one.faults[0] for one in those if one.standing[look]]
+            rows.append(
+                f"| {label} | {look:.0f} | {share(those, lambda one, look=look: one.holds(look))} | {mean} | "  # type: ignore[misc]
+                f"{sum(top)} of {len(top)} | {sum(one.wrong_alone(look) for one in those)} |"
+            )
+    return _table("| size | after [s] | in the diagnosis | mean size | told first | wrong alone |", rows)
+
+
+def curve(told: Sequence[Judged]) -> list[str]:
+    """Detection over size, in parts of the large one."""
+    numbers = {one.vehicle for one in told if one.kind == "curve"}
+    those = [one for one in told if one.kind == "curve" or (one.label == "large" and one.vehicle in numbers)]
+    those = [one for one in those if one.kind != "pair"]
+    parts = sorted({_part(one) for one in those})
+    rows = []
+    for fault in dict.fromkeys(one.faults[0] for one in those):
+        cells = []
+        for part in parts:
+            at = [one for one in those if one.faults[0] == fault and _part(one) == part]
+            seen, held = sum(one.detected for one in at), sum(one.holds() for one in detected(at))
+            delay = median([one.delay_s for one in at])
+            cells.append(f"{seen} of {len(at)}, {held} in, {delay} s" if at else "-")
+        rows.append(f"| {fault} | " + " | ".join(cells) + " |")
+    return _table("| fault | " + " | ".join(f"{part:g} x large" for part in parts) + " |", rows)
+
+
+def _part(one: Judged) -> float:
+    return float(one.label) if one.kind == "curve" else 1.0
+
+
+def pairs(told: Sequence[Judged]) -> list[str]:
+    """Two faults at once, each pair on one vehicle."""
+    rows = []
+    for one in told:
+        if one.kind == "pair":
+            said = "; ".join(one.first()) or ("healed" if one.detected else "nothing")
+            delay = "-" if one.delay_s is None else f"{one.delay_s:.0f}"
+            rows.append(f"| {' + '.join(one.faults)} | {delay} | {said} | {'yes' if one.holds() else 'no'} |")
+    return _table("| pair | delay [s] | rank 1 after 120 s | true pair in |", rows)
+
+
+def isolability(told: Sequence[Judged]) -> list[str]:
+    """Which faults stand together at rank 1, over all vehicles."""
+    rows = []
+    for (fault, label), (count, others) in beside(told).items():
+        said = ", ".join(f"{name} {times}" for name, times in others.most_common()) or "none"
+        rows.append(f"| {fault} | {label} | {count} | {said} |")
+    return _table("| fault | size | in the diagnosis | beside it, how often |", rows)
+
+
+def alarms(free: Hours) -> list[str]:
+    """Alarms of single tests without a fault."""
+    rows = [f"| {test} | {exact_rate(count, free.hours)} |" for test, count in sorted(free.alarms.items())]
+    return _table("| test | alarms without a fault |", rows)
+
+
+def by_effect(told: Sequence[Judged], effects: Mapping[int, Sequence[str]]) -> list[str]:
+    """What hidden effects cost: by effect, over the vehicles that have it."""
+    rows = []
+    for name in sorted({name for names in effects.values() for name in names}):
+        those = [one for one in told if name in effects[one.vehicle]]
+        false = Counter(said for one in those for names in one.false for said in names)
+        hours = sum(one.free_s for one in those) / 3600
+        small, large = singles(those, "small"), singles(those, "large")
+        count = sum(len(one.false) for one in those)
+        rows.append(
+            f"| {name} | {len({one.vehicle for one in those})} | {exact_rate(count, hours)} | "
+            f"{', '.join(false) or '-'} | {share(small, lambda one: one.detected)} | "
+            f"{share(detected(small), Judged.holds)} | {share(detected(large), Judged.holds)} |"
+        )
+    columns = "| effect | vehicles | told without a fault | which | small: detected | small: in | large: in |"
+    return _table(columns, rows)
