@@ -19,10 +19,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Story:
-    """K ticks: samples z (K, nz), residuals and predictions (K, T), whether usable (K, T), CUSUM sums (K, T).
+    """K ticks: samples z (K, nz); residuals, predictions, whether usable and whether the detector alarms, each (K, T).
 
-    `t_s` (K,) is log time after the first frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s`
-    that of the last one. Columns are generators, in the manifest's order.
+    `sums` (K, T) are the detectors' in parts of their thresholds, with sign. `t_s` (K,) is log time after the first
+    frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s` that of the last one. Columns are
+    generators, in the manifest's order.
     """
 
     bundle: Bundle
@@ -34,6 +35,7 @@ class Story:
     y_hat: Array
     usable: Mask
     sums: Array
+    fired: Mask
     mode: npt.NDArray[np.intp]
     origin_s: float
     end_s: float
@@ -41,34 +43,15 @@ class Story:
     @property
     def standardised(self) -> Array:
         """The residuals as detectors see them (K, T): off their fault-free offset, in spreads of their mode."""
-        detectors = self.bundle.manifest.detectors
+        detectors = self.bundle.manifest.detectors[: self.r.shape[1]]  # more may follow, which test no level
         offset = np.array([detector.offset for detector in detectors])  # (T, modes)
         scale = np.array([detector.scale for detector in detectors])
         return np.asarray((self.r - offset[:, self.mode].T) / scale[:, self.mode].T)
 
     @property
-    def parts(self) -> Array:
-        """CUSUM sums in parts of their thresholds, without sign (K, T)."""
-        return np.asarray(abs(self.sums) / np.array([detector.J for detector in self.bundle.manifest.detectors]))
-
-    @property
     def alarm(self) -> Mask:
-        """Whether each generator's detector alarms and can tell (K, T): from its threshold on until its sum is zero."""
-        return latched(self.parts) & self.usable
-
-
-def latched(parts: Array) -> Mask:
-    """From reaching 1 until back at 0, for every column (K, T).
-
-    >>> latched(np.array([[0.5], [1.2], [0.3], [0.0], [0.4]]))[:, 0].tolist()
-    [False, True, True, False, False]
-    """
-    alarm = np.zeros(parts.shape, dtype=np.bool_)
-    standing = np.zeros(parts.shape[1], dtype=np.bool_)
-    for k, row in enumerate(parts):
-        standing = (standing & (row > 0.0)) | (row >= 1.0)
-        alarm[k] = standing
-    return alarm
+        """Whether each generator's detector alarms and can tell (K, T)."""
+        return self.fired & self.usable
 
 
 def tell(bundle: Bundle, log: Log) -> Story:
@@ -79,10 +62,12 @@ def tell(bundle: Bundle, log: Log) -> Story:
     """
     ticks: list[Tick] = []
     sums: list[Array] = []
+    fired: list[Mask] = []
 
     def watch(tick: Tick, decision: Decision) -> None:
         ticks.append(tick)
         sums.append(decision.sums)
+        fired.append(decision.fired)
 
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
     events = list(monitor.log(log.relative()))
@@ -98,6 +83,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
         y_hat=np.array([tick.residuals.y_hat for tick in ticks]),
         usable=np.array([tick.residuals.usable for tick in ticks]),
         sums=np.array(sums),
+        fired=np.array(fired),
         mode=np.array([tick.mode for tick in ticks]),
         origin_s=ticks[0].t_s,
         end_s=ticks[-1].t_s,

@@ -22,7 +22,7 @@ from service.core.hypotheses import Hypotheses, Look, confined
 from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Manifest
 from service.core.modes import EDGE
-from service.core.signals import Vector
+from service.core.signals import Mask, Vector
 from service.core.window import Window
 
 RANKING_PERIOD = 15
@@ -137,6 +137,11 @@ class Decision:
     def sums(self) -> Vector:
         """Each generator's largest level detector in parts of its threshold, with the residual's sign (T,)."""
         return self._detectors.sums
+
+    @property
+    def fired(self) -> Mask:
+        """The generators (T,) whose level alarms, whether they can tell now or not."""
+        return np.isin(np.arange(len(self._tests)), [*self._detectors.alarmed])
 
     @property
     def alarm(self) -> list[str]:

@@ -10,7 +10,7 @@ from analysis.evaluation.judge import Verdict
 from analysis.evaluation.measure.blocks import Blocks, blocks
 from analysis.evaluation.measure.cases import Case
 from analysis.evaluation.measure.metrics import Told, told
-from analysis.evaluation.story import Story, latched
+from analysis.evaluation.story import Story
 from service.core.events import Event
 from service.core.manifest import MODES
 from service.core.signals import Mask
@@ -61,7 +61,7 @@ def facts(given: Given, case: Case, verdict: Verdict, events: list[Event], story
     """Counts what is in a story, with what the `events` told."""
     K, manifest = len(story.t_s), story.bundle.manifest
     onset = K if verdict.onset_s is None else int(np.searchsorted(story.t_s, verdict.onset_s))
-    parts, s, rising = (slice(0, onset), slice(onset, K)), story.standardised, _rising(latched(story.parts))
+    parts, s, rising = (slice(0, onset), slice(onset, K)), story.standardised, _rising(story.fired)
     known = [fault.name for fault in manifest.faults]
     return Facts(
         given=given,
@@ -77,7 +77,7 @@ def facts(given: Given, case: Case, verdict: Verdict, events: list[Event], story
         products=np.array([_products(s[part], story.usable[part]) for part in parts]),
         episodes=rising[:onset].sum(axis=0),
         delays_s=_delays(rising[onset:], manifest.period_s),
-        standing=latched(story.parts)[onset - 1] & (0 < onset < K),
+        standing=story.fired[onset - 1] & (0 < onset < K),
         period_s=manifest.period_s,
     )
 

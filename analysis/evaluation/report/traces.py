@@ -29,7 +29,7 @@ def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
         by, unit = UNITS.get(test.unit, (1.0, test.unit))
         told, alarm = story.usable[:, row], story.alarm[:, row]
         _trace(left, story.t_s, np.where(told, story.r[:, row] / by, np.nan), alarm)
-        _trace(right, story.t_s, story.parts[:, row], alarm)
+        _trace(right, story.t_s, abs(story.sums[:, row]), alarm)
         right.axhline(1.0, color="black", linestyle="--", linewidth=0.9)
         right.set_ylim(0.0, 2.2)
         left.set_ylabel(f"{test.generator}\n[{unit}]", fontsize=8)

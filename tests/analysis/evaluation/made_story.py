@@ -37,7 +37,7 @@ def bundle() -> Bundle:
 
 def story(r: Array, sums: Array, usable: Mask | None = None, mode: Array | None = None) -> Story:
     """K ticks of two generators from residuals and sums (K, 2); else all can tell, under partial dose."""
-    K = len(r)
+    K, parts = len(r), sums / 10.0
     return Story(
         bundle=bundle(),
         recording="golden",
@@ -47,11 +47,22 @@ def story(r: Array, sums: Array, usable: Mask | None = None, mode: Array | None 
         r=r,
         y_hat=np.zeros_like(r),
         usable=np.ones(r.shape, dtype=np.bool_) if usable is None else usable,
-        sums=sums,
+        sums=parts,
+        fired=latched(abs(parts)),
         mode=np.full(K, PARTIAL) if mode is None else mode.astype(np.intp),
         origin_s=0.0,
         end_s=PERIOD_S * (K - 1),
     )
+
+
+def latched(parts: Array) -> Mask:
+    """From reaching 1 until back at 0, for every column (K, T)."""
+    fired = np.zeros(parts.shape, dtype=np.bool_)
+    standing = np.zeros(parts.shape[1], dtype=np.bool_)
+    for k, row in enumerate(parts):
+        standing = (standing & (row > 0.0)) | (row >= 1.0)
+        fired[k] = standing
+    return fired
 
 
 def event(tick: int, *told: tuple[str, int] | tuple[str, int, float]) -> Event:
