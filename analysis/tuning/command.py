@@ -25,10 +25,9 @@ from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
 from analysis.tuning.target import Rule
-from analysis.tuning.thresholds import Seen
-from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, read
+from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from service.core.errors import InputError
-from service.core.manifest import Detector, brief
+from service.core.manifest import Detector, Evidence, brief
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +147,7 @@ def tune(runnable: Runnable, recordings: Sequence[Path], progress: Progress, giv
         return tuning
     manifests = []
     for fold, detectors in zip(left_out, found.of_folds, strict=True):
-        part = _without(tuning, detectors, runnable, pooled(fold.train, to, described), described)
+        part = msgspec.structs.replace(tuning, detectors=detectors, evidence=_evidence(fold.train, detectors, to))
         manifests.append(manifest_of(runnable, part, {}, "none"))
     counts = count(left_out, manifests, to, progress.say)
     promised = claim(vehicles, left_out, counts, given.target, found.extrapolated)
@@ -175,21 +174,10 @@ def _vehicles(
     return vehicles
 
 
-def _without(
-    tuning: Tuning, detectors: list[Detector], runnable: Runnable, seen: Sequence[Seen], described: Sequence[int]
-) -> Tuning:
-    """What the tuning would be from some of the drives alone."""
-    own = len(runnable.bank.generators)
-    some = [s.only(own) for s in seen]
-    evidence = gather(runnable.bank, detectors[:own], some, described)
-    return msgspec.structs.replace(tuning, detectors=detectors, evidence=evidence)
-
-
 def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -> Tuning:
     """The tuning of the first vehicle."""
     runnable, bank = vehicles[0].runnable, vehicles[0].runnable.bank
-    described, own = stand_ins(bank.model), len(bank.generators)
-    seen = [s.only(own) for s in pooled(vehicles, to, described)]
+    described = stand_ins(bank.model)
     zero = np.sqrt(np.mean([offsets(v.drives, described, to) ** 2 for v in vehicles], axis=0))
     return Tuning(
         schema=SCHEMA,
@@ -199,11 +187,19 @@ def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -
         start_within_s=START_WITHIN_S,
         sensor_set="instrumented",
         detectors=detectors,
-        evidence=gather(bank, detectors[:own], seen, described),
+        evidence=_evidence(vehicles, detectors, to),
         zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
         golden_z=golden(vehicles[0].drives[0].seen),
     )
+
+
+def _evidence(vehicles: Sequence[Vehicle], detectors: Sequence[Detector], to: Array) -> Evidence:
+    """From the drives of these vehicles, by the model of the first."""
+    bank = vehicles[0].runnable.bank
+    described, own = stand_ins(bank.model), len(bank.generators)
+    seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
+    return gather(bank, detectors[:own], seen, described, apart)
 
 
 def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:

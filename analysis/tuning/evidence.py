@@ -25,13 +25,20 @@ ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
 PER_DIRECTION = 3  # recordings, at least
-CAUTION = 1.5  # on variances from so few
 
 
 def gather(
-    bank: Bank, detectors: Sequence[Detector], recordings: Sequence[Seen], stand_ins: Sequence[int] = OWN
+    bank: Bank,
+    detectors: Sequence[Detector],
+    recordings: Sequence[Seen],
+    stand_ins: Sequence[int] = OWN,
+    apart: Sequence[Seen] | None = None,
 ) -> Evidence:
-    """The evidence of a bundle; mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`."""
+    """The evidence of a bundle; mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`.
+
+    `apart` are the same recordings, each centred by the others of its vehicle: how far a drive strays is seen in them,
+    as a drive that has been centred by itself too strays less.
+    """
     standard = [_standard(s, detectors) for s in recordings]
     rows = independent(np.concatenate(standard))
     offset = np.array([detectors[row].offset for row in rows]).T  # (C, K)
@@ -41,10 +48,10 @@ def gather(
     for mode in set(stand_ins):
         noise[mode] = _within(recordings, mode, rows) + np.diag(scale[mode] ** 2)
         visit[mode] = _between(recordings, mode, rows, offset[mode], noise[mode])
-    means = np.array([[_mean(s, mode, rows, offset[mode]) for mode in range(len(MODES))] for s in recordings]) - offset
-    stray, drifts = np.abs(means).max(axis=0), _drifts(bank.only(rows), recordings, stand_ins)
+    stray = np.abs(_strays(recordings, rows, offset)).max(axis=0)
+    drifts = _drifts(bank.only(rows), recordings, stand_ins)
     if len(recordings) >= ENOUGH:
-        stray, seen = _directions(means[:, list(stand_ins)], scale)
+        stray, seen = _directions(_strays(apart or recordings, rows, offset)[:, list(stand_ins)], scale)
         drifts += seen
     return Evidence(
         generators=[detectors[row].generator for row in rows],
@@ -102,6 +109,12 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Arr
     return np.asarray((direction * np.maximum(size, 0.0)) @ direction.T)
 
 
+def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:
+    """How far the mean of every recording lies from the offset (R, modes, rows); 0 where it does not show a mode."""
+    modes = range(len(MODES))
+    return np.array([[_mean(s, mode, rows, offset[mode]) for mode in modes] for s in recordings]) - offset
+
+
 def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
     inside = s.usable.all(axis=1) & (s.mode == mode)
     return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
@@ -119,8 +132,8 @@ def _directions(means: Array, scale: Array) -> tuple[Array, list[Array]]:
     kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
     left = standard - (u[:, :kept] * size[:kept]) @ direction[:kept]
     own, drifts = np.zeros(shape), np.zeros((kept, *shape))
-    own[:EDGE] = np.sqrt(CAUTION * (left**2).mean(axis=0)).reshape(EDGE, -1)
-    drifts[:, :EDGE] = (np.sqrt(CAUTION / R) * size[:kept, None] * direction[:kept]).reshape(kept, EDGE, -1)
+    own[:EDGE] = np.sqrt((left**2).mean(axis=0)).reshape(EDGE, -1)
+    drifts[:, :EDGE] = (size[:kept, None] * direction[:kept] / np.sqrt(R)).reshape(kept, EDGE, -1)
     own[EDGE] = np.abs(means[:, EDGE]).max(axis=0) / scale[EDGE]
     return own * scale, list(drifts * scale)
 
