@@ -113,6 +113,16 @@ def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
         ("small: detected within 300 s of exciting operation", ">= 90 %", share(small, early)),
         ("small: true component in the diagnosis after 120 s", ">= 95 %", share(detected(small), Judged.holds)),
         ("small: mean size", "<= 2.5", mean_size(small)),
+        (
+            "fA_p that changes what is measured: unknown",
+            "-",
+            share(detected(seen), lambda one: one.first() == ["unknown"]),
+        ),
+        (
+            "leak: told as what it is to the model, a flow missing behind the pump (fq_pump)",
+            "-",
+            share(detected(leaks), _missing),
+        ),
         ("leak: unknown", "100 %", share(detected(leaks), lambda one: one.first() == ["unknown"])),
         ("leak: unknown, near the hose's balance", "100 %", share(detected(leaks), lambda one: one.located(HOSE))),
         ("pairs: one diagnosis alone, with no true fault", "<= 2 %", share(detected(pairs), Judged.wrong_alone)),
@@ -121,6 +131,10 @@ def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
     ]
     head = ["| | wanted | measured |", "|---|---|---|"]
     return [*head, *(f"| {what} | {wanted} | {measured} |" for what, wanted, measured in rows)]
+
+
+def _missing(one: Judged) -> bool:
+    return "fq_pump" in one.first()
 
 
 def _as_two(one: Judged) -> bool:

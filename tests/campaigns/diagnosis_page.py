@@ -11,7 +11,7 @@ from typing import Any
 from diagnosis_goals import Hours, goals
 from diagnosis_judged import Judged, all_of
 from diagnosis_mates import excused
-from diagnosis_tables import alarms, by_effect, by_fault, by_look, curve, isolability, pairs
+from diagnosis_tables import alarms, by_effect, by_fault, by_look, calibration, curve, isolability, pairs
 from results_page import exact_rate
 
 Record = dict[str, Any]
@@ -20,9 +20,10 @@ PAGE = "diagnosis.md"
 
 HEAD = """# What is told of faults on other vehicles
 
-All data are **simulated** by the rig, profile `everyday`: every recording has a day of its own (viscosity, zeros of the
-sensors, tank level), every vehicle one or two hidden effects of modest size. Made by `make campaign-diagnosis` and
-`make campaign-false-alarms`; vehicles, effects, faults, sizes and pairs are declared in
+All data are **simulated** by the rig. Sets A and B: profile `everyday`, every recording has a day of its own
+(viscosity, zeros of the sensors, tank level), every vehicle one or two hidden effects of modest size. None: profile
+`realistic`, days do not differ and nothing is hidden; against that the frozen sizes are small and large. Made by
+`make campaign-diagnosis` and `make campaign-false-alarms`; vehicles, effects, faults, sizes and pairs are declared in
 `tests/campaigns/diagnosis_cases.py`. Each vehicle is calibrated on a training recording of its own and tuned as its
 workshop would, then judged on other drives, by what it tells. Small and large are sizes by effect, frozen before any
 decision was tuned to them (`testbench/sizes.toml`).
@@ -45,6 +46,7 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
         "Wanted and measured": goals(told, free, of_others),
         "Every fault": by_fault(told, of_others),
         "How a diagnosis develops": by_look(told),
+        "Probabilities": calibration(told),
         "Detection over size": curve(told),
         "Two faults at once": pairs(told),
         "Practical isolability": isolability(told),
@@ -102,9 +104,9 @@ def latest(records: Sequence[Record]) -> list[Record]:
 
 
 def write_page(results: Path) -> None:
-    """Writes the page of what is there: set B first, which is used once, then A."""
+    """Writes the page of what is there: set B first, which is used once, then A, then none."""
     parts = [HEAD]
-    for name in ("B", "A"):
+    for name in ("B", "A", "none"):
         records, hours = (_read(results / f"{kind}-{name}.jsonl") for kind in ("diagnosis", "false-alarms"))
         rivals = results / f"diagnosis-rivals-{name}.md"
         more = "\n" + rivals.read_text() if rivals.exists() else ""
@@ -112,7 +114,8 @@ def write_page(results: Path) -> None:
         if hours:
             more += "\n" + "\n".join(["## Hours by vehicle", "", *by_vehicle(hours), ""])
         if records:
-            parts.append(f"# Hidden effects of set {name}\n\n" + page(records, hours, more))
+            title = "# No days, no hidden effects" if name == "none" else f"# Hidden effects of set {name}"
+            parts.append(f"{title}\n\n" + page(records, hours, more))
     (results / PAGE).write_text("\n".join(parts))
 
 

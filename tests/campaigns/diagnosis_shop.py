@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from diagnosis_cases import PROFILE, Case, Set, request, seed_of
+from diagnosis_cases import Case, Set, request, seed_of
 
 from analysis.calibration.command import main as calibrate
 from analysis.export import main as export
@@ -46,12 +46,11 @@ class Workshop:
     number: int
     effects_set: Set
     folder: Path
-    profile: str = PROFILE
     base: Path | None = None
 
     def made(self, cycle: str, k: int, seconds: float) -> Path:
         """A fault-free recording of the vehicle, on a day of its own."""
-        wanted = request(self.number, self.effects_set, cycle, seed_of(self.number, k), seconds, self.profile)
+        wanted = request(self.number, self.effects_set, cycle, seed_of(self.number, k), seconds)
         where = self.folder / "logs", self.folder / "truth"
         return record(wanted, load_dbc(), *where, force=True, progress=lambda _: None)[0]
 

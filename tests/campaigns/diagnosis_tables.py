@@ -1,12 +1,14 @@
 """The tables of the diagnosis page: one a question."""
 
+import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
-from diagnosis_goals import Hours, Mates, detected, early, mean_size, median, share, singles
+from diagnosis_goals import APART, Hours, Mates, detected, early, mean_size, median, share, singles
 from diagnosis_judged import EXCITED_S, LOOKS_S, Judged
 from diagnosis_mates import beside, narrow
-from results_page import exact_rate
+from results_page import exact_rate, exact_share
 
 ALL = "**all but fA_p and the leak**"
 
@@ -124,3 +126,25 @@ def by_effect(told: Sequence[Judged], effects: Mapping[int, Sequence[str]]) -> l
         )
     columns = "| effect | vehicles | told without a fault | which | small: detected | small: in | large: in |"
     return _table(columns, rows)
+
+
+BINS = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 0.99, 1.0)
+
+
+def calibration(told: Sequence[Judged]) -> list[str]:
+    """How often what was given a probability was there, over all looks at single faults that the model knows."""
+    looks = [
+        (p, name == one.faults[0])
+        for one in told
+        if one.kind in ("single", "curve") and one.faults[0] not in APART
+        for said in one.standing.values()
+        for name, _, p, _ in said
+        if p is not None
+    ]
+    rows = ["| p told | mean | true |", "|---|---|---|"]
+    for low, high in pairwise(BINS):
+        inside = [(p, true) for p, true in looks if low <= p < high or (p == high == 1.0)]
+        if inside:
+            mean = statistics.fmean(p for p, _ in inside)
+            rows.append(f"| {low:g} to {high:g} | {mean:.2f} | {exact_share(sum(t for _, t in inside), len(inside))} |")
+    return rows

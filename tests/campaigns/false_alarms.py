@@ -34,7 +34,7 @@ def hour(shop: Workshop, number: int, seconds: float = DRIVE_S) -> Record:
     busy = time.process_time()
     bundle = shop.bundle()
     seed = SEEDS + 1000 * shop.number + number
-    asked = request(shop.number, shop.effects_set, "drive", seed, seconds, shop.profile)
+    asked = request(shop.number, shop.effects_set, "drive", seed, seconds)
     seen = watched(bundle, asked, run_of(asked))
     occurred = [(t, event) for t, event in seen.events if event.transition == "occurred"]
     return {

@@ -28,14 +28,14 @@ NUMBER = REFERENCE[0]
 
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    return Workshop(NUMBER, "A", tmp_path_factory.mktemp("truck"), "realistic")
+    return Workshop(NUMBER, "none", tmp_path_factory.mktemp("truck"))
 
 
 @pytest.fixture(scope="module")
 def told(shop: Workshop) -> Record:
-    large = [case for case in cases(NUMBER, "A") if (case.kind, case.label) == ("single", "large")]
+    large = [case for case in cases(NUMBER, "none") if (case.kind, case.label) == ("single", "large")]
     wanted = [case for case in large if {*dict(case.faults)} <= FAULTS]
-    return vehicle(shop, [replace(case, seconds=450.0, profile="realistic") for case in wanted])
+    return vehicle(shop, [replace(case, seconds=450.0) for case in wanted])
 
 
 def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_one(told: Record) -> None:
