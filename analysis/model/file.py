@@ -3,7 +3,7 @@
     schema = 1
     name = "uds4"
     warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
-    [known.y_p_tp]           unit, description, min, max, noise, zero, drift  (the last two may be absent)
+    [known.y_p_tp]           unit, description, min, max, noise, zero, drift, added  (the last three may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
@@ -158,6 +158,7 @@ def _known(table: Table) -> Known:
         noise=table.number("noise"),
         zero=table.optional_number("zero") or 0.0,
         drift=table.optional_number("drift") or 0.0,
+        added=table.flag("added"),
     )
     table.done()
     if known.min >= known.max:

@@ -9,6 +9,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import sympy as sp
 
@@ -20,7 +21,7 @@ class Known:
     """A measured or commanded signal, in `unit`: operating range [min, max], standard deviation `noise` of a sample.
 
     `zero` is the standard deviation of the zero error that a calibration of the sensor has left, `drift` that of its
-    change from one drive to the next; 0 is none.
+    change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have.
     """
 
     unit: str
@@ -30,6 +31,7 @@ class Known:
     noise: float
     zero: float = 0.0
     drift: float = 0.0
+    added: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +158,11 @@ class Model:
     def faults(self) -> dict[str, Fault]:
         """The faults by name, in the order of their equations."""
         return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None}
+
+    @property
+    def sensor_set(self) -> Literal["production", "instrumented"]:
+        """What a vehicle must have for it: its own sensors, or added ones besides."""
+        return "instrumented" if any(known.added for known in self.known.values()) else "production"
 
     @property
     def calibrated(self) -> list[str]:

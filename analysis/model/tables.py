@@ -43,6 +43,10 @@ class Table:
         self._allowed[key] = None
         return self.number(key) if key in self._data else None
 
+    def flag(self, key: str) -> bool:
+        """True or false, false if absent."""
+        return self._take(key, bool, "true or false", False)
+
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers."""
         return tuple(self._finite(f"{key}[{k}]", v) for k, v in enumerate(self._take(key, list, "a list", None)))

@@ -23,7 +23,7 @@ def dump_model(model: Model) -> str:
     blocks = [_pairs(head)]
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
-        fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift)) if value}
+        fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import get_args
 
-from analysis.model import Model, load_model
+from analysis.model import Model, dump_model, load_model
 from analysis.progress import Progress
 from analysis.structure.diagnosability import Interpretation
 from analysis.structure.document import document
@@ -22,6 +22,7 @@ from service.core.errors import InputError
 EXAMPLE = """examples:
   faultline structure uds4 --tests
   faultline structure uds4 --without y_p_tp y_p_ap --json analysis.json
+  faultline structure calibrated.toml --without y_p_tp y_p_ap --model production.toml    (to tune and export)
   faultline structure uds4 --why fA_t fA_p --causality integral
   faultline structure model.json --figures figures    (a structural model in matrix form: X, F, Z, names)
 
@@ -49,8 +50,15 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--json", metavar="FILE", help="write everything as JSON (-: to standard output, and only that)"
     )
+    parser.add_argument(
+        "--model", dest="written", type=Path, metavar="FILE", help="write the model without the sensors"
+    )
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the pictures into this folder")
     options = parser.parse_args(argv)
+    if options.written and options.sensors:
+        parser.error(
+            "--model: of sensors that are not there yet neither range nor noise is known; leave --sensors away"
+        )
     model = _changed(open_model(options.model), options.without, options.sensors)
     if options.why and (options.json or options.figures or options.tests or options.positions):
         parser.error("--why answers one question; leave --json, --figures, --tests and --positions away")
@@ -67,6 +75,10 @@ def main(argv: list[str]) -> int:
     print(text or data)
     if options.json and text:
         _write(Path(options.json), data + "\n")
+    if options.written:
+        if not isinstance(model, Model):
+            raise InputError(f"{options.model}: a structural model has no formulas to write; give a model file")
+        _write(options.written, dump_model(model))
     if options.figures:
         from analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
 

@@ -185,7 +185,7 @@ def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -
         recordings=[drive.sha256 for vehicle in vehicles for drive in vehicle.drives],
         modes=modes_of(bank.model),
         start_within_s=START_WITHIN_S,
-        sensor_set="instrumented",
+        sensor_set=bank.model.sensor_set,
         detectors=detectors,
         evidence=_evidence(vehicles, detectors, to),
         zero=zero.tolist(),

@@ -18,7 +18,7 @@ def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], 
     return Manifest(
         schema=SCHEMA,
         name=bank.model.name,
-        sensor_set="instrumented",
+        sensor_set=bank.model.sensor_set,
         period_s=PERIOD_S,
         start_within_s=tuning.start_within_s,
         dbc=dbc_name,

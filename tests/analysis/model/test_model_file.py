@@ -254,6 +254,7 @@ WRONG = [
         "m.toml: unknown.h.initial[1]: `abs(y)` is not affine in known",
     ),
     ("drift negative", change("noise = 0.01", "noise = 0.01\ndrift = -1"), "m.toml: known.y.drift: -1 is no standard"),
+    ("added is a number", change("noise = 0.01", "noise = 0.01\nadded = 1"), "m.toml: known.y.added: must be true or"),
     (
         "drift of nothing",
         change('unit = "m"\nvalue = 1\n', 'unit = "m"\nvalue = 0\ndrift = 0.1\n'),

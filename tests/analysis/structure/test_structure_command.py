@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from analysis.graph.bank import build_bank
 from analysis.model import ModelError, load_model
 from analysis.structure import structure_of
 from analysis.structure.command import main
@@ -275,3 +276,23 @@ def test_redundancy_without_a_fault_is_told_apart(tmp_path: Path, capsys: pytest
 def test_an_unknown_model_is_an_input_error() -> None:
     with pytest.raises(ModelError, match=r"^nowhere: cannot be read; give a model file, or a shipped model: .*uds4"):
         main(["nowhere"])
+
+
+def test_a_model_without_the_added_sensors_is_written_for_production_vehicles(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = tmp_path / "production.toml"
+    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--model", str(written)]) == 0
+    model = load_model(str(written))
+    assert [*model.known] == ["y_p_du", "n_p", "dc_dose"]
+    assert (load_model("uds4").sensor_set, model.sensor_set) == ("instrumented", "production")
+    [generator] = build_bank(model).generators
+    assert {*generator.inputs} == {*model.known}
+    assert generator.faults == [name for name in load_model("uds4").faults if name not in ("fy_p_tp", "fy_p_ap")]
+
+
+def test_a_model_with_sensors_that_are_not_there_yet_is_not_written(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["uds4", "--sensors", "p_bp", "--model", "x.toml"])
+    assert caught.value.code == 2
+    assert "neither range nor noise is known" in capsys.readouterr().err
