@@ -120,16 +120,17 @@ def _inputs(axes: Axes, story: Story) -> None:
 def _residuals(axes: Axes, story: Story) -> None:
     """In parts of each test's fault-free spread, cut off at `SPREADS`, a row a test."""
     detectors = story.bundle.manifest.detectors
-    for row, generator in enumerate(story.bundle.manifest.generators):
+    names = [generator.name for generator in story.bundle.manifest.generators]
+    for row in range(len(names)):
         trace = (story.r[:, row] / detectors[row].scale[PARTIAL]).clip(-SPREADS, SPREADS) / (2 * SPREADS)
         trace[~story.usable[:, row]] = float("nan")
         axes.plot(story.t_s, trace - row, linewidth=0.6, color="#333333")
-        trace[abs(story.sums[:, row]) < 1.0] = float("nan")
+        trace[~story.fired[:, row]] = float("nan")
         axes.plot(story.t_s, trace - row, linewidth=0.8, color=ALARM)
-        axes.text(story.t_s[0], -row, f"{generator.name} ", ha="right", va="center", fontsize=8)
-    axes.set_yticks([])
-    axes.set_ylim(0.6 - len(story.bundle.manifest.generators), 0.6)
-    axes.set_ylabel("residuals\n(red: alarm)", labelpad=28)
+    axes.set_yticks([-row for row in range(len(names))], names, fontsize=8)
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(0.6 - len(names), 0.6)
+    axes.set_ylabel("residuals\n(red: alarm)")
 
 
 def _sums(axes: Axes, story: Story) -> None:
