@@ -76,13 +76,13 @@ class Decision:
         self._hypotheses = Hypotheses(manifest.evidence)
         self._window = Window(manifest.evidence, names)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
-        self._alarming = 0  # ticks of the episode at which one did
+        self._first = 0  # tick at which one did first
         self._alarmed: frozenset[int] = frozenset()  # those that did, the last time that any did
         self._deviating: frozenset[int] = frozenset()  # tests that deviate in the window
         self._showing = np.zeros(EDGE, dtype=np.bool_)  # modes in which they do
         self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
         self._look: Look | None = None
-        self._settled = False
+        self._settled = self._cleared = False
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = False
@@ -98,15 +98,17 @@ class Decision:
         if self._latest is None:
             self._look, self._deviating, self._settled = None, frozenset(), False
             self._showing[:], self._alarmed = False, frozenset()
+            self._first, self._cleared = tick, False
             self._window.clear()
         self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
         self._quiet[:] = 0.0
-        if self._alarming == self._settle_ticks:
+        settled = tick - self._first >= self._settle_ticks
+        if settled and not self._cleared:
             self._window.clear()
-        self._alarming += 1
+            self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
         if tick % RANKING_PERIOD == 0:
-            self._weigh(settled=self._alarming > self._settle_ticks)
+            self._weigh(settled)
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the window waits, and the episode ends in time."""
@@ -117,7 +119,7 @@ class Decision:
             self._quiet[mode] += 1
         healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
         if healed or not self.confirmed:
-            self._latest, self._alarming, self.confirmed = None, 0, False
+            self._latest, self.confirmed = None, False
             self._diagnoses = []
 
     def _weigh(self, settled: bool) -> None:
