@@ -42,25 +42,24 @@ def main(argv: list[str]) -> int:
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
     faults = {fault.name: fault for fault in bundle.manifest.faults}
     equations = {equation.name: equation for equation in bundle.manifest.equations}
-    found = suspected = False
+    found = False
     blind = {generator.test for generator in bundle.manifest.generators}
     for event in monitor.log(log.relative()):
         found = found or bool(event.diagnoses)
         blind &= set(event.cannot_tell)
-        if event.transition != "cannot_tell":
-            suspected = event.transition == "suspected"
         if options.json:
             sys.stdout.buffer.write(encode(event))
         else:
             print(describe(event, faults, equations))
     sys.stdout.flush()
+    found = found or bool(monitor.decision.diagnoses)  # a log may end before what is decided is told
     if blind and not found:
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
         raise InputError(
             f"{options.log}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
             f"give a longer log that has {signals}, within their operating ranges"
         )
-    if suspected and not found:
+    if monitor.decision.suspected and not found:
         raise InputError(
             f"{options.log}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
         )

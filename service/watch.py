@@ -128,7 +128,7 @@ def _nothing(event: Event) -> str:
     """No candidate is not the same as no fault."""
     if event.transition == "dismissed":
         return "no test alarms any more, and nothing was confirmed"
-    if event.alarm:
+    if event.alarm or event.transition == "suspected":
         return "not confirmed yet: what is seen now decides"
     if event.cannot_tell:
         return "no alarm, but not known to be free of faults: some tests cannot tell"

@@ -40,6 +40,12 @@ def main(argv: list[str]) -> int:
     options = _options(argv)
     bundle = load_bundle(options.bundle)
     chosen = given(bundle, options.recording, options.truth, options.fault)
+    _check_names(options.require, bundle)
+    if options.report and not any(_free(one) for one in chosen):
+        raise InputError(
+            f"{options.recording[0]}: like the others, faulty from its beginning; a report needs a fault-free part, "
+            "add a recording without a fault"
+        )
     cases = cases_of([one.truth for one in chosen])
     shown = detailed(options.detail, chosen)
     if options.report:
@@ -84,6 +90,9 @@ def _options(argv: list[str]) -> argparse.Namespace:
     options = parser.parse_args(argv)
     if options.picture and options.picture.suffix != ".png":
         raise InputError(f"{options.picture}: no name of a picture; give one that ends in .png")
+    for name in ("require", "detail"):
+        if getattr(options, name) and not options.report:
+            raise InputError(f"--{name}: is about the report; give --report DIR too")
     for name in ("picture", "events"):
         if getattr(options, name) and len(options.recording) > 1:
             raise InputError(f"--{name}: of one recording, here are {len(options.recording)}; give one, or --report")
@@ -96,6 +105,18 @@ def _make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
+
+
+def _free(one: Given) -> bool:
+    return all(fault.onset_s > 0.0 for fault in one.truth.fault)
+
+
+def _check_names(required: list[str], bundle: Bundle) -> None:
+    known = [fault.name for fault in bundle.manifest.faults]
+    for words in required:
+        for name in words.split(":"):
+            if name not in known:
+                raise InputError(f"--require {words}: {name!r} is no fault of the bundle; those are {', '.join(known)}")
 
 
 def _pair(words: str) -> tuple[str, str | None]:
@@ -130,13 +151,16 @@ def _judged(
 ) -> Iterator[tuple[Given, Story, list[Event], Verdict]]:
     """Each recording run and judged, one at a time."""
     tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
+    known = [fault.name for fault in bundle.manifest.faults]
     for number, one in enumerate(chosen, start=1):
         progress.say(f"{one.recording.id}, {number} of {len(chosen)}")
         log = one.open(bundle, partial(print, file=sys.stderr))
         live = live_events(options.events, bundle, log) if options.events else None
         story = tell(bundle, log)
         events = story.events if live is None else live
-        verdict = judge(one.truth, events, tests, story.origin_s, story.end_s)
+        there = [fault for fault in one.truth.fault if fault.onset_s < story.end_s]  # the log may end before one comes
+        truth = msgspec.structs.replace(one.truth, fault=there)
+        verdict = judge(truth, events, tests, story.origin_s, story.end_s, known)
         if live is not None:
             off = apart(live, story.events, len(story.t_s) - 1)
             verdict = msgspec.structs.replace(verdict, apart_ticks=off)

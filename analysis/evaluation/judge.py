@@ -1,10 +1,11 @@
 """Events against the truth: was it found, how fast, how narrowly, was there peace before, and who could tell at all."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import msgspec
 
+from analysis.evaluation.measure.weights import UNNAMED, true_explanation
 from analysis.evaluation.truth import Truth
 from service.core.events import Event
 
@@ -14,10 +15,10 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     `delay_s` runs from the onset to the first event that explains something new. `isolated` are the faults of the
     diagnoses that stand at the end (of single faults, in rank order) and `first` those of rank 1 alone: what has been
-    healed while the fault was there is not isolated. `contained`: every true fault is in `isolated`; `named`: they are
-    `first` alone. `false_alarms` counts the episodes that began before the onset, or all of them in a fault-free
-    recording; like every event, one that lasts less than two seconds is not told. `could_tell` is the share of the
-    recording in which each test could tell; a recording in which one never could (`blind`) proves nothing of it.
+    healed while the fault was there is not isolated. `contained`: the true faults together are one of the diagnoses;
+    `named`: the only one of rank 1. `false_alarms` counts the episodes that began before the onset, or all of them in a
+    fault-free recording; like every event, one that lasts less than two seconds is not told. `could_tell` is the share
+    of the recording in which each test could tell; one in which one never could (`blind`) proves nothing of it.
     `apart_ticks` is set where the events of a bus are judged: how far they are from the log's own, None if they tell
     other candidates.
     """
@@ -43,11 +44,19 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         return self.false_alarms == 0 and not self.blind and self.contained == bool(self.faults)
 
 
-def judge(truth: Truth, events: Sequence[Event], tests: Sequence[str], origin_s: float, end_s: float) -> Verdict:
+def judge(
+    truth: Truth,
+    events: Sequence[Event],
+    tests: Sequence[str],
+    origin_s: float,
+    end_s: float,
+    known: Collection[str] | None = None,
+) -> Verdict:
     """Judges the events of a recording.
 
-    `tests` are the bundle's; `origin_s` and `end_s` are the log times of tick 0 and of the last tick [s] after the
-    first frame. What was told later, of the silence after a replay, is left out.
+    `tests` are the bundle's, `known` its faults (None: all that are true): of others, *unknown* is the right answer.
+    `origin_s` and `end_s` are the log times of tick 0 and of the last tick [s] after the first frame. What was told
+    later, of the silence after a replay, is left out.
     """
     dated = [(origin_s + event.t_s, event) for event in events if origin_s + event.t_s <= end_s]
     onset = min((fault.onset_s for fault in truth.fault), default=None)
@@ -56,9 +65,11 @@ def judge(truth: Truth, events: Sequence[Event], tests: Sequence[str], origin_s:
     standing = before[-1].diagnoses if before else []
     news = next((t for t, event in after if event.diagnoses and event.diagnoses != standing), None)
     last = after[-1][1] if after and news is not None else None
-    isolated = [name for d in last.diagnoses for name in d.faults] if last else []
-    first = [name for d in last.diagnoses if d.rank == 1 for name in d.faults] if last else []
+    isolated = [name for d in last.diagnoses for name in d.faults or [UNNAMED]] if last else []
+    first = [name for d in last.diagnoses if d.rank == 1 for name in d.faults or [UNNAMED]] if last else []
     true = [fault.name for fault in truth.fault]
+    right = true_explanation(true, true if known is None else known)
+    told = {frozenset(d.faults): d.rank for d in last.diagnoses} if last else {}
     shares = _shares(dated, tests, origin_s, end_s)
     return Verdict(
         recording=truth.recording,
@@ -68,8 +79,8 @@ def judge(truth: Truth, events: Sequence[Event], tests: Sequence[str], origin_s:
         delay_s=round(news - onset, 1) if news is not None and onset is not None else None,
         isolated=list(dict.fromkeys(isolated)),
         first=list(dict.fromkeys(first)),
-        contained=bool(true) and set(true) <= set(isolated),
-        named=bool(true) and set(true) == set(first),
+        contained=bool(true) and right in told,
+        named=bool(true) and [faults for faults, rank in told.items() if rank == 1] == [right],
         tests=last.alarm if last else [],
         false_alarms=sum(event.transition == "occurred" for event in before),
         could_tell={test: round(share, 3) for test, share in shares.items()},

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from analysis.evaluation.judge import Verdict
 from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import rate
+from analysis.evaluation.measure.intervals import at_most
 
 
 def sentence(v: Verdict) -> str:
@@ -27,10 +27,10 @@ def summary(of: Sequence[Facts]) -> str:
     detected = sum(one.verdict.detected for one in faulty)
     contained = sum(one.told.rank is not None for one in faulty)
     alone = sum(one.told.alone for one in faulty)
-    false = rate(sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of))
-    hours = sum(float(one.hours.sum()) for one in of)
-    bound = f" (95 %: at most {false.high:.2g} an hour)" if false.high is not None else ""
+    false, free = sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of)
+    hours, most = sum(float(one.hours.sum()) for one in of), at_most(false, free)
+    bound = f" (95 %: at most {most:.2g} an hour)" if most is not None else ""
     return (
         f"{len(of)} recordings, {hours:.1f} h: {detected} of {len(faulty)} faults detected, the true diagnosis among "
-        f"those told of {contained}, first alone of {alone}; {false.events} false alarms in {false.hours:.1f} h{bound}"
+        f"those told of {contained}, first alone of {alone}; {false} false alarms in {free:.1f} h{bound}"
     )

@@ -7,12 +7,13 @@ from pathlib import Path
 import msgspec
 
 from service.core.errors import InputError
+from service.core.manifest import Name
 
 
 class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A fault that was there: size (fraction of area or flow lost, or Pa), onset [s] after the log's first frame."""
 
-    name: str
+    name: Name
     size: float
     onset_s: float
     profile: str

@@ -110,14 +110,20 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Arr
 
 
 def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:
-    """How far the mean of every recording lies from the offset (R, modes, rows); 0 where it does not show a mode."""
+    """How far the mean of every recording lies from the offset (R, modes, rows).
+
+    One that hardly shows a mode says nothing of it: the others' deviations are that much larger, so that the mean
+    square over all R is the one over those that do.
+    """
     modes = range(len(MODES))
-    return np.array([[_mean(s, mode, rows, offset[mode]) for mode in modes] for s in recordings]) - offset
+    means = np.array([[_mean(s, mode, rows) for mode in modes] for s in recordings]) - offset
+    shown = np.isfinite(means)
+    return np.asarray(np.where(shown, means, 0.0) * np.sqrt(len(means) / np.maximum(shown.sum(axis=0), 1)))
 
 
-def _mean(s: Seen, mode: int, rows: list[int], otherwise: Array) -> Array:
+def _mean(s: Seen, mode: int, rows: list[int]) -> Array:
     inside = s.usable.all(axis=1) & (s.mode == mode)
-    return s.r[inside][:, rows].mean(axis=0) if inside.any() else otherwise
+    return s.r[inside][:, rows].mean(axis=0) if inside.sum() >= MINIMUM_TICKS else np.full(len(rows), np.nan)
 
 
 def _directions(means: Array, scale: Array) -> tuple[Array, list[Array]]:

@@ -12,6 +12,8 @@ from service.core.signals import Vector
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
 ROUNDING = 1e-9  # of a correlation
 LARGEST = 1e50  # of evidence: its squares and products must be numbers
+WIDEST = 1e5  # of what strays, in spreads: a sum of covariances must stay one that can be divided by
+MOST_HYPOTHESES = 500  # two at a time are tried, so memory grows with the square
 
 
 def inconsistencies(manifest: Manifest) -> Iterator[str]:
@@ -152,10 +154,22 @@ def _sizes(evidence: Evidence) -> Iterator[str]:
     for mode, rows in enumerate(evidence.visit):
         if not _is_semidefinite(np.array(rows)):
             yield f"evidence.visit[{mode}]: mode {MODES[mode]}: not symmetric and positive semidefinite"
+    if len(evidence.hypotheses) > MOST_HYPOTHESES:
+        yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
+    yield from _widths(evidence)
     parts = {name: getattr(evidence, name) for name in ("offset", "noise", "visit", "allowance", "drifts")}
     for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"
+
+
+def _widths(evidence: Evidence) -> Iterator[str]:
+    spread = np.sqrt(np.array([np.diag(noise) for noise in evidence.noise]))  # (modes, K)
+    visit = np.sqrt(np.array([np.diag(rows) for rows in evidence.visit]))
+    of = {"visit": visit, "allowance": np.array(evidence.allowance), "drifts": np.array(evidence.drifts)}
+    for name, values in of.items():
+        if values.size and (np.abs(values) > WIDEST * spread).any():
+            yield f"evidence.{name}: a value beyond {WIDEST:g} times the spread of the noise"
 
 
 def _is_covariance(V: Vector) -> bool:

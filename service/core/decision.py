@@ -39,6 +39,10 @@ SURE = 100.0
 CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
+DOUBTED, DOUBTS = 10.0, 20
+"""A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
+best one fits better by less than this: what confirmed it was on its way to somewhere usual."""
+
 TIE = 9.0
 TIE_PART = 0.25
 """Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
@@ -83,6 +87,7 @@ class Decision:
         self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
         self._look: Look | None = None
         self._settled = self._cleared = False
+        self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = False
@@ -98,7 +103,7 @@ class Decision:
         if self._latest is None:
             self._look, self._deviating, self._settled = None, frozenset(), False
             self._showing[:], self._alarmed = False, frozenset()
-            self._first, self._cleared = tick, False
+            self._first, self._cleared, self._doubts = tick, False, 0
             self._window.clear()
         self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
         self._quiet[:] = 0.0
@@ -112,10 +117,10 @@ class Decision:
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the window waits, and the episode ends in time."""
-        self._window.leave()
+        self._window.wait(mode)
         if self._latest is None:
             return
-        if mode != EDGE and self._usable[self._looked_at].all():
+        if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
             self._quiet[mode] += 1
         healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
         if healed or not self.confirmed:
@@ -131,6 +136,9 @@ class Decision:
         far = look.sigmas.max(axis=0) > DEVIATING
         self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
+        self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
+        if self._doubts >= DOUBTS:
+            self.confirmed, self._diagnoses = False, []
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
             self._explain()
@@ -142,20 +150,20 @@ class Decision:
 
     @property
     def fired(self) -> Mask:
-        """The generators (T,) whose level alarms, whether they can tell now or not."""
+        """The generators (T,) whose level alarms, whether they can tell now or not; not of those frozen for long."""
         return np.isin(np.arange(len(self._tests)), [*self._detectors.alarmed])
 
     @property
     def alarm(self) -> list[str]:
         """Tests that alarm and can tell now: one of their generators does."""
-        alarmed = self._detectors.alarmed
-        return list(dict.fromkeys(test for row, test in enumerate(self._tests) if row in alarmed and self._usable[row]))
+        firing = self._detectors.firing
+        return list(dict.fromkeys(test for row, test in enumerate(self._tests) if row in firing and self._usable[row]))
 
     @property
     def cannot_tell(self) -> list[str]:
         """Tests that cannot tell now: none of their generators can, or one that alarms cannot and no other alarms."""
         telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
-        frozen = {self._tests[row] for row in self._detectors.alarmed if not self._usable[row]} - {*self.alarm}
+        frozen = {self._tests[row] for row in self._detectors.firing if not self._usable[row]} - {*self.alarm}
         return [test for test in dict.fromkeys(self._tests) if test not in telling or test in frozen]
 
     @property

@@ -75,7 +75,7 @@ class Look:
     def faults(self) -> dict[str, float]:
         """The misfit of every fault at its best size."""
         parts = np.clip(((self._target - self._begin) * self._way).sum(axis=1) / self._length, 0.0, 1.0)
-        misfits = self._misfits((self._begin + parts[:, None] * self._way)[:, None])
+        misfits = self._misfits((self._begin + self._reweighted(parts)[:, None] * self._way)[:, None])
         found: dict[str, float] = {}
         for fault, misfit in zip(self._segments.faults, misfits.tolist(), strict=True):
             found[fault] = min(found.get(fault, np.inf), misfit)
@@ -88,8 +88,8 @@ class Look:
         at: dict[tuple[str, ...], tuple[int, int]] = {}
         faults = self._segments.faults
         for i, j in combinations(range(len(faults)), 2):
-            pair = faults[i], faults[j]
-            if pair[0] != pair[1] and (pair not in at or far[i, j] < far[at[pair]]):
+            pair = tuple(sorted((faults[i], faults[j])))
+            if faults[i] != faults[j] and (pair not in at or far[i, j] < far[at[pair]]):
                 at[pair] = i, j
         if not at:
             return {}
@@ -109,13 +109,26 @@ class Look:
         degrees = len(self._d)
         return float(degrees * (1 - 2 / (9 * degrees) + UNLIKELY * np.sqrt(2 / (9 * degrees))) ** 3)
 
-    def _misfits(self, mu: Vector) -> Vector:
-        """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
-        left = self._d - mu.sum(axis=1) @ self._white.T
+    def _reweighted(self, parts: Vector) -> Vector:
+        """The parts (segments,) that fit best by the covariance that the predictions at `parts` have."""
+        begin, way = self._begin @ self._white.T, self._way @ self._white.T
+        weighed = np.linalg.solve(self._with_gamma((begin + parts[:, None] * way)[:, None]), way[..., None])[..., 0]
+        length = np.maximum((way * weighed).sum(axis=1), 1e-300)
+        return np.asarray(np.clip(((self._d - begin) * weighed).sum(axis=1) / length, 0.0, 1.0))
+
+    def _with_gamma(self, mu: Vector) -> Vector:
+        """S (M, D, D) with the error of the predictions mu (M, shifts, D)."""
         S = np.broadcast_to(self._S, (len(mu), *self._S.shape)).copy()
         diagonal = np.arange(len(self._d))
-        S[:, diagonal, diagonal] += ((GAMMA * (mu @ self._white.T)) ** 2).sum(axis=1)
-        return np.asarray(np.einsum("md,md->m", left, np.linalg.solve(S, left[..., None])[..., 0]))
+        S[:, diagonal, diagonal] += ((GAMMA * mu) ** 2).sum(axis=1)
+        return S
+
+    def _misfits(self, mu: Vector) -> Vector:
+        """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
+        mu = mu @ self._white.T
+        left = self._d - mu.sum(axis=1)
+        weighed = np.linalg.solve(self._with_gamma(mu), left[..., None])[..., 0]
+        return np.asarray((left * weighed).sum(axis=1))
 
     def _sizes_of_two(self) -> tuple[Vector, Vector]:
         """Parts (segments, segments, 2) of two segments whose sum comes nearest, and how far that is, squared.

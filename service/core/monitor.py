@@ -60,6 +60,11 @@ class Monitor:
             yield from self.advance(t_s)
 
     @property
+    def decision(self) -> Decision:
+        """What is decided now, told or not yet."""
+        return self._decision
+
+    @property
     def next_tick_s(self) -> float | None:
         """Log time of the next tick [s], None before the first frame."""
         return self._observer.next_tick_s

@@ -81,6 +81,8 @@ class Teller:
         if self._told.update(Told(decision.suspected, candidates(decision.diagnoses))):
             self._diagnoses = decision.diagnoses
             events.append(self._event(tick, _transition(before, self._told.value), decision))
+            if before.candidates and not self._told.value.candidates:
+                self._told.value = Told(False, [])  # what is suspected besides is news of its own
         if self._blind.update(decision.cannot_tell):
             events.append(self._event(tick, "cannot_tell", decision))
         return events

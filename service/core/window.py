@@ -43,22 +43,20 @@ class Window:
         K = len(self._columns)
         # Two parts, the older one first; sums as in `Means`, those of hypotheses behind the others.
         self._sums = np.zeros((2, 3 + self._hypotheses, EDGE, K))
-        self.leave()
-
-    def leave(self) -> None:
-        """Whatever comes next is another visit."""
         self._mode, self._length = EDGE, np.zeros(len(self._columns))
+
+    def wait(self, mode: int) -> None:
+        """A tick that is not taken: a visit lasts as long as the mode does, whether its ticks count or not."""
+        if mode != self._mode:
+            self._mode, self._length = mode, np.zeros(len(self._columns))
 
     def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
         """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
-        if mode != self._mode:
-            self.leave()
-        self._mode = mode
+        self.wait(mode)
         if mode == EDGE:
             return
         if self._sums[1, 0, mode].max() >= PART_TICKS:
             self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
-            self._length = np.zeros(len(self._columns))
         told = usable[self._columns]
         part = self._sums[1, :, mode]
         part[0] += told
@@ -66,10 +64,11 @@ class Window:
         part[2] += np.where(told, r[self._columns], 0.0)
         if self._hypotheses:
             part[3:] += np.where(told, shift, 0.0)
-        self._length = np.where(told, self._length + 1.0, 0.0)
+        self._length = self._length + told
 
     @property
     def means(self) -> Means:
         """What was seen."""
         ticks, squares, total, *shift = self._sums.sum(axis=0)
+        squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
         return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))

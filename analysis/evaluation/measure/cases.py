@@ -24,8 +24,9 @@ class Case(msgspec.Struct, frozen=True):
 
 def cases_of(truths: Sequence[Truth]) -> dict[str, Case]:
     """The case of each recording, by its id."""
-    names = {truth.recording: tuple(sorted({fault.name for fault in truth.fault})) for truth in truths}
-    sizes = {truth.recording: " ".join(size_text(f.size) for f in truth.fault) for truth in truths}
+    by_name = {truth.recording: sorted(truth.fault, key=lambda fault: fault.name) for truth in truths}
+    names = {recording: tuple(fault.name for fault in there) for recording, there in by_name.items()}
+    sizes = {recording: " ".join(size_text(fault.size) for fault in there) for recording, there in by_name.items()}
     found = {}
     for recording, faults in names.items():
         alike = {sizes[other] for other, theirs in names.items() if theirs == faults}

@@ -1,7 +1,8 @@
 """Exact confidence intervals of counts: a probability from trials, a rate from events in a time.
 
 Both invert the tails of the distribution itself, so they hold for few events and for none: Clopper and Pearson (1934)
-for the binomial distribution, Garwood (1936) for the Poisson distribution. They take blocks and events as independent,
+for the binomial distribution, Garwood (1936) for the Poisson distribution. Intervals are two-sided; where *at most* is
+said, the bound is one-sided. They take blocks and events as independent,
 which those of one recording are not quite: read them as the least that is open.
 """
 
@@ -44,6 +45,15 @@ def share(hits: int, trials: int) -> Share:
     low = float(beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
     high = float(beta.ppf(1.0 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
     return Share(hits, trials, hits / trials if trials else None, low, high)
+
+
+def at_most(events: int, hours: float) -> float | None:
+    """The rate [1/h] that is exceeded in one case of twenty: one-sided, so that no event in T hours gives 3/T.
+
+    >>> at_most(0, 2.0).__round__(4)  # -log(0.05) / 2
+    1.4979
+    """
+    return float(chi2.ppf(CONFIDENCE, 2 * (events + 1))) / 2.0 / hours if hours > 0.0 else None
 
 
 def rate(events: int, hours: float) -> Rate:

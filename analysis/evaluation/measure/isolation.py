@@ -7,7 +7,7 @@ import msgspec
 
 from analysis.evaluation.measure.facts import Facts
 from analysis.evaluation.measure.intervals import Share, share
-from analysis.evaluation.measure.metrics import NOTHING, PAIR, UNNAMED, Scores, Told, label, scores
+from analysis.evaluation.measure.metrics import NOTHING, PAIR, Scores, Told, label, scores
 from analysis.evaluation.measure.weights import true_explanation
 
 
@@ -66,7 +66,7 @@ def isolations(of: Sequence[Facts], known: Sequence[str]) -> list[Isolation]:
 
 def columns(rows: Sequence[Isolation], known: Sequence[str]) -> list[str]:
     """Of the confusion matrix: the bundle's faults, whatever else was true or told, and what names nothing."""
-    last = (PAIR, UNNAMED, NOTHING)
+    last = (PAIR, NOTHING)
     others = [name for row in rows for name in (row.true, *row.told) if name not in last]
     return [*dict.fromkeys([*known, *others]), *last]
 

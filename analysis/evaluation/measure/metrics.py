@@ -26,12 +26,11 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from analysis.evaluation.measure.weights import Explanation, true_explanation, weights
+from analysis.evaluation.measure.weights import UNNAMED, Explanation, true_explanation, weights
 from service.core.events import Diagnosis, Event
 from service.core.signals import Mask
 
 NOTHING = "nothing told"
-UNNAMED = "unknown"
 PAIR = "another pair"
 
 

@@ -31,9 +31,7 @@ def curve(free: Array, faulty: Array) -> tuple[Array, Array]:
     >>> [points.tolist() for points in curve(np.array([1.0, 2.0]), np.array([2.0, 3.0]))]
     [[0.0, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.0]]
     """
-    free, faulty = free[np.isfinite(free)], faulty[np.isfinite(faulty)]
+    free, faulty = (np.sort(scores[np.isfinite(scores)]) for scores in (free, faulty))
     thresholds = np.concatenate([[np.inf], np.unique(np.concatenate([free, faulty]))[::-1]])
-    return (
-        np.asarray((free[None] >= thresholds[:, None]).mean(axis=1)),
-        np.asarray((faulty[None] >= thresholds[:, None]).mean(axis=1)),
-    )
+    below = [np.searchsorted(scores, thresholds) / max(len(scores), 1) for scores in (free, faulty)]
+    return 1.0 - below[0], 1.0 - below[1]

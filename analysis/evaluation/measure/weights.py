@@ -8,6 +8,8 @@ Explanation = frozenset[str]
 """Names of the faults that are there together; none: no known fault explains it."""
 
 UNKNOWN: Explanation = frozenset()
+UNNAMED = "unknown"
+"""How it reads."""
 
 
 def weights(diagnoses: Sequence[Diagnosis]) -> dict[Explanation, float]:

@@ -76,14 +76,17 @@ def _origin(e: Evaluation) -> str:
     return (
         f"{said}Judged: bundle {e.bundle_id[:12]} (model {e.model}, sensors {e.sensor_set}, {len(e.tests)} "
         f"generators) on {len(e.recordings)} recordings of {hours:.2f} h ({modes}), vehicle {vehicles}; source: "
-        f"{sources}. None of them was used for calibration, training or tuning."
+        f"{sources}. The bundle names none of them as used for calibration, training or tuning."
     )
 
 
 def _shared(e: Evaluation) -> str:
     if not e.told.shared:
         return ""
-    return "Diagnoses here have no probability: it is shared equally by those of rank 1, and FIA is to be read so."
+    return (
+        "Where diagnoses have no probability (before residuals have settled, of two faults, unknown), it is shared "
+        "equally by those of rank 1; FIA is to be read so."
+    )
 
 
 def _selection(e: Evaluation) -> list[str]:

@@ -22,6 +22,8 @@ from service.core.manifest import (
 from service.core.manifest import Detector as Settings
 from service.core.signals import Vector
 
+FROZEN_TICKS = 1500  # 5 min
+
 
 def detector(settings: Settings) -> Detector:
     """A fresh detector."""
@@ -41,7 +43,8 @@ def detector(settings: Settings) -> Detector:
 class DetectorBank:
     """The detectors of T generators, of which each has one that tests its level, and may have more.
 
-    A detector of a generator that cannot tell is frozen and its alarm stands. One that tests the spread raises
+    A detector of a generator that cannot tell is frozen and its alarm stands, for `FROZEN_TICKS`: a sensor that died in
+    mid-alarm says nothing of now, and would keep an episode open for ever. One that tests the spread raises
     suspicion; only one that tests the level can be a conflict, because only that has the structural row of its
     generator.
     """
@@ -52,10 +55,12 @@ class DetectorBank:
         self._level = [not isinstance(each, SpreadDetector) for each in settings]
         self._detectors = [detector(each) for each in settings]
         self._standard = Standard(settings, self._rows)
+        self._frozen = np.zeros(len(generators), dtype=np.int64)  # ticks since each could tell
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals (T,) of a tick; those that cannot tell are not looked at."""
         standard = self._standard(mode, residuals)
+        self._frozen = np.where(residuals.usable, 0, self._frozen + 1)
         for each, row, s in zip(self._detectors, self._rows, standard, strict=True):
             if residuals.usable[row]:
                 each.update(tick, float(s))
@@ -63,13 +68,21 @@ class DetectorBank:
     @property
     def suspicious(self) -> bool:
         """Whether any detector alarms."""
-        return any(each.alarm for each in self._detectors)
+        return bool(self.firing)
+
+    @property
+    def firing(self) -> frozenset[int]:
+        """The generators of which some detector alarms."""
+        return frozenset(row for each, row in zip(self._detectors, self._rows, strict=True) if self._stands(each, row))
+
+    def _stands(self, each: Detector, row: int) -> bool:
+        return each.alarm and bool(self._frozen[row] <= FROZEN_TICKS)
 
     @property
     def alarmed(self) -> frozenset[int]:
         """The generators whose level alarms."""
         told = zip(self._detectors, self._rows, self._level, strict=True)
-        return frozenset(row for each, row, level in told if level and each.alarm)
+        return frozenset(row for each, row, level in told if level and self._stands(each, row))
 
     @property
     def since(self) -> int | None:

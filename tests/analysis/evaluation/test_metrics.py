@@ -4,8 +4,8 @@ import pytest
 from made_story import event
 
 from analysis.evaluation.measure.isolation import columns
-from analysis.evaluation.measure.metrics import NOTHING, PAIR, UNNAMED, Told, scores, standing, told
-from analysis.evaluation.measure.weights import UNKNOWN, true_explanation, weights
+from analysis.evaluation.measure.metrics import NOTHING, PAIR, Told, scores, standing, told
+from analysis.evaluation.measure.weights import UNKNOWN, UNNAMED, true_explanation, weights
 from service.core.events import Event
 
 KNOWN = ("fA", "fB", "fC")
@@ -93,4 +93,4 @@ def test_equal_weights_are_of_rank_one_alone() -> None:
 
 
 def test_the_confusion_has_a_column_for_whatever_is_told() -> None:
-    assert columns([], KNOWN) == [*KNOWN, PAIR, UNNAMED, NOTHING]
+    assert columns([], KNOWN) == [*KNOWN, PAIR, NOTHING]

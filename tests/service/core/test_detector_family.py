@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.core.detectors.adaptive import Adaptive
-from service.core.detectors.bank import DetectorBank, detector
+from service.core.detectors.bank import FROZEN_TICKS, DetectorBank, detector
 from service.core.detectors.cusum import Cusum
 from service.core.detectors.low_pass import LowPass
 from service.core.detectors.protocol import Detector
@@ -163,10 +163,12 @@ def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_th
         bank.update(tick, 1, residuals(float(s), usable=True))
     alarmed, sums = bank.alarmed, bank.sums
     assert bank.suspicious
-    for tick in range(200, 2000):
+    for tick in range(200, 200 + FROZEN_TICKS):
         bank.update(tick, 1, residuals(np.nan, usable=False, sigma=np.nan))
         assert (bank.alarmed, bank.suspicious, bank.since) == (alarmed, True, each.since)
     np.testing.assert_array_equal(bank.sums, sums)
+    bank.update(200 + FROZEN_TICKS, 1, residuals(np.nan, usable=False, sigma=np.nan))
+    assert (bank.alarmed, bank.suspicious) == (frozenset(), False)
 
 
 def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:

@@ -137,7 +137,7 @@ def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
         window = _window(evidence)
         for ticks in stays:
             _add(window, 0, (0.5, 0.5), ticks=ticks)
-            window.leave()
+            window.wait(EDGE)
         look = Hypotheses(evidence).look(window.means)
         assert look is not None
         gains.append(look.gain)
@@ -236,3 +236,25 @@ def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
     assert look is not None
     assert look.pairs["fA", "fC"] == pytest.approx(look.nothing)
     assert look.pairs["fA", "fB"] == pytest.approx(look.faults["fB"], abs=1e-9)
+
+
+def test_a_stay_is_one_visit_however_it_is_interrupted() -> None:
+    """By lost samples, by a detector that alarms and does not, by what the window forgets."""
+    window = _window(_evidence())
+    for _ in range(40):
+        _add(window, 0, (0.5, 0.5), ticks=20)
+        _add(window, 0, (0.5, 0.5), told=(False, False))
+        window.wait(0)
+    assert (window.means.ticks[0] ** 2 / window.means.squares[0]).tolist() == [1.0, 1.0]
+    _add(window, 0, (0.5, 0.5), ticks=3 * PART_TICKS)
+    assert (window.means.ticks[0] ** 2 / window.means.squares[0]).tolist() == [1.0, 1.0]
+
+
+def test_a_size_fits_best_by_what_its_prediction_is_worth() -> None:
+    """One mean is 40 deviations off and predicted to a tenth of that: it must not decide the size for all others."""
+    look = _look({0: (0.5, 0.5), 1: (1.0, 1.0), 2: (2.6, 2.0)}, allowance=[[0.01, 0.01]] * 4)
+    sizes = np.linspace(0.0, 1.0, 2001)
+    d, S = look._d, look._S
+    shifts = sizes[:, None] * GROWING[:EDGE].ravel()
+    by_hand = [(d - mu) @ np.linalg.solve(S + np.diag((0.1 * mu) ** 2), d - mu) for mu in shifts]
+    assert look.faults["fB"] == pytest.approx(min(by_hand), rel=0.02)
