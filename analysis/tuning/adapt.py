@@ -23,6 +23,7 @@ from analysis.tuning.evidence import gather
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.thresholds import Seen
 from analysis.tuning.vehicles import Vehicle, offsets, pooled, read
+from service.core.consistency import of_evidence
 from service.core.errors import InputError
 from service.core.manifest import MODES, Detector, Evidence
 from service.core.modes import EDGE
@@ -101,6 +102,11 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
             f"{path}: its tests are {', '.join(theirs)}, those of {runnable.bank.model.name} {', '.join(names)}; "
             "adapt a base of the same model"
         )
+    problems = [*of_evidence(base.evidence)]
+    if not {*base.evidence.generators}.issubset(names) or [len(row) for row in base.zero] != [len(MODES)] * len(names):
+        problems.append("its evidence or its offsets are not of these tests")
+    if problems:
+        raise InputError(f"{path}: damaged: {problems[0]}; run `faultline tune` for it again")
     if base.modes != modes_of(runnable.bank.model):
         raise InputError(f"{path}: its operating modes are not the model's; adapt a base of the same model")
 

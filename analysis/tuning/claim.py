@@ -160,8 +160,8 @@ def claim(
     suspicions, diagnoses = (rate_of(column, hours) for column in counts.reshape(len(left_out), 2).T)
     drives = sum(len(vehicle.drives) for vehicle in vehicles)
     result = None
-    if target is not None:
-        kept = suspicions.hours > 0 and suspicions.count <= target * suspicions.hours
+    if target is not None and suspicions.hours > 0:
+        kept = suspicions.count <= target * suspicions.hours
         shown = suspicions.upper is not None and suspicions.upper <= target
         result = "shown" if shown else "kept" if kept else "missed"
     made = Claim(
@@ -211,7 +211,9 @@ def sentence(claim: Claim) -> str:
         )
     if claim.target is None:
         return said
-    verdict = {"shown": "shown", "kept": "kept by the count, not shown", "missed": "missed", None: ""}[claim.result]
+    verdict = {"shown": "shown", "kept": "kept by the count, not shown", "missed": "missed", None: "cannot be told"}[
+        claim.result
+    ]
     said += f"; target {claim.target:g} suspicions per hour: {verdict}"
     if claim.result != "shown":
         said += f" (to show it needs {3.0 / claim.target:.3g} h without one, there are {claim.suspicions.hours:.2f} h)"

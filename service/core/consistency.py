@@ -22,7 +22,7 @@ def inconsistencies(manifest: Manifest) -> Iterator[str]:
     yield from _names(manifest)
     yield from _generators(manifest)
     yield from _decision(manifest)
-    yield from _evidence(manifest.evidence)
+    yield from of_evidence(manifest.evidence)
 
 
 def uneven(rows: Sequence[Sized], wanted: int, path: str, what: str) -> Iterator[str]:
@@ -128,8 +128,8 @@ def _same(detector: Detector, other: Detector) -> bool:
     return type(detector) is type(other) and detector.generator == other.generator and len({*sides}) == 1
 
 
-def _evidence(evidence: Evidence) -> Iterator[str]:
-    """The shapes over modes and evidence generators."""
+def of_evidence(evidence: Evidence) -> Iterator[str]:
+    """The contradictions within the evidence: shapes over modes and generators, and numbers that nothing can be."""
     K = len(evidence.generators)
     what = "evidence generators"
     yield from uneven(evidence.offset, K, "evidence.offset", what)

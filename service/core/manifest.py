@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-SCHEMA: Final = "faultline.bundle/1"
+SCHEMA: Final = "faultline.bundle/2"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
@@ -267,7 +267,7 @@ class Manifest(_Part, frozen=True):
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
     """
 
-    schema: Literal["faultline.bundle/1"]
+    schema: Literal["faultline.bundle/2"]
     name: Text
     sensor_set: Literal["production", "instrumented"]
     period_s: Period

@@ -150,7 +150,7 @@ def test_a_bundle_is_replaced_only_when_asked_for(made: Made, tmp_path: Path) ->
     assert contents(out) == before
 
 
-@pytest.mark.parametrize("manifest", [None, "{}", '{"schema": "faultline.bundle/1", "files": {}}', "[1]", "no JSON"])
+@pytest.mark.parametrize("manifest", [None, "{}", '{"schema": "faultline.bundle/2", "files": {}}', "[1]", "no JSON"])
 def test_a_folder_that_holds_more_than_a_bundle_is_never_replaced(
     made: Made, tmp_path: Path, manifest: str | None
 ) -> None:

@@ -5,7 +5,8 @@
 Every vehicle is a truck of the rig's fleet (profile `everyday`, with hidden effects of its own): calibrated on one
 training recording and tuned as a workshop would (`diagnosis_shop.tuning`), then judged on other drives: fault-free
 ones, and each fault of the frozen list, small and large, pairs of faults, and a curve over size. Nothing of a judged
-recording was used before. A line of the results is a vehicle; what is there is not made again.
+recording was used before. A line of the results is a vehicle; what is there of the same code and tuning is not made
+again. With `--faults` the results go to a file of their own, and no page is written of them.
 """
 
 import argparse
@@ -89,14 +90,24 @@ def _judged(shop: Workshop, bundle: Bundle, case: Case) -> Record:
     return told
 
 
-def kept_in(effects_set: Set, results: Path = RESULTS) -> Path:
-    """The file of a set's results."""
-    return results / f"diagnosis-{effects_set}.jsonl"
+def kept_in(effects_set: Set, results: Path = RESULTS, *, part: bool = False) -> Path:
+    """The file of a set's results, or of `part` of its cases."""
+    return results / f"diagnosis-{effects_set}{'-part' if part else ''}.jsonl"
 
 
 def kept(path: Path) -> list[Record]:
     """The records that are there."""
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def is_made(number: int, wanted: Sequence[Case], records: Sequence[Record], code: str, tuning: str) -> bool:
+    """Whether a record of the vehicle, made by this code with this tuning, has all these cases."""
+    names = {case.name for case in wanted}
+    return any(
+        (record["vehicle"], record["code"], record["tuning"]) == (number, code, tuning)
+        and names <= {told["case"] for told in record["judged"]}
+        for record in records
+    )
 
 
 def shard(numbers: Sequence[int], text: str) -> list[int]:
@@ -115,24 +126,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser)
-    parser.add_argument("--faults", nargs="+", help="only recordings of these, and fault-free ones")
+    parser.add_argument("--faults", nargs="+", help="only recordings of these, and fault-free ones: to a file apart")
     parser.add_argument("--page-only", action="store_true", help="make nothing, write the page of what is there")
     options = parser.parse_args(arguments)
-    path = kept_in(options.effects, options.results)
+    path = kept_in(options.effects, options.results, part=options.faults is not None)
     if not options.page_only:
         code = digest(*FROZEN)
         stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
-        there = {record["vehicle"] for record in kept(path)}
-        missing = [number for number in shard(options.vehicles, options.shard) if number not in there]
+        there = kept(path)
+        asked = {number: _wanted(number, options.effects, options.faults) for number in options.vehicles}
+        missing = [
+            number
+            for number in shard(options.vehicles, options.shard)
+            if not is_made(number, asked[number], there, code, options.tuning)
+        ]
         shops = workshops(missing, options.effects, code, options.tuning)
-        wanted = [(shop, _wanted(shop.number, options.effects, options.faults)) for shop in shops]
+        wanted = [(shop, asked[shop.number]) for shop in shops]
         options.results.mkdir(parents=True, exist_ok=True)
         with get_context("spawn").Pool(options.processes, maxtasksperchild=1) as pool:
             for record in pool.imap_unordered(_vehicle, wanted):
                 with path.open("ab") as out:
                     out.write(msgspec.json.encode({**record, **stamp}) + b"\n")
                 print(f"truck-{record['vehicle']}: {record['wall_s']:.0f} s", flush=True)
-    write_page(options.results)
+    if options.faults is None:
+        write_page(options.results)
 
 
 def _wanted(number: int, effects_set: Set, faults: Sequence[str] | None) -> list[Case]:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from diagnosis_judged import EXCITED_S, LOOK_S, Judged
-from diagnosis_mates import Cell, narrow
+from diagnosis_mates import Cell, in_words, narrow
 from results_page import exact_rate, exact_share
 
 APART = ("fA_p", "leak_ap")
@@ -95,8 +95,10 @@ def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
         (
             "large: alone or only with practical mates",
             ">= 95 %",
-            share(detected(large), lambda one: narrow(one, of_others)),
+            share(detected(large), lambda one: narrow(one, of_others))
+            + f"; mates: {in_words(of_others, 'large', APART)}",
         ),
+        ("large: alone", "-", share(detected(large), lambda one: one.first() == [*one.faults])),
         ("large: mean size", "<= 1.5", mean_size(large)),
         ("fA_p that changes what is measured: detected", "100 %", share(seen, lambda one: one.detected)),
         (

@@ -22,7 +22,7 @@ class Judged:
     `false` are the diagnoses told before the onset, each by its components of rank 1, in `free_s` [s]. `delay_s` and
     `excited_s` (of exciting operation) run from the onset to the first event that explains something new. `standing`
     is what stood so long after that: empty where all had healed. `changes`: whether the fault changes anything that
-    is measured (asked of fA_p only; True for all others).
+    is measured (asked of fA_p only; True for all others). `sizes` are those of `faults`, in the fault's own unit.
     """
 
     vehicle: int
@@ -37,6 +37,7 @@ class Judged:
     standing: dict[float, Said]
     cannot_tell: float
     changes: bool
+    sizes: tuple[float, ...] = ()
 
     @property
     def detected(self) -> bool:
@@ -103,6 +104,7 @@ def judged(vehicle: int, told: Record) -> Judged:
         standing=standing,
         cannot_tell=told["cannot_tell"],
         changes=told.get("changes", True),
+        sizes=tuple(told["faults"].values()),
     )
 
 

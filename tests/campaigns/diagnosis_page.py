@@ -11,12 +11,14 @@ from typing import Any
 from diagnosis_goals import Hours, goals
 from diagnosis_judged import Judged, all_of
 from diagnosis_mates import excused
-from diagnosis_tables import alarms, by_effect, by_fault, by_look, calibration, curve, isolability, pairs
+from diagnosis_tables import alarms, by_effect, by_fault, by_look, calibration, curve, isolability, pairs, smallest
 from results_page import exact_rate
 
 Record = dict[str, Any]
 
 PAGE = "diagnosis.md"
+HEADING = 2
+"""Lines of a table's head: one without more is left out."""
 
 HEAD = """# What is told of faults on other vehicles
 
@@ -31,8 +33,10 @@ decision was tuned to them (`testbench/sizes.toml`).
 *Delay*: from the onset to the first new diagnosis, in seconds and in seconds of exciting operation (dose above idle).
 *In the diagnosis*: of the detected, those whose true component is of rank 1, 120 s after the first diagnosis; one that
 has healed by then is not. *Mean size*: how many are of rank 1 then, where any are. *Wrong alone*: one is, and it names
-no true fault. *Practical mates*: what stood beside the fault in a tenth of the recordings of the other half of the
-vehicles. Intervals are exact (95 %; Clopper and Pearson, Garwood).
+no true fault. *Practical mates*: what stood beside the fault in two recordings at least, and in a fifth, of the other
+half of the vehicles. *Smallest size detected*: of the sizes driven, in the units of `testbench/sizes.toml`; the true
+limit is between it and the next smaller one. Intervals are exact (Clopper and Pearson, Garwood): "at most" is a
+one-sided bound of 95 %, from-to a two-sided interval of 95 %.
 """
 
 
@@ -48,6 +52,7 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
         "How a diagnosis develops": by_look(told),
         "Probabilities": calibration(told),
         "Detection over size": curve(told),
+        "Smallest size detected": smallest(told),
         "Two faults at once": pairs(told),
         "Practical isolability": isolability(told),
         "Alarms without a fault": [*alarms(free), "", f"Told without a fault: {dict(said) or 'nothing'}."],
@@ -61,7 +66,8 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
     blind = sum(one.cannot_tell for one in told) / len(told)
     lines.append(f"After the onset (in fault-free drives: throughout) {100 * blind:.1f} % of the tests could not tell.")
     for title, table in tables.items():
-        lines += ["", f"## {title}", "", *table]
+        if len(table) > HEADING:
+            lines += ["", f"## {title}", "", *table]
     cpu = sum(record["cpu_s"] for record in records)
     commits, codes = (", ".join(sorted({r[name] for r in [*records, *hours]})) for name in ("commit", "code"))
     machine = f"{platform.machine()} with {os.cpu_count()} cores"
@@ -99,23 +105,31 @@ def of_same_code(hours: Sequence[Record], records: Sequence[Record]) -> list[Rec
 
 
 def latest(records: Sequence[Record]) -> list[Record]:
-    """Those of the code and tuning that the last of them is of: others do not count together with them."""
-    return [record for record in records if all(record[name] == records[-1][name] for name in ("code", "tuning"))]
+    """Of each vehicle the last of those of the code and tuning that the last of all is of: no others count with it."""
+    same = [record for record in records if all(record[name] == records[-1][name] for name in ("code", "tuning"))]
+    return [*{record["vehicle"]: record for record in same}.values()]
 
 
 def write_page(results: Path) -> None:
-    """Writes the page of what is there: set B first, which is used once, then A, then none."""
+    """Writes the page of what is there: set B first, which is used once, then A, then none.
+
+    Raises:
+        SystemExit: nothing is there.
+    """
     parts = [HEAD]
     for name in ("B", "A", "none"):
         records, hours = (_read(results / f"{kind}-{name}.jsonl") for kind in ("diagnosis", "false-alarms"))
         rivals = results / f"diagnosis-rivals-{name}.md"
         more = "\n" + rivals.read_text() if rivals.exists() else ""
+        records = latest(records)
         hours = of_same_code(hours, records)
         if hours:
             more += "\n" + "\n".join(["## Hours by vehicle", "", *by_vehicle(hours), ""])
         if records:
             title = "# No days, no hidden effects" if name == "none" else f"# Hidden effects of set {name}"
             parts.append(f"{title}\n\n" + page(records, hours, more))
+    if len(parts) == 1:
+        raise SystemExit(f"{results}: no records of a diagnosis campaign; run make campaign-diagnosis first")
     (results / PAGE).write_text("\n".join(parts))
 
 

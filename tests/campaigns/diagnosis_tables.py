@@ -80,6 +80,38 @@ def curve(told: Sequence[Judged]) -> list[str]:
     return _table("| fault | " + " | ".join(f"{part:g} x large" for part in parts) + " |", rows)
 
 
+def smallest(told: Sequence[Judged]) -> list[str]:
+    """The smallest size of each fault from which on all recordings were detected, of the sizes that were driven."""
+    columns = "| fault | sizes driven | all detected from | recordings of that size and above |"
+    those = [one for one in told if one.kind in ("single", "curve") and one.changes]
+    rows = []
+    for fault in dict.fromkeys(one.faults[0] for one in those):
+        by_size: dict[float, list[bool]] = {}
+        for one in those:
+            if one.faults[0] == fault:
+                by_size.setdefault(float(f"{one.sizes[0]:.4g}"), []).append(one.detected)
+        grid = sorted(by_size)
+        size = _all_from(by_size)
+        if size is None:
+            missed = by_size[grid[-1]]
+            cells = f"above the grid (> {grid[-1]:g}) | {sum(missed)} of {len(missed)} detected at {grid[-1]:g}"
+        else:
+            found = f"below the grid (<= {size:g})" if size == grid[0] else f"{size:g}"
+            cells = f"{found} | {sum(len(seen) for at, seen in by_size.items() if at >= size)}"
+        rows.append(f"| {fault} | {', '.join(f'{at:g}' for at in grid)} | {cells} |")
+    return _table(columns, rows)
+
+
+def _all_from(by_size: Mapping[float, Sequence[bool]]) -> float | None:
+    """The smallest size at which, and above which, all were detected; None: not all of the largest were."""
+    found = None
+    for size in sorted(by_size, reverse=True):
+        if not all(by_size[size]):
+            break
+        found = size
+    return found
+
+
 def _part(one: Judged) -> float:
     return float(one.label) if one.kind == "curve" else 1.0
 

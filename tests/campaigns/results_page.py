@@ -47,10 +47,12 @@ def poisson(count: int) -> tuple[float, float]:
 
 
 def exact_rate(count: int, hours: float) -> str:
-    """Events an hour in words, with that interval."""
+    """Events an hour in words: "at most" is the one-sided bound of none, from-to the two-sided interval."""
     if not hours:
         return "none"
     low, high = (limit / hours for limit in poisson(count))
+    if not count:
+        return f"0 in {hours:.1f} h, at most {high:.2g} an hour"
     return f"{count} in {hours:.1f} h, {count / hours:.3g} ({low:.2g} to {high:.2g}) an hour"
 
 

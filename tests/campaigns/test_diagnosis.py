@@ -4,19 +4,22 @@ The sample's vehicle hides nothing and its days are calm (profile `realistic`): 
 without drift from one drive to the next. What days and hidden effects cost is the campaign's matter.
 """
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnosis import Record, vehicle
+from diagnosis import Record, is_made, kept_in, main, vehicle
 from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidden, request
 from diagnosis_judged import all_of, judged
-from diagnosis_mates import excused, narrow
-from diagnosis_page import latest, of_same_code, page
+from diagnosis_mates import excused, in_words, narrow
+from diagnosis_page import PAGE, latest, of_same_code, page, write_page
 from diagnosis_shop import Workshop, run_of
+from diagnosis_tables import smallest
 from diagnosis_visible import changes
 from false_alarms import hour
-from results_page import poisson
+from results_page import exact_rate, poisson
 
 from testbench.day import CALM
 from testbench.effects import PROFILES
@@ -126,11 +129,16 @@ def test_a_recording_is_judged_by_what_stood() -> None:
 def test_mates_come_from_the_other_half() -> None:
     both: list[list[Any]] = [["fA_du", 1, None, []], ["fy_p_ap", 1, None, []]]
     three = [*both, ["fA_ori", 1, None, []]]
-    looked = all_of([made(401, (170.0, both), fA_du=0.2), made(402, (170.0, three), fA_du=0.2)])
+    told = {401: both, 403: both, 402: three, 404: three, 405: three}
+    looked = all_of([made(number, (170.0, said), fA_du=0.2) for number, said in told.items()])
     table = excused(looked)
-    assert table[0]["fA_du", "large"] == {"fy_p_ap"}  # of the odd ones, for the even ones
+    assert table[0]["fA_du", "large"] == {"fy_p_ap"}  # of the odd ones, for the even ones; fA_ori once is chance
     assert table[1]["fA_du", "large"] == {"fy_p_ap", "fA_ori"}
-    assert [narrow(one, table) for one in looked] == [True, False]
+    assert [narrow(one, table) for one in looked] == [True, True, False, False, True]
+    assert in_words(table, "large") == "fA_du with fA_ori, fy_p_ap"
+    assert in_words(table, "small") == in_words(table, "large", ["fA_du"]) == "none"
+    rare = [made(401 + 2 * k, (170.0, three if k < 2 else both), fA_du=0.2) for k in range(11)]
+    assert excused(all_of(rare))[0]["fA_du", "large"] == {"fy_p_ap"}  # twice in eleven is no fifth
 
 
 def test_the_page_has_every_part() -> None:
@@ -152,6 +160,8 @@ def test_the_page_has_every_part() -> None:
     ]
     records[4]["judged"][0]["changes"] = False
     said = page([{**record, **stamp} for record in records])
+    assert "| large: alone | - | 1 of 1" in said
+    assert "; mates: none |" in said
     assert "| large: detected | 100 % | 1 of 1, 100.0 % (2.5 to 100.0 %) |" in said
     assert "| fault-free: diagnoses told | none in 500 h over 20 vehicles | 1 in 0.2 h" in said
     assert "| small: detected within 300 s of exciting operation | >= 90 % | 1 of 1" in said
@@ -161,8 +171,9 @@ def test_the_page_has_every_part() -> None:
     assert "| fA_p that changes nothing: quiet | 100 % | 1 of 1" in said
     assert "| fA_t + fA_du | 20 | fA_du+fA_t | yes |" in said
     assert "| full_lift | 4 | 1 in 0.2 h" in said
-    a, b = ({"code": code, "tuning": "own"} for code in "ab")
-    assert latest([a, b, {**b, "tuning": "adapted"}, b]) == [b, b]
+    a, b = ({"code": code, "tuning": "own", "vehicle": 401, "of": code} for code in "ab")
+    c, again = {**b, "vehicle": 402}, {**b, "of": "again"}
+    assert latest([a, b, {**b, "tuning": "adapted"}, c, again]) == [again, c]
 
 
 def test_a_fault_changes_what_is_measured_or_does_not() -> None:
@@ -186,3 +197,53 @@ def test_hours_count_with_the_code_that_made_the_records() -> None:
 def test_the_interval_of_a_count_is_garwoods() -> None:
     assert poisson(0) == pytest.approx((0.0, 2.996), abs=1e-3)
     assert poisson(3) == pytest.approx((0.619, 8.767), abs=1e-3)
+
+
+def test_at_most_is_one_sided_and_an_interval_is_not() -> None:
+    assert exact_rate(0, 10.0) == "0 in 10.0 h, at most 0.3 an hour"
+    assert exact_rate(3, 10.0) == "3 in 10.0 h, 0.3 (0.062 to 0.88) an hour"
+
+
+def test_the_smallest_size_is_that_from_which_on_all_are_detected() -> None:
+    def driven(fault: str, size: float, seen: bool) -> Record:
+        events = [(170.0, [[fault, 1, None, []]])] if seen else []
+        record = made(401, *events)
+        record["judged"][0]["faults"] = {fault: size}
+        return record
+
+    told = [driven("fA_t", size, seen) for size, seen in ((0.1, True), (0.2, False), (0.3, True), (0.4, True))]
+    told += [driven("fA_t", 0.3, True), driven("fA_du", 0.1, True), driven("fA_du", 0.2, True)]
+    told += [driven("fA_ori", 0.1, True), driven("fA_ori", 0.2, True), driven("fA_ori", 0.2, False)]
+    unseen = driven("fA_p", 0.8, False)
+    unseen["judged"][0]["changes"] = False
+    assert smallest(all_of([*told, unseen]))[2:] == [
+        "| fA_t | 0.1, 0.2, 0.3, 0.4 | 0.3 | 3 |",
+        "| fA_du | 0.1, 0.2 | below the grid (<= 0.1) | 2 |",
+        "| fA_ori | 0.1, 0.2 | above the grid (> 0.2) | 1 of 2 detected at 0.2 |",
+    ]
+
+
+def test_a_vehicle_is_made_with_the_same_code_and_tuning_and_all_its_cases() -> None:
+    wanted = cases(401, "A")
+    judged_ones = [{"case": case.name} for case in wanted]
+    record = {"vehicle": 401, "code": "a", "tuning": "own", "judged": judged_ones}
+    assert is_made(401, wanted, [record], "a", "own")
+    assert not is_made(402, wanted, [record], "a", "own")
+    assert not is_made(401, wanted, [record], "b", "own")
+    assert not is_made(401, wanted, [record], "a", "adapted")
+    assert not is_made(401, wanted, [{**record, "judged": judged_ones[1:]}], "a", "own")
+    assert kept_in("A").name == "diagnosis-A.jsonl"
+    assert kept_in("A", part=True).name == "diagnosis-A-part.jsonl"
+
+
+def test_a_page_has_records_of_one_code_or_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="run make campaign-diagnosis first"):
+        main(["--page-only", "--results", str(tmp_path)])
+    assert not (tmp_path / PAGE).exists()
+    stamps = [{"commit": code, "code": code, "tuning": "own"} for code in ("old", "new")]
+    records = [{**made(401 + k, fA_t=0.3), **stamp} for k, stamp in enumerate(stamps)]
+    kept_in("A", tmp_path).write_text("".join(json.dumps(record) + "\n" for record in records))
+    write_page(tmp_path)
+    said = (tmp_path / PAGE).read_text()
+    assert "1 vehicles, 1 recordings." in said
+    assert "Commit new, code new," in said

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from effort import PARTS, RESULTS, counted, lines, page
+from effort import PARTS, RESULTS, adapted, counted, lines, page
 
 from analysis.model import load_model
 from training.recipe import DEFAULT
@@ -33,3 +33,9 @@ def test_the_page_says_both() -> None:
     assert "| CPU time | 12 s | 65 s (12 trainings, median) |" in said
     assert f"| learnt numbers, 10 tests | 8 | {count.networks}: 5 members of {count.of_a_member} |" in said
     assert "| **networks** | |" in said
+    assert "| adapted to another vehicle | - | 120 s made 4 of 10 tests worse, in the one trial measured |" in said
+
+
+def test_what_a_short_recording_made_worse_is_counted() -> None:
+    errors = {"as they are": {"t02": 1.0, "t06": 2.0, "t08": 3.0}, "adapted": {"t02": 1.5, "t06": 2.0, "t08": 2.0}}
+    assert adapted({"seconds": 90.0, "errors": errors}).startswith("90 s made 1 of 3 tests worse")
