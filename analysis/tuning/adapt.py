@@ -19,10 +19,9 @@ from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
-from analysis.tuning.evidence import gather
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.thresholds import Seen
-from analysis.tuning.vehicles import Vehicle, offsets, pooled, read
+from analysis.tuning.vehicles import Vehicle, offsets, read
 from service.core.consistency import of_evidence
 from service.core.errors import InputError
 from service.core.manifest import MODES, Detector, Evidence
@@ -60,13 +59,12 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
     detectors: list[Detector] = [
         msgspec.structs.replace(d, offset=found[names.index(d.generator)].tolist()) for d in base.detectors
     ]
-    progress.say("fault hypotheses")
     return msgspec.structs.replace(
         base,
         model_sha256=model_digest(dump_model(bank.model)),
         recordings=[*base.recordings, *(drive.sha256 for drive in vehicle.drives)],
         detectors=detectors,
-        evidence=_evidence(vehicle, base, detectors, found, described),
+        evidence=_evidence(base, detectors[: len(names)]),
         golden_z=golden(vehicle.drives[0].seen),
         base=hashlib.sha256(path.read_bytes()).hexdigest(),
         claim=base.claim if base.claim is not None and base.claim.vehicles > 1 else None,  # of drives it was else
@@ -157,22 +155,8 @@ def _counts(vehicle: Vehicle, mode: int) -> tuple[int, int]:
     return max(ticks, 1), max(visits, 1)
 
 
-def _evidence(
-    vehicle: Vehicle, base: Tuning, detectors: Sequence[Detector], found: Array, described: Sequence[int]
-) -> Evidence:
-    """The base's evidence around these offsets, with the hypotheses of this vehicle's own model."""
-    bank = vehicle.runnable.bank
-    names = [generator.name for generator in bank.generators]
-    rows = [names.index(name) for name in base.evidence.generators]
-    seen = [
-        Seen(name=s.name, z=s.z, r=s.r[:, rows], usable=s.usable[:, rows], mode=s.mode)
-        for s in pooled([vehicle], found, described)
-    ]
-    own = gather(bank.only(rows), [detectors[row] for row in rows], seen, described)
-    if own.generators != base.evidence.generators:
-        missing = [name for name in base.evidence.generators if name not in own.generators]
-        raise InputError(
-            f"{', '.join(s.name for s in seen)}: does not tell {', '.join(missing)} from the other tests; "
-            "add a fault-free drive of more operating conditions"
-        )
-    return msgspec.structs.replace(base.evidence, offset=own.offset, hypotheses=own.hypotheses)
+def _evidence(base: Tuning, detectors: Sequence[Detector]) -> Evidence:
+    """The base's evidence around this vehicle's offsets."""
+    offset_of = {detector.generator: detector.offset for detector in detectors}
+    offset = np.array([offset_of[name] for name in base.evidence.generators]).T
+    return msgspec.structs.replace(base.evidence, offset=offset.tolist())

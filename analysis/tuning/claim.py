@@ -89,12 +89,11 @@ def thresholds(
         blocks = [[trace(whole, s, rule, d.hours)] for s, d in zip(own, drives, strict=True)]
     factor = factor_for(target, blocks)
     others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(of_folds))]
+    of_others = [factor_for(target, other) for other in others]
     return Thresholds(
         detectors=scaled(whole, factor.value),
-        of_folds=[
-            scaled(level, factor_for(target, other).value) for level, other in zip(of_folds, others, strict=True)
-        ],
-        extrapolated=factor.extrapolated,
+        of_folds=[scaled(level, other.value) for level, other in zip(of_folds, of_others, strict=True)],
+        extrapolated=factor.extrapolated or any(other.extrapolated for other in of_others),
     )
 
 

@@ -144,8 +144,21 @@ def test_what_is_of_one_recording_is_refused_with_several(made: Made, option: st
 
 
 def test_a_recording_to_detail_must_be_among_them(made: Made) -> None:
-    message = refused(made, made.recording("a", stop_s=20.0), more=("--detail", "b"))
+    log = made.recording("a", stop_s=20.0)
+    message = refused(made, log, more=("--detail", "b", "--report", str(made.truths / "report")))
     assert message == "--detail b: is none of the recordings; those are a"
+
+
+@pytest.mark.parametrize(("option", "value"), [("--detail", "a"), ("--require", "fA_du")])
+def test_what_is_about_the_report_needs_one(made: Made, option: str, value: str) -> None:
+    message = refused(made, made.recording("a", stop_s=20.0), more=(option, value))
+    assert message == f"{option}: is about the report; give --report DIR too"
+
+
+def test_a_requirement_names_faults_of_the_bundle(made: Made) -> None:
+    report = str(made.truths / "report")
+    message = refused(made, made.recording("a", stop_s=20.0), more=("--require", "fA_tt:fA_du", "--report", report))
+    assert message.startswith("--require fA_tt:fA_du: 'fA_tt' is no fault of the bundle; those are ")
 
 
 def test_shown_over_time_is_the_largest_of_each_fault(made: Made) -> None:
@@ -166,8 +179,8 @@ def test_a_report_is_a_folder(made: Made, tmp_path: Path) -> None:
 def test_a_report_needs_a_fault_free_part(made: Made, tmp_path: Path) -> None:
     log = made.recording("faulty", fault=clogged(onset_s=0.0))
     message = refused(made, log, more=("--report", str(tmp_path / "report")))
-    assert message.startswith("no fault-free part in these recordings; add a fault-free one")
-    assert not [*(tmp_path / "report").iterdir()]
+    assert message.endswith("a report needs a fault-free part, add a recording without a fault")
+    assert not (tmp_path / "report").exists()
 
 
 def test_a_report_needs_a_phase_of_maximum_dose(made: Made, tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ END_S = 120.0
 TESTS = ["t02", "t06", "t08"]
 
 
-def judge(truth: Truth, events: Sequence[Event], origin_s: float) -> Verdict:
-    return judging.judge(truth, events, TESTS, origin_s, END_S)
+def judge(truth: Truth, events: Sequence[Event], origin_s: float, known: Sequence[str] | None = None) -> Verdict:
+    return judging.judge(truth, events, TESTS, origin_s, END_S, known)
 
 
 def truth(*faults: str) -> Truth:
@@ -191,9 +191,18 @@ def test_two_faults_need_both_and_the_first_onset_counts() -> None:
     assert whole.isolated == ["fA_du", "fA_t", "fA_ori"]
 
 
-def test_an_unknown_cause_is_a_detection_that_names_nothing() -> None:
-    verdict = judge(truth("fA_du"), [event("occurred", 75.0, [("", 1)], ["t02"])], ORIGIN_S)
-    assert (verdict.detected, verdict.isolated, verdict.contained) == (True, [], False)
+def test_an_unknown_cause_is_a_detection_that_names_nothing_and_right_of_a_fault_that_no_bundle_knows() -> None:
+    told = [event("occurred", 75.0, [("", 1)], ["t02"])]
+    verdict = judge(truth("fA_du"), told, ORIGIN_S)
+    assert (verdict.detected, verdict.isolated, verdict.contained) == (True, ["unknown"], False)
+    leak = judge(truth("leak_ap"), told, ORIGIN_S, known=["fA_du"])
+    assert (leak.contained, leak.named, leak.good) == (True, True, True)
+    assert not judge(truth("leak_ap"), [event("occurred", 75.0, [("fA_du", 1)])], ORIGIN_S, known=["fA_du"]).contained
+
+
+def test_two_faults_told_one_by_one_are_not_the_pair() -> None:
+    both = Truth(schema=1, recording="r", fault=[*truth("fA_du").fault, *truth("fA_t").fault])
+    assert not judge(both, [event("occurred", 75.0, [("fA_du", 1), ("fA_t", 1)])], ORIGIN_S).contained
 
 
 def test_a_bus_may_be_some_ticks_apart_but_must_tell_the_same_candidates() -> None:

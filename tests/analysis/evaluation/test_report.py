@@ -79,7 +79,7 @@ def test_the_page_says_what_was_judged(tree: ElementTree.Element, data: Evaluati
     contained = sum(case.contained.hits for case in data.isolation)
     assert f"2 of 2 faults were detected; at the end the true diagnosis was among those told of {contained}" in text
     assert "on 3 recordings of 0.09 h" in text
-    assert ("Diagnoses here have no probability: it is shared equally by those of rank 1" in text) == data.told.shared
+    assert ("Where diagnoses have no probability (before residuals have settled" in text) == data.told.shared
     headings = [heading.text for heading in tree.iter("h2")]
     assert "Equations and networks side by side" not in headings  # the bundle has equations alone
     assert headings[0] == "At a glance"

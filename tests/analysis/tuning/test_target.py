@@ -167,8 +167,9 @@ def test_a_single_drive_has_thresholds_and_no_claim() -> None:
     found = thresholds(one, [], rule(), 0.1, to)
     assert found.extrapolated
     made = claim(one, [], np.zeros((0, 2)), 0.1, extrapolated=True)
-    assert (made.suspicions.upper, made.result, made.left_out) == (None, "missed", 0)
+    assert (made.suspicions.upper, made.result, made.left_out) == (None, None, 0)
     assert "nothing is known of their rate" in made.said
+    assert "target 0.1 suspicions per hour: cannot be told" in made.said
 
 
 def test_levels_are_the_mean_of_what_drives_reach_and_never_below_the_least() -> None:
