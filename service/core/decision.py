@@ -48,6 +48,10 @@ TIE_PART = 0.25
 """Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
 told apart: the data do not separate them, or neither explains the data."""
 
+UNSEEN_TICKS = 300
+"""An alarm of 60 s during which some test of the evidence cannot tell is confirmed by its length: a filter that is all
+but shut takes its own pressure out of the operating range. Who it is remains open among those that alarms allow."""
+
 SUREST = 0.999
 """No fault is more probable than this: the model may lack what it is."""
 
@@ -87,6 +91,7 @@ class Decision:
         self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
         self._look: Look | None = None
         self._settled = self._cleared = False
+        self._unseen = 0  # ticks of an alarm with a test of the evidence that cannot tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
@@ -103,7 +108,7 @@ class Decision:
         if self._latest is None:
             self._look, self._deviating, self._settled = None, frozenset(), False
             self._showing[:], self._alarmed = False, frozenset()
-            self._first, self._cleared, self._doubts = tick, False, 0
+            self._first, self._cleared, self._doubts, self._unseen = tick, False, 0, 0
             self._window.clear()
         self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
         self._quiet[:] = 0.0
@@ -112,8 +117,14 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
+        self._unseen += self._is_unseen()
         if tick % RANKING_PERIOD == 0:
             self._weigh(settled)
+
+    def _is_unseen(self) -> bool:
+        """Whether a test of the equations alarms and can tell, and one that the window looks at cannot."""
+        telling = any(self._usable[row] for row in self._detectors.alarmed & self._trusted)
+        return telling and not self._usable[self._looked_at].all()
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the window waits, and the episode ends in time."""
@@ -130,7 +141,10 @@ class Decision:
     def _weigh(self, settled: bool) -> None:
         """Looks at the window; what the one before it said stands until it has seen enough."""
         look = self._hypotheses.look(self._window.means)
-        if look is None:
+        if self._unseen >= UNSEEN_TICKS:  # the window cannot confirm what keeps its tests from telling
+            self.confirmed, self._settled = True, False
+            self._explain()
+        if look is None or self._unseen >= UNSEEN_TICKS:
             return
         self._look, self._settled = look, settled
         far = look.sigmas.max(axis=0) > DEVIATING

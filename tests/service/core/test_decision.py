@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from service.bundle import load_bundle
-from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, SUREST, Decision
+from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, SUREST, UNSEEN_TICKS, Decision
 from service.core.detectors.bank import FROZEN_TICKS
 from service.core.generators import Residuals
 from service.core.manifest import CusumDetector
@@ -170,3 +170,26 @@ def test_an_alarm_whose_sensor_has_died_keeps_no_suspicion_open_for_ever() -> No
         seen.append(vehicle.decision.suspected)
     assert seen == [True, True, False]
     assert len(vehicle.decision.cannot_tell) == len({g.test for g in MANIFEST.generators})
+
+
+def test_an_alarm_that_keeps_the_evidence_from_telling_is_confirmed_by_its_length() -> None:
+    """The wound: a tank filter that lost 90 % of its area was suspected and never confirmed; t08 could not tell."""
+    vehicle = Vehicle()
+    vehicle.drive(UNSEEN_TICKS // 2, PARTIAL, {"fA_du": 0.6}, mute=tuple(EVIDENCE.generators))
+    assert vehicle.named == []
+    vehicle.drive(100, PARTIAL)
+    others = [NAMES.index("t06.ode"), NAMES.index("t09.ode")]
+    r = OFFSET[:, PARTIAL].copy()
+    r[others] += 20.0 * SCALE[others, PARTIAL]
+    usable = np.array([name not in EVIDENCE.generators for name in NAMES])
+    shift = np.zeros((len(EVIDENCE.hypotheses), len(EVIDENCE.generators)))
+    seen = []
+    for _ in range(UNSEEN_TICKS + 3 * RANKING_PERIOD):
+        vehicle.decision.update(vehicle.tick, PARTIAL, Residuals(r, r, SCALE[:, PARTIAL], usable, shift))
+        vehicle.tick += 1
+        seen.append(bool(vehicle.named))
+    assert not seen[UNSEEN_TICKS - 10]
+    assert seen[-1]
+    allowed = [set(MANIFEST.generators[row].faults) for row in others]
+    assert {name for name, _ in vehicle.named} == allowed[0] & allowed[1]
+    assert {diagnosis.p for diagnosis in vehicle.decision.diagnoses} == {None}
