@@ -68,8 +68,8 @@ class Judged:
 
 
 def first(said: Said) -> list[str]:
-    """Those of rank 1."""
-    return [name for name, rank, _, _ in said if rank == 1]
+    """Those of rank 1, the names of a pair in order."""
+    return ["+".join(sorted(name.split("+"))) for name, rank, _, _ in said if rank == 1]
 
 
 def candidates(said: Said) -> list[tuple[str, int]]:
