@@ -63,8 +63,13 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
     assert added(tmp_path / "out" / "story" / "found" / "model.toml") == {"full_open_gain_g"}
     assert load_model(str(tmp_path / "out" / "story" / "before" / "model.toml")).equations == shipped().equations
     bundles = discovered(tmp_path / "out" / "story" / "found")["bundle"]["data"]
-    for name in ("truck-drive-s11-fA_ori", "truck-drive-s12-fq_pump"):
-        assert [bundles[which]["verdicts"][name]["named"] for which in ("before", "after")] == [False, True]
+    orifice, pump = (
+        [bundles[which]["verdicts"][name] for which in ("before", "after")]
+        for name in ("truck-drive-s11-fA_ori", "truck-drive-s12-fq_pump")
+    )
+    assert [verdict["named"] for verdict in pump] == [False, True]
+    assert [verdict["isolated"] for verdict in orifice] == [["fA_ori", "fA_dos"], ["fA_ori"]]
+    assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([44.0, 26.0], abs=1.0)
 
 
 @pytest.mark.long
