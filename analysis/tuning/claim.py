@@ -8,6 +8,7 @@ whole vehicles (drives) gives; resampling of seconds would not know the differen
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -158,7 +159,7 @@ def claim(
     hours = np.array([fold.hours for fold in left_out])
     suspicions, diagnoses = (rate_of(column, hours) for column in counts.reshape(len(left_out), 2).T)
     drives = sum(len(vehicle.drives) for vehicle in vehicles)
-    result = None
+    result: Literal["shown", "kept", "missed"] | None = None
     if target is not None and suspicions.hours > 0:
         kept = suspicions.count <= target * suspicions.hours
         shown = suspicions.upper is not None and suspicions.upper <= target
@@ -170,7 +171,7 @@ def claim(
         suspicions=suspicions,
         diagnoses=diagnoses,
         target=target,
-        result=result,  # type: ignore[arg-type]
+        result=result,
         extrapolated=extrapolated,
         said="",
     )

@@ -91,7 +91,7 @@ class Decision:
         self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
         self._look: Look | None = None
         self._settled = self._cleared = False
-        self._unseen = 0  # ticks of an alarm with a test of the evidence that cannot tell
+        self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
@@ -117,14 +117,16 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        self._unseen += self._is_unseen()
+        self._count_unseen()
         if tick % RANKING_PERIOD == 0:
             self._weigh(settled)
 
-    def _is_unseen(self) -> bool:
-        """Whether a test of the equations alarms and can tell, and one that the window looks at cannot."""
-        telling = any(self._usable[row] for row in self._detectors.alarmed & self._trusted)
-        return telling and not self._usable[self._looked_at].all()
+    def _count_unseen(self) -> None:
+        """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
+        if self._usable[self._looked_at].all():
+            self._unseen = 0
+        elif any(self._usable[row] for row in self._detectors.alarmed & self._trusted):
+            self._unseen += 1
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the window waits, and the episode ends in time."""
@@ -140,11 +142,13 @@ class Decision:
 
     def _weigh(self, settled: bool) -> None:
         """Looks at the window; what the one before it said stands until it has seen enough."""
-        look = self._hypotheses.look(self._window.means)
         if self._unseen >= UNSEEN_TICKS:  # the window cannot confirm what keeps its tests from telling
-            self.confirmed, self._settled = True, False
-            self._explain()
-        if look is None or self._unseen >= UNSEEN_TICKS:
+            if not (self.confirmed and self._settled):
+                self.confirmed, self._settled = True, False
+                self._explain()
+            return
+        look = self._hypotheses.look(self._window.means)
+        if look is None:
             return
         self._look, self._settled = look, settled
         far = look.sigmas.max(axis=0) > DEVIATING

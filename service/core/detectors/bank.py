@@ -87,7 +87,9 @@ class DetectorBank:
     @property
     def since(self) -> int | None:
         """The tick at which the evidence of what alarms began."""
-        return min((each.since for each in self._detectors if each.alarm and each.since is not None), default=None)
+        standing = zip(self._detectors, self._rows, strict=True)
+        since = [each.since for each, row in standing if self._stands(each, row)]
+        return min((tick for tick in since if tick is not None), default=None)
 
     @property
     def sums(self) -> Vector:

@@ -193,3 +193,14 @@ def test_an_alarm_that_keeps_the_evidence_from_telling_is_confirmed_by_its_lengt
     allowed = [set(MANIFEST.generators[row].faults) for row in others]
     assert {name for name, _ in vehicle.named} == allowed[0] & allowed[1]
     assert {diagnosis.p for diagnosis in vehicle.decision.diagnoses} == {None}
+
+
+def test_blindness_that_comes_later_does_not_undo_what_the_window_has_told() -> None:
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL):
+        vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
+    assert vehicle.named == [("fA_du", 1)]
+    vehicle.drive(2 * UNSEEN_TICKS, PARTIAL, {"fA_du": 0.6}, mute=("t08.ode",))
+    assert vehicle.named == [("fA_du", 1)]
+    vehicle.drive(SETTLED, MAXIMUM, {"fA_du": 0.6})
+    assert vehicle.named == [("fA_du", 1)]
