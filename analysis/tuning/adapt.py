@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import PERIOD_S
+from analysis.graph.bank import PERIOD_S, Bank
 from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
+from analysis.tuning.evidence import no_surer
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.thresholds import Seen
 from analysis.tuning.vehicles import Vehicle, offsets, read
@@ -64,7 +65,7 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
         model_sha256=model_digest(dump_model(bank.model)),
         recordings=[*base.recordings, *(drive.sha256 for drive in vehicle.drives)],
         detectors=detectors,
-        evidence=_evidence(base, detectors[: len(names)]),
+        evidence=_evidence(base, detectors[: len(names)], bank, [drive.seen for drive in vehicle.drives]),
         golden_z=golden(vehicle.drives[0].seen),
         base=hashlib.sha256(path.read_bytes()).hexdigest(),
         claim=base.claim if base.claim is not None and base.claim.vehicles > 1 else None,  # of drives it was else
@@ -155,8 +156,12 @@ def _counts(vehicle: Vehicle, mode: int) -> tuple[int, int]:
     return max(ticks, 1), max(visits, 1)
 
 
-def _evidence(base: Tuning, detectors: Sequence[Detector]) -> Evidence:
-    """The base's evidence around this vehicle's offsets."""
+def _evidence(base: Tuning, detectors: Sequence[Detector], bank: Bank, recordings: Sequence[Seen]) -> Evidence:
+    """The base's evidence around this vehicle's offsets, and no surer than what its own drives show.
+
+    A vehicle of which the model lacks something is louder within a drive than those of the base are.
+    """
     offset_of = {detector.generator: detector.offset for detector in detectors}
     offset = np.array([offset_of[name] for name in base.evidence.generators]).T
-    return msgspec.structs.replace(base.evidence, offset=offset.tolist())
+    moved = msgspec.structs.replace(base.evidence, offset=offset.tolist())
+    return no_surer(moved, bank, recordings, stand_ins(bank.model))

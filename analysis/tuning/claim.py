@@ -8,18 +8,19 @@ whole vehicles (drives) gives; resampling of seconds would not know the differen
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from analysis.tuning.days import without_day
+from analysis.tuning.evidence import gather
 from analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
 from analysis.tuning.thresholds import tune_detectors
-from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
+from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled, pooled_left_out
 from service.core.decision import Decision
-from service.core.detectors.bank import DetectorBank
 from service.core.generators import Generators
 from service.core.manifest import Claim, Count, Detector, Evidence, Manifest
 
@@ -40,12 +41,19 @@ class Fold:
         return sum(drive.hours for drive, _ in self.test)
 
 
-@dataclass(frozen=True)
-class Thresholds:
-    """Detectors from everything, those of each fold, and whether a tail was drawn on for them."""
+class Found(NamedTuple):
+    """Detectors, and the evidence whose days they were set without."""
 
     detectors: list[Detector]
-    of_folds: list[list[Detector]]
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What everything gives, what each fold gives, and whether a tail was drawn on for it."""
+
+    whole: Found
+    of_folds: list[Found]
     extrapolated: bool = False
 
 
@@ -75,31 +83,48 @@ def thresholds(
 
     A fold's factor is found without its own drives, so that what is counted there has chosen nothing.
     """
+    evidence, *of_folds = (evidence_of(each, rule, to) for each in (vehicles, *(fold.train for fold in left_out)))
     if target is None:
-        usual = [_usual(each, rule, to) for each in (vehicles, *(fold.train for fold in left_out))]
+        usual = [
+            Found(_usual(each, rule, to, own), own)
+            for each, own in zip((vehicles, *(fold.train for fold in left_out)), (evidence, *of_folds), strict=True)
+        ]
         return Thresholds(usual[0], usual[1:])
-    whole = levels(vehicles, rule, to)
-    of_folds = [levels(fold.train, rule, to) for fold in left_out]
+    whole = levels(vehicles, rule, to, evidence)
+    each_level = [levels(fold.train, rule, to, own) for fold, own in zip(left_out, of_folds, strict=True)]
     blocks: list[list[Trace]] = [
-        [trace(level, moved(drive.seen, to - offset), rule, drive.hours) for drive, offset in fold.test]
-        for fold, level in zip(left_out, of_folds, strict=True)
+        [trace(level, without_day(moved(d.seen, to - o), own, rule.generators), rule, d.hours) for d, o in fold.test]
+        for fold, level, own in zip(left_out, each_level, of_folds, strict=True)
     ]
     if not blocks:  # a single drive must do for both
-        own = pooled(vehicles, to, rule.stand_ins)
+        centred = [without_day(s, evidence, rule.generators) for s in pooled(vehicles, to, rule.stand_ins)]
         drives = [drive for vehicle in vehicles for drive in vehicle.drives]
-        blocks = [[trace(whole, s, rule, d.hours)] for s, d in zip(own, drives, strict=True)]
+        blocks = [[trace(whole, s, rule, d.hours)] for s, d in zip(centred, drives, strict=True)]
     factor = factor_for(target, blocks)
-    others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(of_folds))]
+    others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(each_level))]
     of_others = [factor_for(target, other) for other in others]
     return Thresholds(
-        detectors=scaled(whole, factor.value),
-        of_folds=[scaled(level, other.value) for level, other in zip(of_folds, of_others, strict=True)],
+        whole=Found(scaled(whole, factor.value), evidence),
+        of_folds=[
+            Found(scaled(level, other.value), own)
+            for level, other, own in zip(each_level, of_others, of_folds, strict=True)
+        ],
         extrapolated=factor.extrapolated or any(other.extrapolated for other in of_others),
     )
 
 
-def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array) -> list[Detector]:
-    seen = pooled(vehicles, to, rule.stand_ins)
+def evidence_of(vehicles: Sequence[Vehicle], rule: Rule, to: Array) -> Evidence:
+    """From the drives of these vehicles, by the model of the first; of the equations' generators alone."""
+    bank = vehicles[0].runnable.bank
+    own = len(bank.generators)
+    seen, apart = (
+        [s.only(own) for s in together(vehicles, to, rule.stand_ins)] for together in (pooled, pooled_left_out)
+    )
+    return gather(bank, to[:own], seen, rule.stand_ins, apart)
+
+
+def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
+    seen = [without_day(s, evidence, rule.generators) for s in pooled_left_out(vehicles, to, rule.stand_ins)]
     return tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to)
 
 
@@ -125,16 +150,14 @@ def shifted_evidence(evidence: Evidence, by: Array) -> Evidence:
 
 def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:
     """Suspicions and confirmed diagnoses in a drive, its samples taken through fresh generators again."""
-    bank = DetectorBank(manifest.detectors, [generator.name for generator in manifest.generators])
     decision = Decision(manifest)
     suspicions = diagnoses = 0
     suspected = diagnosed = False
     for tick in drive.ticks:
         residuals = generators.step(tick.z, tick.usable)
-        bank.update(tick.number, tick.mode, residuals)
         decision.update(tick.number, tick.mode, residuals)
-        suspicions += bank.suspicious and not suspected
-        suspected = bank.suspicious
+        suspicions += decision.suspicious and not suspected
+        suspected = decision.suspicious
         now = bool(decision.diagnoses)
         diagnoses += now and not diagnosed
         diagnosed = now

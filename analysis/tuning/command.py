@@ -19,15 +19,14 @@ from analysis.recordings.modes import modes_of, stand_ins
 from analysis.recordings.observe import START_WITHIN_S
 from analysis.structure.lint import sound_model
 from analysis.tuning.adapt import adapt, check_alike, golden
-from analysis.tuning.claim import claim, count, folds, thresholds
-from analysis.tuning.evidence import gather
+from analysis.tuning.claim import Found, claim, count, folds, thresholds
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
 from analysis.tuning.target import Rule
-from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
+from analysis.tuning.vehicles import Vehicle, check_modes, offsets, read
 from service.core.errors import InputError
-from service.core.manifest import Detector, Evidence, brief
+from service.core.manifest import brief
 
 Array = npt.NDArray[np.float64]
 
@@ -134,20 +133,24 @@ def tune(runnable: Runnable, recordings: Sequence[Path], progress: Progress, giv
         InputError: a recording was used for calibration or training, is named twice or is of another vehicle, its
             tests could hardly ever tell, an operating mode is missing, or another vehicle's model has other tests.
     """
-    vehicles = _vehicles(runnable, recordings, given.also, progress)
+    return tune_on(_vehicles(runnable, recordings, given.also, progress), given, progress)
+
+
+def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tuning:
+    """The same of drives that have been read."""
+    runnable = vehicles[0].runnable
     described = stand_ins(runnable.bank.model)
     rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds)
     to = offsets(vehicles[0].drives, described)
     left_out = folds(vehicles, described) if given.claim or given.target is not None else []
     progress.say("thresholds")
     found = thresholds(vehicles, left_out, rule, given.target, to)
-    progress.say("fault hypotheses")
-    tuning = _tuning(vehicles, found.detectors, to)
+    tuning = _tuning(vehicles, found.whole, to)
     if not given.claim:
         return tuning
     manifests = []
-    for fold, detectors in zip(left_out, found.of_folds, strict=True):
-        part = msgspec.structs.replace(tuning, detectors=detectors, evidence=_evidence(fold.train, detectors, to))
+    for of_fold in found.of_folds:
+        part = msgspec.structs.replace(tuning, detectors=of_fold.detectors, evidence=of_fold.evidence)
         manifests.append(manifest_of(runnable, part, {}, "none"))
     counts = count(left_out, manifests, to, progress.say)
     promised = claim(vehicles, left_out, counts, given.target, found.extrapolated)
@@ -174,7 +177,7 @@ def _vehicles(
     return vehicles
 
 
-def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -> Tuning:
+def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
     """The tuning of the first vehicle."""
     runnable, bank = vehicles[0].runnable, vehicles[0].runnable.bank
     described = stand_ins(bank.model)
@@ -186,20 +189,12 @@ def _tuning(vehicles: Sequence[Vehicle], detectors: list[Detector], to: Array) -
         modes=modes_of(bank.model),
         start_within_s=START_WITHIN_S,
         sensor_set=bank.model.sensor_set,
-        detectors=detectors,
-        evidence=_evidence(vehicles, detectors, to),
+        detectors=found.detectors,
+        evidence=found.evidence,
         zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
         golden_z=golden(vehicles[0].drives[0].seen),
     )
-
-
-def _evidence(vehicles: Sequence[Vehicle], detectors: Sequence[Detector], to: Array) -> Evidence:
-    """From the drives of these vehicles, by the model of the first."""
-    bank = vehicles[0].runnable.bank
-    described, own = stand_ins(bank.model), len(bank.generators)
-    seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
-    return gather(bank, detectors[:own], seen, described, apart)
 
 
 def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:

@@ -5,7 +5,9 @@ output than the fault-free model; under the fault the residual shifts by that di
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -13,9 +15,9 @@ from analysis.graph.bank import FAULTS, Bank, Trial
 from analysis.graph.independence import independent
 from analysis.model import Model
 from analysis.tuning.thresholds import OWN, Seen
-from service.core.hypotheses import MINIMUM_TICKS
-from service.core.manifest import MODES, Detector, Evidence, Hypothesis
+from service.core.manifest import MODES, Evidence, Hypothesis
 from service.core.modes import EDGE
+from service.core.straying import MINIMUM_TICKS
 
 Array = npt.NDArray[np.float64]
 
@@ -25,53 +27,93 @@ ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
 PER_DIRECTION = 3  # recordings, at least
+STEPS = 100  # of expectation maximisation
 
 
 def gather(
     bank: Bank,
-    detectors: Sequence[Detector],
+    offset: Array,
     recordings: Sequence[Seen],
     stand_ins: Sequence[int] = OWN,
     apart: Sequence[Seen] | None = None,
 ) -> Evidence:
     """The evidence of a bundle; mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`.
 
-    `apart` are the same recordings, each centred by the others of its vehicle: how far a drive strays is seen in them,
-    as a drive that has been centred by itself too strays less.
+    `offset` (T, modes) is where the residuals lie without a fault. `apart` are the same recordings, each centred by the
+    others of its vehicle: how far a drive strays is seen in them, as a drive that has been centred by itself too
+    strays less.
     """
-    standard = [_standard(s, detectors) for s in recordings]
-    rows = independent(np.concatenate(standard))
-    offset = np.array([detectors[row].offset for row in rows]).T  # (C, K)
-    scale = np.array([detectors[row].scale for row in rows]).T
+    described = list(stand_ins)
+    within = [_centred(s, offset) for s in recordings]
+    spread = np.maximum(_spread(within, described), bank.sigma / 2)  # (modes, T)
+    rows = independent(np.concatenate([_standard(s, spread) for s in within]))
+    spread, offset = spread[:, rows], offset[rows].T  # (modes, K)
     noise = np.zeros((len(MODES), len(rows), len(rows)))
     visit = np.zeros_like(noise)
-    for mode in set(stand_ins):
-        noise[mode] = _within(recordings, mode, rows) + np.diag(scale[mode] ** 2)
-        visit[mode] = _between(recordings, mode, rows, offset[mode], noise[mode])
-    stray = np.abs(_strays(recordings, rows, offset)).max(axis=0)
-    drifts = _drifts(bank.only(rows), recordings, stand_ins)
+    for mode in set(described):
+        noise[mode] = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
+        visit[mode] = _between(recordings, mode, rows, noise[mode])
+    own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
+    drifts = np.array(_drifts(bank.only(rows), recordings, described)).reshape(-1, *own.shape)
     if len(recordings) >= ENOUGH:
-        stray, seen = _directions(_strays(apart or recordings, rows, offset)[:, list(stand_ins)], scale)
-        drifts += seen
+        own, drifts = as_seen(_strays(apart or recordings, rows, offset)[:, described], spread, drifts)
     return Evidence(
-        generators=[detectors[row].generator for row in rows],
+        generators=[bank.generators[row].name for row in rows],
         offset=offset.tolist(),
-        noise=noise[list(stand_ins)].tolist(),
-        visit=visit[list(stand_ins)].tolist(),
-        allowance=np.hypot(stray, ALLOWANCE * scale)[list(stand_ins)].tolist(),
-        drifts=[drift.tolist() for drift in drifts],
+        spread=spread.tolist(),
+        noise=noise[described].tolist(),
+        visit=visit[described].tolist(),
+        allowance=np.hypot(own, ALLOWANCE * spread).tolist(),
+        drifts=drifts.tolist(),
         graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
         hypotheses=hypotheses,
     )
 
 
-def _standard(s: Seen, detectors: Sequence[Detector]) -> Array:
-    """Residuals (K, T) of the steady ticks in parts of their mode's spread."""
+def no_surer(evidence: Evidence, bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Evidence:
+    """Evidence whose ticks and visits stray as much as they do in these recordings, in every direction."""
+    described = list(stand_ins)
+    names = [generator.name for generator in bank.generators]
+    rows = [names.index(name) for name in evidence.generators]
+    noise, visit = np.array(evidence.noise), np.array(evidence.visit)
+    spread = np.array(evidence.spread)
+    for mode in set(described):
+        own = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
+        noise[mode] += _positive(own - noise[mode])
+        visit[mode] += _positive(_between(recordings, mode, rows, own) - visit[mode])
+    return msgspec.structs.replace(evidence, noise=noise[described].tolist(), visit=visit[described].tolist())
+
+
+def _positive(V: Array) -> Array:
+    """The part of a symmetric matrix that has no negative eigenvalue."""
+    size, direction = np.linalg.eigh(V)
+    return np.asarray((direction * np.maximum(size, 0.0)) @ direction.T)
+
+
+def _centred(s: Seen, offset: Array) -> Seen:
+    """The recording with its residuals around zero: in every mode its own median, where it shows the mode."""
+    r = s.r.copy()
+    for row, mode in np.ndindex(offset.shape):
+        inside = s.inside(row, mode)
+        own = np.median(s.r[inside, row]) if inside.sum() >= MINIMUM_TICKS else offset[row, mode]
+        r[s.mode == mode, row] -= own
+    return replace(s, r=r)
+
+
+def _spread(recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:
+    """The robust spread (modes, T) of recordings that lie around zero."""
+    found = np.zeros((len(MODES), recordings[0].r.shape[1]))
+    for row in range(found.shape[1]):
+        for mode in set(stand_ins):
+            r = np.concatenate([s.r[s.inside(row, mode), row] for s in recordings])
+            found[mode, row] = 1.4826 * np.median(np.abs(r)) if len(r) else 0.0
+    return found[list(stand_ins)]
+
+
+def _standard(s: Seen, spread: Array) -> Array:
+    """Residuals (n, T) of the steady ticks in parts of their mode's spread."""
     steady = s.usable.all(axis=1) & (s.mode != EDGE)
-    offset = np.array([detector.offset for detector in detectors]).T  # (modes, T)
-    scale = np.array([detector.scale for detector in detectors]).T
-    mode = s.mode[steady]
-    standard: Array = (s.r[steady] - offset[mode]) / scale[mode]
+    standard: Array = s.r[steady] / spread[s.mode[steady]]
     return standard
 
 
@@ -97,16 +139,17 @@ def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
     return BLOCK_TICKS * total / max(freedom, 1)
 
 
-def _between(recordings: Sequence[Seen], mode: int, rows: list[int], offset: Array, noise: Array) -> Array:
-    """How far the mean of a visit to the mode strays (rows, rows), besides what its ticks' noise makes."""
-    total, count = np.zeros_like(noise), 0
-    for r in _visits(recordings, mode, rows):
-        if len(r) >= MINIMUM_TICKS:
-            away = r.mean(axis=0) - offset
-            total += np.outer(away, away) - noise / len(r)
-            count += 1
-    size, direction = np.linalg.eigh(total / max(count, 1))
-    return np.asarray((direction * np.maximum(size, 0.0)) @ direction.T)
+def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
+    """How far visits to the mode stray within a drive (rows, rows), besides what their ticks' noise makes."""
+    total, freedom = np.zeros_like(noise), 0
+    for s in recordings:
+        visits = [r for r in _visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
+        if len(visits) > 1:
+            means = np.array([r.mean(axis=0) for r in visits])
+            away = means - means.mean(axis=0)
+            total += away.T @ away - (len(visits) - 1) * noise * np.mean([1.0 / len(r) for r in visits])
+            freedom += len(visits) - 1
+    return _positive(total / max(freedom, 1))
 
 
 def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:
@@ -126,22 +169,44 @@ def _mean(s: Seen, mode: int, rows: list[int]) -> Array:
     return s.r[inside][:, rows].mean(axis=0) if inside.sum() >= MINIMUM_TICKS else np.full(len(rows), np.nan)
 
 
-def _directions(means: Array, scale: Array) -> tuple[Array, list[Array]]:
-    """How drives stray: each mean by itself (modes, rows), and the directions (modes, rows) in which all do together.
+def as_seen(means: Array, spread: Array, drifts: Array) -> tuple[Array, Array]:
+    """What each mean strays by itself (modes, K), and the drifts (R, modes, K), as large as R drives show them.
 
-    `means` (R, modes, rows) are deviations of R drives; the edge, which is no evidence, is left as it is.
+    `means` are the deviations of the drives (R, modes, K), `drifts` those that the model names, at the sizes that it
+    gives. First their sizes are found, by expectation maximisation: x of a drive is normal with the sizes' variances,
+
+        mean = sum_k x_k drift_k + own,
+
+    then the directions in which what is left strays together. The edge, which is no evidence, is left as it is.
     """
     R, shape = len(means), means.shape[1:]
-    standard = (means / scale)[:, :EDGE].reshape(R, -1)
-    u, size, direction = np.linalg.svd(standard, full_matrices=False)
+    y = (means / spread)[:, :EDGE].reshape(R, -1)
+    W = (drifts / spread)[:, :EDGE].reshape(len(drifts), y.shape[1])
+    size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), 1e-6)
+    x = np.zeros((R, len(W)))
+    for _ in range(STEPS):
+        gain = (size**2 * W.T).T @ np.linalg.inv((size**2 * W.T) @ W + np.diag(own**2))  # (drifts, means)
+        x = y @ gain.T
+        V = np.diag(size**2) - gain @ (size**2 * W.T)
+        size = np.sqrt((x**2).mean(axis=0) + V.diagonal())
+        own = np.sqrt(((y - x @ W) ** 2).mean(axis=0) + np.einsum("kd,kl,ld->d", W, V, W))
+        own = np.maximum(own, 1e-6)
+    left, more = _directions(y - x @ W)
+    alone, found = np.abs(means).max(axis=0) / spread, np.zeros((len(W) + len(more), *shape))
+    alone[:EDGE] = np.sqrt(np.maximum(left**2 + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(EDGE, -1)
+    found[:, :EDGE] = np.concatenate([size[:, None] * W, more]).reshape(len(found), EDGE, shape[1])
+    found[: len(W), EDGE] = size[:, None] * (drifts / spread)[:, EDGE]
+    return alone * spread, found * spread
+
+
+def _directions(y: Array) -> tuple[Array, Array]:
+    """How deviations (R, means) stray: each mean by itself (means,), and the directions (n, means) of all together."""
+    R = len(y)
+    _, size, direction = np.linalg.svd(y, full_matrices=False)
     told = np.cumsum(size**2) / max(float((size**2).sum()), 1e-300)
     kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
-    left = standard - (u[:, :kept] * size[:kept]) @ direction[:kept]
-    own, drifts = np.zeros(shape), np.zeros((kept, *shape))
-    own[:EDGE] = np.sqrt((left**2).mean(axis=0)).reshape(EDGE, -1)
-    drifts[:, :EDGE] = (size[:kept, None] * direction[:kept] / np.sqrt(R)).reshape(kept, EDGE, -1)
-    own[EDGE] = np.abs(means[:, EDGE]).max(axis=0) / scale[EDGE]
-    return own * scale, list(drifts * scale)
+    more = size[:kept, None] * direction[:kept] / np.sqrt(R)
+    return np.sqrt(np.maximum((y**2).mean(axis=0) - (more**2).sum(axis=0), 0.0)), more
 
 
 def _hypotheses(model: Model) -> list[Hypothesis]:

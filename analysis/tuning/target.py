@@ -17,10 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from analysis.tuning.days import without_day
 from analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
 from analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
-from service.core.manifest import Detector, kind_of
+from service.core.manifest import Detector, Evidence, kind_of
 
 Array = npt.NDArray[np.float64]
 
@@ -57,10 +58,12 @@ class Factor:
     extrapolated: bool
 
 
-def levels(vehicles: Sequence[Vehicle], rule: Rule, to: Array) -> list[Detector]:
+def levels(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
     """Detectors whose thresholds are their levels; `to` (T, modes) are the offsets that everything is moved to."""
-    centred = pooled(vehicles, to, rule.stand_ins)
-    left_out = pooled_left_out(vehicles, to, rule.stand_ins)
+    centred, left_out = (
+        [without_day(s, evidence, rule.generators) for s in together(vehicles, to, rule.stand_ins)]
+        for together in (pooled, pooled_left_out)
+    )
     found: list[list[Detector]] = []
     for row, name in enumerate(rule.generators):
         found.append([])

@@ -133,6 +133,7 @@ def of_evidence(evidence: Evidence) -> Iterator[str]:
     K = len(evidence.generators)
     what = "evidence generators"
     yield from uneven(evidence.offset, K, "evidence.offset", what)
+    yield from uneven(evidence.spread, K, "evidence.spread", what)
     yield from uneven(evidence.allowance, K, "evidence.allowance", what)
     yield from uneven(evidence.noise, K, "evidence.noise", what)
     for index, drift in enumerate(evidence.drifts):

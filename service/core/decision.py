@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from service.core.day import Day
 from service.core.detectors.bank import DetectorBank
 from service.core.events import Diagnosis, candidates
 from service.core.generators import Residuals
@@ -35,6 +36,9 @@ one each time.
 
 SURE = 100.0
 """A misfit of no fault from which something is wrong even if no hypothesis points there."""
+
+SUSPECT = 15.0
+"""How much better than none a fault must fit what has been seen of late to be suspected."""
 
 CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
@@ -82,6 +86,10 @@ class Decision:
         self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
         self._hypotheses = Hypotheses(manifest.evidence)
+        self._day = Day(manifest.evidence)
+        self._standing = Window(manifest.evidence, names)  # of the ticks at which nothing is suspected
+        self._unlike_any = False  # it shows what no day does
+        self._unusual = False  # or what this day has not done before
         self._window = Window(manifest.evidence, names)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
         self._first = 0  # tick at which one did first
@@ -101,25 +109,50 @@ class Decision:
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
         self._usable = residuals.usable
-        self._detectors.update(tick, mode, residuals)
-        if not self._detectors.suspicious:
-            self._wait(tick, mode)
-            return
+        r = residuals.r.copy()
+        r[self._looked_at] = self._day.taken_off(mode, residuals.r[self._looked_at])
+        self._detectors.update(tick, mode, residuals._replace(r=r))
+        if self._latest is None or self._doubts >= DOUBTS:
+            self._calm(tick, mode, residuals)
+        if self.suspicious:
+            if self._latest is None:
+                self._open(tick)
+            self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
+            self._quiet[:] = 0.0
         if self._latest is None:
-            self._look, self._deviating, self._settled = None, frozenset(), False
-            self._showing[:], self._alarmed = False, frozenset()
-            self._first, self._cleared, self._doubts, self._unseen = tick, False, 0, 0
-            self._window.clear()
-        self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
-        self._quiet[:] = 0.0
+            return
         settled = tick - self._first >= self._settle_ticks
         if settled and not self._cleared:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        self._count_unseen()
         if tick % RANKING_PERIOD == 0:
             self._weigh(settled)
+        if self.suspicious:
+            self._count_unseen()
+        else:
+            self._wait(tick, mode)
+
+    def _calm(self, tick: int, mode: int, residuals: Residuals) -> None:
+        """A tick at which nothing is suspected is the day's, unless it is unlike this day, or all are unlike any day."""
+        r, usable = residuals.r[self._looked_at], residuals.usable[self._looked_at]
+        self._day.add(mode, r, usable, residuals.shift)
+        self._standing.add(mode, residuals.r, residuals.usable, residuals.shift)
+        if tick % RANKING_PERIOD == 0:
+            today = self._hypotheses.look(self._day.recent, self._day.level)
+            ever = self._hypotheses.look(self._standing.means)
+            self._unlike_any = ever is not None and ever.gain > CONFIRMED
+            self._unusual = self._unlike_any or (today is not None and today.gain > SUSPECT)
+
+    def _open(self, tick: int) -> None:
+        """An episode begins: what is seen from now on is looked at apart."""
+        self._look, self._deviating, self._settled = None, frozenset(), False
+        self._showing[:], self._alarmed = False, frozenset()
+        self._first, self._cleared, self._doubts, self._unseen = tick, False, 0, 0
+        self._window.clear()
+        self._day.discard()
+        if self._unlike_any:  # it is this day's usual that is suspected
+            self._day.forget()
 
     def _count_unseen(self) -> None:
         """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
@@ -129,14 +162,14 @@ class Decision:
             self._unseen += 1
 
     def _wait(self, tick: int, mode: int) -> None:
-        """A tick without alarm: the window waits, and the episode ends in time."""
-        self._window.wait(mode)
-        if self._latest is None:
-            return
+        """A tick without alarm: the episode ends in time."""
+        assert self._latest is not None
         if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
             self._quiet[mode] += 1
         healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
         if healed or not self.confirmed:
+            if self.confirmed:
+                self._standing.clear()
             self._latest, self.confirmed = None, False
             self._diagnoses = []
 
@@ -147,7 +180,7 @@ class Decision:
                 self.confirmed, self._settled = True, False
                 self._explain()
             return
-        look = self._hypotheses.look(self._window.means)
+        look = self._hypotheses.look(self._window.means, self._day.level)
         if look is None:
             return
         self._look, self._settled = look, settled
@@ -156,10 +189,16 @@ class Decision:
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
         self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
         if self._doubts >= DOUBTS:
-            self.confirmed, self._diagnoses = False, []
+            self.confirmed, self._diagnoses, self._unusual = False, [], False
+            self._standing.clear()
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
             self._explain()
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether a detector alarms, or what is seen is unlike this day, or any."""
+        return self._detectors.suspicious or self._unusual
 
     @property
     def sums(self) -> Vector:

@@ -3,14 +3,11 @@
 A window has the mean residual m_c of every mode c, and the mean shift mu_h that each hypothesis h would have made in
 the same operation; all modes stacked, how badly h fits is its misfit
 
-    q_h = d' S_h^-1 d,   d = m - b - mu_h,
-    S_h = diag_c(V_c / n_c + U_c / v_c + a_c^2) + sum_k w_k w_k' + diag((gamma mu_h)^2)
+    q_h = d' S_h^-1 d,   d = m - offset - day - mu_h,   S_h = P + S + diag((gamma mu_h)^2)
 
-with the fault-free mean b, the covariance V of n ticks, U of v visits to the mode (a visit has a dose and a history of
-its own, and does not get surer by its length; of unequal visits v is n^2 / sum of squared lengths), the allowance a for
-what tuning cannot know, the drifts w (how far all means stray together from one drive to the next), and gamma for the
-error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line between
-those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
+with what is known of the day and its covariance P, the scatter S of what was seen (`service.core.straying`), and gamma
+for the error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line
+between those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
 
 Of two faults at once the shifts are added, and both sizes are free.
 """
@@ -22,14 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.manifest import MODES, Evidence
-from service.core.modes import EDGE
+from service.core.manifest import Evidence
 from service.core.signals import Indices, Mask, Vector
-from service.core.window import Means
+from service.core.straying import Level, Means, Straying
 
 GAMMA = 0.1
-MINIMUM_TICKS = 10
-"""A mode counts once this many ticks were seen in it."""
 
 UNLIKELY = 3.72
 """Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
@@ -160,36 +154,21 @@ class Hypotheses:
     """All faults of a bundle, as polygons of shifts that begin at none."""
 
     def __init__(self, evidence: Evidence) -> None:
-        modes = [index for index in range(len(MODES)) if index != EDGE]
-        self._offset, self._allowance = np.array(evidence.offset)[modes], np.array(evidence.allowance)[modes]
-        self._noise, self._visit = np.array(evidence.noise)[modes], np.array(evidence.visit)[modes]
-        K = len(evidence.generators)
-        self._drifts = np.array(evidence.drifts).reshape(-1, len(MODES), K)[:, modes]  # (R, C, K)
+        self._straying = Straying(evidence)
         self._segments = _segments(evidence)
         self.faults = list(dict.fromkeys(self._segments.faults))
 
-    def look(self, means: Means) -> Look | None:
-        """What the means say; None while nothing has been seen long enough."""
-        seen = np.asarray(means.ticks >= MINIMUM_TICKS)  # (C, K)
+    def look(self, means: Means, day: Level | None = None) -> Look | None:
+        """What the means say on this day, of which nothing is known by default; None while too little has been seen."""
+        seen = means.seen  # (C, K)
         if not seen.any():
             return None
-        d, S = self._deviation(means, seen)
-        mean = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
-        return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), mean]), self._segments)
-
-    def _deviation(self, means: Means, seen: Mask) -> tuple[Vector, Vector]:
-        """The deviations d (D,) of the means `seen` (C, K), and S (D, D) without the error of a prediction."""
-        ticks = np.maximum(means.ticks, 1.0)
-        tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
-        C, K = seen.shape
-        S = np.zeros((C, K, C, K))
-        for mode in range(C):
-            S[mode, :, mode] = self._noise[mode] * np.outer(tick[mode], tick[mode])
-            S[mode, :, mode] += self._visit[mode] * np.outer(visit[mode], visit[mode])
-            S[mode, :, mode] += np.diag(self._allowance[mode] ** 2)
-        S += np.einsum("rck,rdl->ckdl", self._drifts, self._drifts)
-        d = means.total / ticks - self._offset
-        return d[seen], S[seen][:, seen]
+        day = day or self._straying.unknown
+        rows = np.flatnonzero(seen)
+        d = (self._straying.deviation(means) - day.mean)[seen]
+        S = (day.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
+        shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
+        return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), shift]), self._segments)
 
 
 def _segments(evidence: Evidence) -> Segments:

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-SCHEMA: Final = "faultline.bundle/2"
+SCHEMA: Final = "faultline.bundle/3"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
@@ -210,14 +210,16 @@ class Evidence(_Part, frozen=True):
     `graph` is the file that has the evidence generators once per hypothesis, in their order, as rows of a batch. No
     fault recording is needed or used.
 
-    `generators` are numerically independent (chosen by the rank of their covariance); `offset` (mode, generator) is the
-    fault-free mean, `noise` (mode, generator, generator) [Pa^2] its covariance per tick, `visit` that of a visit to the
-    mode besides, `allowance` (mode, generator) [Pa] what tuning cannot know of a single mean, `drifts` (drift, mode,
-    generator) [Pa] by how much all means stray together from one drive to the next, a standard deviation each.
+    `generators` are numerically independent (chosen by the rank of their covariance). Of each in every mode: `offset`
+    [Pa] is the fault-free mean, `spread` that of a tick within a drive, `noise` (mode, generator, generator) [Pa^2]
+    the covariance of ticks, `visit` that of visits to the mode besides. From one day to the next a mean strays by
+    `allowance` (mode, generator) [Pa], and all together by `drifts` (drift, mode, generator) [Pa], a standard deviation
+    each (`service.core.straying`).
     """
 
     generators: NotEmpty[Name]
     offset: PerMode[list[float]]
+    spread: PerMode[list[Positive]]
     noise: PerMode[list[list[float]]]
     visit: PerMode[list[list[float]]]
     allowance: PerMode[list[NotNegative]]
@@ -267,7 +269,7 @@ class Manifest(_Part, frozen=True):
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
     """
 
-    schema: Literal["faultline.bundle/2"]
+    schema: Literal["faultline.bundle/3"]
     name: Text
     sensor_set: Literal["production", "instrumented"]
     period_s: Period

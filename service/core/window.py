@@ -6,28 +6,15 @@ another that has joined it hours later, is seen as it is now; a mode not visited
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from service.core.manifest import Evidence
 from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
+from service.core.straying import Means, Visit
 
 PART_TICKS = 750  # 150 s
-
-
-class Means(NamedTuple):
-    """What a window saw of C modes and K generators: ticks, squares of visits' lengths, sums of residuals, each (C, K).
-
-    A visit is a stay in a mode; the squares say how evenly the ticks lie in visits. `shift` (H, C, K) are sums of what
-    each hypothesis would have done to the residuals.
-    """
-
-    ticks: Vector
-    squares: Vector
-    total: Vector
-    shift: Vector
 
 
 class Window:
@@ -43,12 +30,11 @@ class Window:
         K = len(self._columns)
         # Two parts, the older one first; sums as in `Means`, those of hypotheses behind the others.
         self._sums = np.zeros((2, 3 + self._hypotheses, EDGE, K))
-        self._mode, self._length = EDGE, np.zeros(len(self._columns))
+        self._visit = Visit(K)
 
     def wait(self, mode: int) -> None:
         """A tick that is not taken: a visit lasts as long as the mode does, whether its ticks count or not."""
-        if mode != self._mode:
-            self._mode, self._length = mode, np.zeros(len(self._columns))
+        self._visit.in_mode(mode)
 
     def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
         """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
@@ -60,11 +46,11 @@ class Window:
         told = usable[self._columns]
         part = self._sums[1, :, mode]
         part[0] += told
-        part[1] += told * (2.0 * self._length + 1.0)
+        part[1] += told * (2.0 * self._visit.length + 1.0)
         part[2] += np.where(told, r[self._columns], 0.0)
         if self._hypotheses:
             part[3:] += np.where(told, shift, 0.0)
-        self._length = self._length + told
+        self._visit.length = self._visit.length + told
 
     @property
     def means(self) -> Means:
