@@ -1,4 +1,4 @@
-"""Fault-free recordings as detectors will see them: with the day taken off, as the vehicle does it while it drives."""
+"""Fault-free recordings as detectors will see them: with the day taken off, as the vehicle does."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,10 +9,14 @@ from service.core.manifest import Evidence
 
 
 def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:
-    """The recording without its day; residuals of generators that are no evidence stay as they are."""
+    """The recording without its day, taken off as it is known at the end: while it is not known, detectors are deafer.
+
+    Residuals of generators that are no evidence stay as they are.
+    """
     rows = [generators.index(name) for name in evidence.generators]
     day, r = Day(evidence), s.r.copy()
-    for tick, (mode, usable) in enumerate(zip(s.mode.tolist(), s.usable[:, rows], strict=True)):
+    for mode, own, usable in zip(s.mode.tolist(), s.r[:, rows], s.usable[:, rows], strict=True):
+        day.add(mode, own, usable)
+    for tick, mode in enumerate(s.mode.tolist()):
         r[tick, rows] = day.taken_off(mode, s.r[tick, rows])
-        day.add(mode, s.r[tick, rows], usable)
     return replace(s, r=r)

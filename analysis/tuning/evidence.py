@@ -22,6 +22,9 @@ from service.core.straying import MINIMUM_TICKS
 Array = npt.NDArray[np.float64]
 
 BLOCK_TICKS = 25
+VISIT_TICKS = 50
+"""10 s: no visit is surer than so much of it. What a valve's pulses and the sampling make of each other may last as long
+as the visit does, at a dose that tuning has not seen."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
@@ -149,7 +152,8 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Arra
             away = means - means.mean(axis=0)
             total += away.T @ away - (len(visits) - 1) * noise * np.mean([1.0 / len(r) for r in visits])
             freedom += len(visits) - 1
-    return _positive(total / max(freedom, 1))
+    least = noise / VISIT_TICKS
+    return np.asarray(least + _positive(total / max(freedom, 1) - least))
 
 
 def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:

@@ -28,7 +28,7 @@ Kind = Literal["cusum", "one-sided", "threshold", "low-pass", "adaptive", "sprea
 LEVEL_KINDS: Final[tuple[Kind, ...]] = ("cusum", "one-sided", "threshold", "low-pass", "adaptive")
 
 LASTING_TICKS = 75  # 15 s
-ALLOWANCE = 0.25  # of the mode's spread, on top of what lasted in the tuning recordings
+ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
 HOLD_TICKS = 50  # 10 s: as long as residuals take to calm down after a step of the dose
 TIME_TICKS = 25.0  # 5 s
 MEMORY_TICKS = 150.0  # 30 s

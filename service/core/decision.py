@@ -126,7 +126,7 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        if tick % RANKING_PERIOD == 0:
+        if tick % RANKING_PERIOD == 0 and (self.suspicious or not self._settled):  # or it may be healing
             self._weigh(settled)
         if self.suspicious:
             self._count_unseen()

@@ -19,18 +19,23 @@ ROWS = [NAMES.index(name) for name in EVIDENCE.generators]
 OFFSET, SCALE = (np.array([getattr(d, part) for d in MANIFEST.detectors]) for part in ("offset", "scale"))
 SETTLED = max(generator.warm_up_ticks for generator in MANIFEST.generators) + 2 * RANKING_PERIOD
 
+SPREAD = np.array(EVIDENCE.spread)
+
 PATTERNS = {
-    # By how many spreads of each evidence generator (t02, t08, t12) a fault of size one moves idle, partial, maximum.
-    "fA_du": [(-5.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (-40.0, 0.0, 0.0)],
-    "fy_p_ap": [(-20.0, 0.0, 20.0), (-20.0, 0.0, 20.0), (-20.0, 0.0, 20.0)],
-    "fA_t": [(0.0, -5.0, 0.0), (0.0, -10.0, 0.0), (0.0, -30.0, 0.0)],
-    "fA_dos": [(0.0, 0.0, 0.0), (0.0, 0.0, 10.0), (0.0, 0.0, 30.0)],
+    # By how many spreads of an evidence generator a fault of size one moves idle, partial, maximum.
+    "fA_du": {"t02.ode": (-5.0, -10.0, -40.0)},
+    "fy_p_ap": {"t02.ode": (-20.0, -20.0, -20.0), "t12.ode": (20.0, 20.0, 20.0)},
+    "fA_t": {"t08.ode": (-5.0, -10.0, -30.0)},
+    "fA_dos": {"t12.ode": (0.0, 10.0, 30.0), "t13.ode": (0.0, 10.0, 30.0)},
+    "strange": {"t02.ode": (1.0, 1.0, 1.0), "t08.ode": (-1.0, -1.0, -1.0)},  # no fault does that
 }
+STILL = (0.0, 0.0, 0.0)
 
 
 def moved(fault: str, size: float, mode: int) -> Vector:
     """The shift (K,) of the evidence generators."""
-    return np.asarray(size * np.array(PATTERNS.get(fault, [(0.0, 0.0, 0.0)] * 3)[mode]) * SCALE[ROWS, mode])
+    pattern = PATTERNS.get(fault, {})
+    return size * np.array([pattern.get(name, STILL)[mode] for name in EVIDENCE.generators]) * SPREAD[mode]
 
 
 class Vehicle:
@@ -45,14 +50,12 @@ class Vehicle:
         ticks: int,
         mode: int,
         faults: dict[str, float] | None = None,
-        strange: float = 0.0,
         mute: tuple[str, ...] = (),
     ) -> None:
-        """Ticks in a mode under these faults; `strange` moves t02 up and t08 down, as none does; `mute` cannot tell."""
+        """Ticks in a mode under these faults; those `mute` cannot tell."""
         r = OFFSET[:, mode].copy()
         for fault, size in (faults or {}).items():
             r[ROWS] += moved(fault, size, mode) if mode != EDGE else 0.0
-        r[ROWS] += strange * np.array([1.0, -1.0, 0.0]) * SCALE[ROWS, mode]
         largest = {
             h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h.fault) for h in EVIDENCE.hypotheses
         }
@@ -111,9 +114,9 @@ def test_two_faults_at_once_are_told_as_two_and_without_a_probability() -> None:
 def test_what_no_fault_explains_is_unknown_near_what_its_tests_share() -> None:
     vehicle = Vehicle()
     for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL, MAXIMUM):
-        vehicle.drive(SETTLED, mode, strange=40.0)
+        vehicle.drive(SETTLED, mode, {"strange": 40.0})
     assert vehicle.named == [("unknown", 1)]
-    first, second = (set(MANIFEST.generators[row].equations) for row in ROWS[:2])
+    first, second = (set(MANIFEST.generators[NAMES.index(name)].equations) for name in PATTERNS["strange"])
     assert vehicle.decision.diagnoses[0].near == sorted(first & second)
 
 
