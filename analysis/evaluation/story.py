@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 class Story:
     """K ticks: samples z (K, nz); residuals, predictions, whether usable and whether the detector alarms, each (K, T).
 
+    `level` (K, T) are the residuals without the day, which detectors test.
+
     `sums` (K, T) are the detectors' in parts of their thresholds, with sign. `t_s` (K,) is log time after the first
     frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s` that of the last one. Columns are
     generators, in the manifest's order.
@@ -32,6 +34,7 @@ class Story:
     t_s: Array
     z: Array
     r: Array
+    level: Array
     y_hat: Array
     usable: Mask
     sums: Array
@@ -46,7 +49,7 @@ class Story:
         detectors = self.bundle.manifest.detectors[: self.r.shape[1]]  # more may follow, which test no level
         offset = np.array([detector.offset for detector in detectors])  # (T, modes)
         scale = np.array([detector.scale for detector in detectors])
-        return np.asarray((self.r - offset[:, self.mode].T) / scale[:, self.mode].T)
+        return np.asarray((self.level - offset[:, self.mode].T) / scale[:, self.mode].T)
 
     @property
     def alarm(self) -> Mask:
@@ -61,11 +64,13 @@ def tell(bundle: Bundle, log: Log) -> Story:
         InputError: the log is shorter than the wait for its signals.
     """
     ticks: list[Tick] = []
+    levels: list[Array] = []
     sums: list[Array] = []
     fired: list[Mask] = []
 
     def watch(tick: Tick, decision: Decision) -> None:
         ticks.append(tick)
+        levels.append(decision.level)
         sums.append(decision.sums)
         fired.append(decision.fired)
 
@@ -80,6 +85,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
         t_s=np.array([tick.t_s for tick in ticks]),
         z=np.array([tick.z for tick in ticks]),
         r=np.array([tick.residuals.r for tick in ticks]),
+        level=np.array(levels),
         y_hat=np.array([tick.residuals.y_hat for tick in ticks]),
         usable=np.array([tick.residuals.usable for tick in ticks]),
         sums=np.array(sums),

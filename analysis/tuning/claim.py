@@ -16,10 +16,18 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from analysis.tuning.days import without_day
-from analysis.tuning.evidence import gather
 from analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
 from analysis.tuning.thresholds import tune_detectors
-from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled, pooled_left_out
+from analysis.tuning.vehicles import (
+    Drive,
+    Vehicle,
+    hardly_seen,
+    left_out_offset,
+    moved,
+    offsets,
+    pooled,
+    pooled_left_out,
+)
 from service.core.decision import Decision
 from service.core.generators import Generators
 from service.core.manifest import Claim, Count, Detector, Evidence, Manifest
@@ -83,7 +91,7 @@ def thresholds(
 
     A fold's factor is found without its own drives, so that what is counted there has chosen nothing.
     """
-    evidence, *of_folds = (evidence_of(each, rule, to) for each in (vehicles, *(fold.train for fold in left_out)))
+    evidence, *of_folds = (rule.evidence(each, to) for each in (vehicles, *(fold.train for fold in left_out)))
     if target is None:
         usual = [
             Found(_usual(each, rule, to, own), own)
@@ -111,16 +119,6 @@ def thresholds(
         ],
         extrapolated=factor.extrapolated or any(other.extrapolated for other in of_others),
     )
-
-
-def evidence_of(vehicles: Sequence[Vehicle], rule: Rule, to: Array) -> Evidence:
-    """From the drives of these vehicles, by the model of the first; of the equations' generators alone."""
-    bank = vehicles[0].runnable.bank
-    own = len(bank.generators)
-    seen, apart = (
-        [s.only(own) for s in together(vehicles, to, rule.stand_ins)] for together in (pooled, pooled_left_out)
-    )
-    return gather(bank, to[:own], seen, rule.stand_ins, apart)
 
 
 def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:

@@ -20,13 +20,14 @@ from analysis.recordings.observe import START_WITHIN_S
 from analysis.structure.lint import sound_model
 from analysis.tuning.adapt import adapt, check_alike, golden
 from analysis.tuning.claim import Found, claim, count, folds, thresholds
+from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
 from analysis.tuning.target import Rule
-from analysis.tuning.vehicles import Vehicle, check_modes, offsets, read
+from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from service.core.errors import InputError
-from service.core.manifest import brief
+from service.core.manifest import Evidence, brief
 
 Array = npt.NDArray[np.float64]
 
@@ -140,7 +141,7 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     """The same of drives that have been read."""
     runnable = vehicles[0].runnable
     described = stand_ins(runnable.bank.model)
-    rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds)
+    rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds, _evidence)
     to = offsets(vehicles[0].drives, described)
     left_out = folds(vehicles, described) if given.claim or given.target is not None else []
     progress.say("thresholds")
@@ -175,6 +176,14 @@ def _vehicles(
         check_modes(vehicles[-1], stand_ins(each.bank.model))
         used |= {drive.sha256: "twice" for drive in vehicles[-1].drives}
     return vehicles
+
+
+def _evidence(vehicles: Sequence[Vehicle], to: Array) -> Evidence:
+    """From the drives of these vehicles, by the model of the first; of the equations' generators alone."""
+    bank = vehicles[0].runnable.bank
+    described, own = stand_ins(bank.model), len(bank.generators)
+    seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
+    return gather(bank, to[:own], seen, described, apart)
 
 
 def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:

@@ -14,9 +14,9 @@ def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:
     Residuals of generators that are no evidence stay as they are.
     """
     rows = [generators.index(name) for name in evidence.generators]
-    day, r = Day(evidence), s.r.copy()
+    day, level = Day(evidence), s.r.copy()
     for mode, own, usable in zip(s.mode.tolist(), s.r[:, rows], s.usable[:, rows], strict=True):
         day.add(mode, own, usable)
     for tick, mode in enumerate(s.mode.tolist()):
-        r[tick, rows] = day.taken_off(mode, s.r[tick, rows])
-    return replace(s, r=r)
+        level[tick, rows] = day.taken_off(mode, s.r[tick, rows])
+    return replace(s, level=level)

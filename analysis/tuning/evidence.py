@@ -23,8 +23,8 @@ Array = npt.NDArray[np.float64]
 
 BLOCK_TICKS = 25
 VISIT_TICKS = 50
-"""10 s: no visit is surer than so much of it. What a valve's pulses and the sampling make of each other may last as long
-as the visit does, at a dose that tuning has not seen."""
+"""10 s: no visit is surer than so much of it. What a valve's pulses and the sampling make of each other may last as
+long as the visit does, at a dose that tuning has not seen."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""

@@ -9,7 +9,7 @@ Where the drives are too few for the target, the tail of the clusters' peaks abo
     rate(c) = (N / T) exp(-(c - u) / beta)        N clusters above u in T hours
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import floor, log
 
@@ -34,12 +34,16 @@ SEED = 1
 
 @dataclass(frozen=True)
 class Rule:
-    """How detectors are made: for these generators, `floor` (T,), `stand_ins`, `kinds` as in `tune_detectors`."""
+    """How detectors are made: for these generators, `floor` (T,), `stand_ins`, `kinds` as in `tune_detectors`.
+
+    `evidence` gives what drives of vehicles show of days, around the offsets (T, modes) that all are moved to.
+    """
 
     generators: Sequence[str]
     floor: Array
     stand_ins: Sequence[int]
     kinds: Sequence[Kind]
+    evidence: Callable[[Sequence[Vehicle], Array], Evidence]
 
 
 @dataclass(frozen=True)

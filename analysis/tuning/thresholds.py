@@ -30,7 +30,8 @@ OWN = tuple(range(len(MODES)))  # every mode is described by its own ticks
 class Seen:
     """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,).
 
-    `sigma` (K, T) is the generators' own spread; only adaptive detectors need it.
+    `sigma` (K, T) is the generators' own spread; only adaptive detectors need it. `level` (K, T) are the residuals
+    without the day, once that has been taken off.
     """
 
     name: str
@@ -39,11 +40,16 @@ class Seen:
     usable: npt.NDArray[np.bool_]
     mode: npt.NDArray[np.int64]
     sigma: Array | None = None
+    level: Array | None = None
 
     def only(self, count: int) -> "Seen":
         """With the first `count` generators alone."""
-        sigma = None if self.sigma is None else self.sigma[:, :count]
-        return replace(self, r=self.r[:, :count], usable=self.usable[:, :count], sigma=sigma)
+        sigma, level = (None if each is None else each[:, :count] for each in (self.sigma, self.level))
+        return replace(self, r=self.r[:, :count], usable=self.usable[:, :count], sigma=sigma, level=level)
+
+    def tested(self, kind: str) -> Array:
+        """The residuals (K, T) that a kind of detector tests: a test of the variance those of the tick."""
+        return self.r if self.level is None or kind == "spread" else self.level
 
     def inside(self, row: int, mode: int) -> npt.NDArray[np.bool_]:
         """The ticks (K,) of a mode at which a generator could tell."""
@@ -127,7 +133,7 @@ def describe(
     centres, scales, usual = np.zeros(len(MODES)), np.zeros(len(MODES)), np.ones(len(MODES))
     for mode, stand_in in enumerate(stand_ins):
         inside = [s.inside(row, stand_in) for s in recordings]
-        r = np.concatenate([s.r[use, row] for s, use in zip(recordings, inside, strict=True)])
+        r = np.concatenate([s.tested(kind)[use, row] for s, use in zip(recordings, inside, strict=True)])
         if len(r) < MINIMUM_TICKS:
             raise InputError(
                 f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[stand_in]!r} "
@@ -151,7 +157,7 @@ def standard(s: Seen, row: int, described: Described, kind: str) -> Run:
     spread = described.scale[mode]
     if kind == "adaptive":
         spread = spread * _sigma(s, row)[use] / described.usual[mode]
-    return Run(np.flatnonzero(use), (s.r[use, row] - described.offset[mode]) / spread)
+    return Run(np.flatnonzero(use), (s.tested(kind)[use, row] - described.offset[mode]) / spread)
 
 
 def _sigma(s: Seen, row: int) -> Array:

@@ -4,10 +4,10 @@ From one drive to the next a fluid's temperature, sensors' zeros and the level i
 more than a fault does; within a drive they hardly do. So what the first minutes show is taken off, by as much as days
 are known to stray (`service.core.straying`): the mean of a mode moves those of modes that have not been visited yet.
 A fault that was there from the start is taken off too where a day could look like it: only what days cannot do tells of
-it, and `Decision` looks at that besides.
+it, and `service.core.unlike` looks at that.
 
-What a tick shows counts half a minute to a minute later, if nothing is suspected until then: what a fault does before it
-is suspected must not become the day. And a day moves on: its sums forget, and it is never known better than `WANDER`.
+What a tick shows counts half a minute to a minute later, if nothing is suspected until then: what a fault does before
+it is suspected must not become the day. And a day moves on: its sums forget, and no day is known better than `WANDER`.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ WANDER = 0.1
 """How far a day moves while it is used, in parts of how far days differ."""
 
 WIDENED = 3.0
-"""Detectors see residuals in parts of their spread and of so many standard deviations of what is not known of the day."""
+"""Detectors see residuals in parts of their spread and of so many standard deviations of what is unknown of the day."""
 
 
 class Day:
@@ -53,8 +53,8 @@ class Day:
         self._visit = Visit(self._shape[-1])
         self._ticks = 0
 
-    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector = NOTHING) -> None:
-        """Takes the residuals (K,) of a tick at which nothing is suspected, and the shifts (H, K) of the hypotheses."""
+    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector = NOTHING, *, suspected: bool = False) -> None:
+        """Takes the residuals (K,) of a tick and the shifts (H, K) of the hypotheses; not the day's if `suspected`."""
         self._visit.in_mode(mode)
         if mode != EDGE:
             part = self._newer[:, mode]
@@ -66,16 +66,17 @@ class Day:
             self._visit.length = self._visit.length + usable
         self._ticks += 1
         if self._ticks % GUARD_TICKS == 0:
-            self._known += self._older[:3]
+            if not suspected:
+                self._known += self._older[:3]
             self._older, self._newer = self._newer, np.zeros(self._pending)
             self._known[:, self._known[0] >= REMEMBERED_TICKS] /= 2.0
             self._learn()
 
     def taken_off(self, mode: int, r: Vector) -> Vector:
-        """The residuals (K,) of a tick as detectors see them: without the day, and nearer to the offset where the day
-        is not known: a standard deviation of them is then more than the spread within a drive.
+        """The residuals (K,) of a tick as detectors see them: without the day, and drawn to the offset.
 
-        At an edge the day is the mean of those of all modes.
+        The less is known of the day, the nearer: a detector's threshold then is the spread of days, and not that of a
+        drive. At an edge the day is the mean of those of all modes.
         """
         mean, variance = self._level.mean, self._level.variance
         mean, variance = (mean.mean(axis=0), variance.mean(axis=0)) if mode == EDGE else (mean[mode], variance[mode])

@@ -1,9 +1,10 @@
-"""The decision of a tick, in two stages: detectors suspect, a fresh window confirms; conflicts, ranked diagnoses.
+"""The decision of a tick, in two stages: something is suspected, a fresh window confirms; conflicts, ranked diagnoses.
 
-A detector that alarms opens a window. What is seen from then on confirms a fault once some hypothesis fits it better
-than no fault does, by more than chance makes; until then nothing is named. Names are hitting sets of the conflicts: of
-the tests that alarm, and of those that the window shows to deviate. Networks raise suspicion and are no conflicts: they
-may alarm where a fault that their test decouples brings operation that was rare in training.
+A detector suspects, which looks at residuals without the day (`service.core.day`), or the evidence itself does
+(`service.core.unlike`). That opens a window. What is seen from then on confirms a fault once some hypothesis fits it
+better than no fault does, by more than chance makes; until then nothing is named. Names are hitting sets of the
+conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks raise suspicion and are no
+conflicts: they may alarm where a fault that their test decouples brings operation that was rare in training.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
 once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
@@ -15,7 +16,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.core.day import Day
 from service.core.detectors.bank import DetectorBank
 from service.core.events import Diagnosis, candidates
 from service.core.generators import Residuals
@@ -24,6 +24,7 @@ from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Manifest
 from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
+from service.core.unlike import Unlike
 from service.core.window import Window
 
 RANKING_PERIOD = 15
@@ -36,9 +37,6 @@ one each time.
 
 SURE = 100.0
 """A misfit of no fault from which something is wrong even if no hypothesis points there."""
-
-SUSPECT = 15.0
-"""How much better than none a fault must fit what has been seen of late to be suspected."""
 
 CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
@@ -86,10 +84,7 @@ class Decision:
         self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
         self._hypotheses = Hypotheses(manifest.evidence)
-        self._day = Day(manifest.evidence)
-        self._standing = Window(manifest.evidence, names)  # of the ticks at which nothing is suspected
-        self._unlike_any = False  # it shows what no day does
-        self._unusual = False  # or what this day has not done before
+        self._unlike = Unlike(manifest.evidence, names, self._hypotheses)
         self._window = Window(manifest.evidence, names)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
         self._first = 0  # tick at which one did first
@@ -104,16 +99,17 @@ class Decision:
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = False
+        self.level = np.zeros(len(self._tests))  # the residuals without the day, as detectors of the level see them
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
         self._usable = residuals.usable
-        r = residuals.r.copy()
-        r[self._looked_at] = self._day.taken_off(mode, residuals.r[self._looked_at])
-        self._detectors.update(tick, mode, residuals._replace(r=r))
-        if self._latest is None or self._doubts >= DOUBTS:
-            self._calm(tick, mode, residuals)
+        self.level = self._unlike.without_day(mode, residuals)
+        self._detectors.update(tick, mode, residuals._replace(level=self.level))
+        self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubts < DOUBTS)
+        if tick % RANKING_PERIOD == 0:
+            self._unlike.look()
         if self.suspicious:
             if self._latest is None:
                 self._open(tick)
@@ -133,26 +129,13 @@ class Decision:
         else:
             self._wait(tick, mode)
 
-    def _calm(self, tick: int, mode: int, residuals: Residuals) -> None:
-        """A tick at which nothing is suspected is the day's, unless it is unlike this day, or all are unlike any day."""
-        r, usable = residuals.r[self._looked_at], residuals.usable[self._looked_at]
-        self._day.add(mode, r, usable, residuals.shift)
-        self._standing.add(mode, residuals.r, residuals.usable, residuals.shift)
-        if tick % RANKING_PERIOD == 0:
-            today = self._hypotheses.look(self._day.recent, self._day.level)
-            ever = self._hypotheses.look(self._standing.means)
-            self._unlike_any = ever is not None and ever.gain > CONFIRMED
-            self._unusual = self._unlike_any or (today is not None and today.gain > SUSPECT)
-
     def _open(self, tick: int) -> None:
         """An episode begins: what is seen from now on is looked at apart."""
         self._look, self._deviating, self._settled = None, frozenset(), False
         self._showing[:], self._alarmed = False, frozenset()
         self._first, self._cleared, self._doubts, self._unseen = tick, False, 0, 0
         self._window.clear()
-        self._day.discard()
-        if self._unlike_any:  # it is this day's usual that is suspected
-            self._day.forget()
+        self._unlike.suspect()
 
     def _count_unseen(self) -> None:
         """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
@@ -169,7 +152,7 @@ class Decision:
         healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
         if healed or not self.confirmed:
             if self.confirmed:
-                self._standing.clear()
+                self._unlike.rest()
             self._latest, self.confirmed = None, False
             self._diagnoses = []
 
@@ -180,7 +163,7 @@ class Decision:
                 self.confirmed, self._settled = True, False
                 self._explain()
             return
-        look = self._hypotheses.look(self._window.means, self._day.level)
+        look = self._hypotheses.look(self._window.means, self._unlike.day)
         if look is None:
             return
         self._look, self._settled = look, settled
@@ -189,8 +172,8 @@ class Decision:
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
         self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
         if self._doubts >= DOUBTS:
-            self.confirmed, self._diagnoses, self._unusual = False, [], False
-            self._standing.clear()
+            self.confirmed, self._diagnoses = False, []
+            self._unlike.rest()
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
             self._explain()
@@ -198,7 +181,7 @@ class Decision:
     @property
     def suspicious(self) -> bool:
         """Whether a detector alarms, or what is seen is unlike this day, or any."""
-        return self._detectors.suspicious or self._unusual
+        return self._detectors.suspicious or self._unlike.alarm
 
     @property
     def sums(self) -> Vector:
@@ -225,8 +208,9 @@ class Decision:
 
     @property
     def since(self) -> int | None:
-        """The tick at which the evidence of the alarmed tests began."""
-        return self._detectors.since
+        """The tick at which the evidence of the alarmed tests began, or the suspicion where none alarms."""
+        since = self._detectors.since
+        return self._first if since is None and self._latest is not None else since
 
     @property
     def suspected(self) -> bool:

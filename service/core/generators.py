@@ -33,6 +33,7 @@ class Residuals(NamedTuple):
     """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
 
     `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
+    `level` are the residuals without the day (`service.core.day`), once that has been taken off.
     """
 
     r: Vector
@@ -40,6 +41,7 @@ class Residuals(NamedTuple):
     sigma: Vector
     usable: Mask
     shift: Vector = NOTHING
+    level: Vector | None = None
 
 
 class Graph:

@@ -66,7 +66,7 @@ class Visit:
 
 
 class Straying:
-    """The numbers of a bundle's evidence: `offset` (C, K) and `unknown`, the level of a day of which nothing is known."""
+    """The numbers of a bundle's evidence: `offset` (C, K), and `unknown`: the level of a day, before it has begun."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.offset = np.array(evidence.offset)[STEADY]

@@ -1,10 +1,12 @@
 """Standardising: what a tick's residuals are to each detector, in parts of the spread expected there.
 
-    s = (r - offset_m) / (scale_m * sigma / usual_m)        adaptive
-    s = (r - offset_m) / scale_m                            all others
+    s = (r' - offset_m) / (scale_m * sigma / usual_m)       adaptive
+    s = (r - offset_m) / scale_m                            spread
+    s = (r' - offset_m) / scale_m                           all others
 
-m is the operating mode, sigma what the generator itself says of this tick's spread: a network knows where it is less
-sure. `usual_m` is the sigma that tuning saw in the mode, so that scale keeps the unit of the residual.
+r is the residual and r' the one without the day (`service.core.day`), m is the operating mode, sigma what the generator
+itself says of this tick's spread: a network knows where it is less sure. `usual_m` is the sigma that tuning saw in the
+mode, so that scale keeps the unit of the residual.
 """
 
 from collections.abc import Sequence
@@ -12,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.core.generators import Residuals
-from service.core.manifest import MODES, AdaptiveDetector, Detector
+from service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
 from service.core.signals import Vector
 
 
@@ -25,6 +27,7 @@ class Standard:
         self._offset = np.array([detector.offset for detector in detectors]).reshape(shape)
         self._scale = np.array([detector.scale for detector in detectors]).reshape(shape)
         self._adaptive = np.array([isinstance(d, AdaptiveDetector) for d in detectors], dtype=np.bool_)
+        self._spread = np.array([isinstance(d, SpreadDetector) for d in detectors], dtype=np.bool_)
         ones = [1.0] * len(MODES)
         self._usual = np.array([d.usual if isinstance(d, AdaptiveDetector) else ones for d in detectors]).reshape(shape)
 
@@ -32,4 +35,6 @@ class Standard:
         """The standardised residual (D,) of a tick for each detector; whatever it is where the test cannot tell."""
         sigma = np.where(self._adaptive, residuals.sigma[self._rows], 1.0)
         spread = self._scale[:, mode] * sigma / self._usual[:, mode]
-        return np.asarray((residuals.r[self._rows] - self._offset[:, mode]) / spread)
+        r = residuals.r[self._rows]
+        level = r if residuals.level is None else np.where(self._spread, r, residuals.level[self._rows])
+        return np.asarray((level - self._offset[:, mode]) / spread)

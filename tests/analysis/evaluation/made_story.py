@@ -45,6 +45,7 @@ def story(r: Array, sums: Array, usable: Mask | None = None, mode: Array | None 
         t_s=np.array([PERIOD_S * tick for tick in range(K)], dtype=np.float64),
         z=np.zeros((K, 5)),
         r=r,
+        level=r,
         y_hat=np.zeros_like(r),
         usable=np.ones(r.shape, dtype=np.bool_) if usable is None else usable,
         sums=parts,

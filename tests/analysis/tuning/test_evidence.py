@@ -8,12 +8,12 @@ import pytest
 
 from analysis.graph.bank import Bank, build_bank
 from analysis.graph.runnable import Runnable
-from analysis.model import load_model
-from analysis.tuning.evidence import gather
+from analysis.model import Model, load_model
+from analysis.tuning.evidence import as_seen, gather
 from analysis.tuning.thresholds import Seen, tune_detectors
 from service.core.decision import CONFIRMED, TIE
 from service.core.hypotheses import Hypotheses, Look
-from service.core.manifest import MODES, Detector, Evidence
+from service.core.manifest import MODES, Evidence
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.core.window import Window
 
@@ -44,10 +44,17 @@ def watched(bank: Bank, seed: int, fault: dict[str, float] | None = None) -> See
     return Seen(f"made-{seed}", z, r, usable, mode)
 
 
+def without_drifts(model: Model) -> Model:
+    """The model, where nothing changes from one day to the next."""
+    known = {name: replace(each, drift=0.0) for name, each in model.known.items()}
+    parameters = {name: replace(each, drift=0.0) for name, each in model.parameters.items()}
+    return replace(model, known=known, parameters=parameters)
+
+
 @dataclass(frozen=True)
 class Made:
     bank: Bank
-    detectors: list[Detector]
+    offset: Array
     recordings: list[Seen]
     evidence: Evidence
 
@@ -82,10 +89,10 @@ class Made:
 
 @pytest.fixture(scope="module")
 def made() -> Made:
-    bank = build_bank(load_model("uds4"))
+    bank = build_bank(without_drifts(load_model("uds4")))
     recordings = [watched(bank, 1), watched(bank, 2)]
-    detectors = tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)
-    return Made(bank, detectors, recordings, gather(bank, detectors, recordings))
+    offset = np.array([d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)])
+    return Made(bank, offset, recordings, gather(bank, offset, recordings))
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
@@ -169,7 +176,7 @@ def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None
         mode = s.mode.copy()
         mode[::40] = EDGE  # every level is a visit
         strayed.append(replace(s, r=r, mode=mode))
-    evidence = gather(made.bank, made.detectors, strayed)
+    evidence = gather(made.bank, made.offset, strayed)
     column = evidence.generators.index("t02.ode")
     for visit in np.array(evidence.visit)[list(STEADY)]:
         assert np.sqrt(visit[column, column]) == pytest.approx(1e3, rel=0.35)
@@ -183,7 +190,7 @@ def test_a_drift_of_the_model_is_a_shift_that_all_means_share(made: Made) -> Non
     known = {**model.known, "y_p_du": replace(model.known["y_p_du"], drift=300.0)}
     parameters = {**model.parameters, "A_du": replace(model.parameters["A_du"], drift=0.15)}
     bank = build_bank(replace(model, known=known, parameters=parameters))
-    area, sensor = np.array(gather(bank, made.detectors, made.recordings).drifts)
+    area, sensor = np.array(gather(bank, made.offset, made.recordings).drifts)
     column = made.column("t02")
     np.testing.assert_allclose(sensor[:, column], 300.0, rtol=1e-9)
     clogged = made.shift("fA_du", -0.15)[list(STEADY), column]
@@ -199,13 +206,11 @@ def test_ranking_looks_at_independent_generators_with_proper_covariances(made: M
 
 
 def test_the_allowance_is_never_below_its_part_of_the_spread(made: Made) -> None:
-    rows = [[d.generator for d in made.detectors].index(name) for name in made.evidence.generators]
-    scale = np.array([made.detectors[row].scale for row in rows]).T
-    assert (np.array(made.evidence.allowance) >= 0.3 * scale).all()
+    assert (np.array(made.evidence.allowance) >= 0.3 * np.array(made.evidence.spread)).all()
 
 
 def test_the_same_recordings_give_the_same_evidence(made: Made) -> None:
-    assert gather(made.bank, made.detectors, made.recordings) == made.evidence
+    assert gather(made.bank, made.offset, made.recordings) == made.evidence
 
 
 def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None:
@@ -218,13 +223,30 @@ def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None
         r = one.r.copy()
         r[:, row] += rng.normal(0.0, 500.0)
         drives.append(replace(one, name=f"drive-{number}", r=r))
-    evidence = gather(made.bank, made.detectors, drives)
+    evidence = gather(made.bank, made.offset, drives)
     column = evidence.generators.index("t02.ode")
     first = np.array(evidence.drifts[0])[list(STEADY)]
     assert np.abs(first[:, column]) == pytest.approx(500.0, rel=0.35)
     assert np.ptp(first[:, column]) < 150.0  # of one sign, and of one size
     others = [k for k in range(len(evidence.generators)) if k != column]
     assert np.abs(first[:, others]).max() < 100.0
-    few = gather(made.bank, made.detectors, drives[:4])
+    few = gather(made.bank, made.offset, drives[:4])
     assert few.drifts == []
     assert np.array(few.allowance)[STEADY[0], column] > np.array(evidence.allowance)[STEADY[0], column]
+
+
+def test_drifts_that_the_model_names_have_the_size_that_drives_show() -> None:
+    """Two that overlap: one half as large as the model says, one not there at all; and what is each mean's own."""
+    rng = np.random.default_rng(9)
+    spread = np.full((len(MODES), 2), 100.0)
+    drifts = np.zeros((2, len(MODES), 2))
+    drifts[0, :EDGE] = [[200.0, -200.0]]
+    drifts[1, :EDGE] = [[300.0, 0.0], [200.0, 0.0], [100.0, 0.0]]
+    means = 0.5 * rng.standard_normal((200, 1, 1, 1))[:, 0] * drifts[0] + 20.0 * rng.standard_normal(
+        (200, *spread.shape)
+    )
+    own, found = as_seen(means, spread, drifts)
+    size = np.abs(found[:2]).max(axis=(1, 2)) / np.abs(drifts).max(axis=(1, 2))
+    assert size == pytest.approx([0.5, 0.0], abs=0.1)
+    strayed = np.sqrt(own**2 + (found**2).sum(axis=0))[:EDGE]
+    assert strayed == pytest.approx(np.sqrt(20.0**2 + (0.5 * drifts[0]) ** 2)[:EDGE], rel=0.15)

@@ -15,7 +15,7 @@ from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
 from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
 from service.core.detectors.bank import DetectorBank
 from service.core.generators import Residuals
-from service.core.manifest import MODES, Detector, kind_of
+from service.core.manifest import MODES, Detector, Evidence, kind_of
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.core.observer import Tick
 
@@ -48,7 +48,23 @@ def vehicle(*drives: Drive) -> Vehicle:
 
 
 def rule(kind: Kind = "cusum") -> Rule:
-    return Rule(NAMES, FLOOR, OWN, (kind,))
+    return Rule(NAMES, FLOOR, OWN, (kind,), no_days)
+
+
+def no_days(_: Sequence[Vehicle], to: Array) -> Evidence:
+    """Evidence of the first generator, which does not stray from one day to the next."""
+    [*noise] = ([[float(s**2)]] for s in SPREAD)
+    return Evidence(
+        generators=NAMES[:1],
+        offset=to[:1].T.tolist(),
+        spread=[[float(s)] for s in SPREAD],
+        noise=noise,
+        visit=[[[0.0]]] * len(MODES),
+        allowance=[[0.0]] * len(MODES),
+        drifts=[],
+        graph=None,
+        hypotheses=[],
+    )
 
 
 def suspected(detectors: Sequence[Detector], s: Drive) -> int:
@@ -157,8 +173,8 @@ def test_thresholds_for_a_target_keep_it_on_other_drives(target: float) -> None:
     assert len(found.of_folds) == 3
     fresh = [drive(seed, 500.0, ticks=20_000) for seed in (91, 92)]
     hours = sum(each.hours for each in fresh)
-    assert sum(suspected(found.detectors, each) for each in fresh) <= 3 + 3 * target * hours
-    assert all(LEAST["cusum"] <= d.J for d in found.detectors)
+    assert sum(suspected(found.whole.detectors, each) for each in fresh) <= 3 + 3 * target * hours
+    assert all(LEAST["cusum"] <= d.J for d in found.whole.detectors)
 
 
 def test_a_single_drive_has_thresholds_and_no_claim() -> None:
@@ -174,9 +190,11 @@ def test_a_single_drive_has_thresholds_and_no_claim() -> None:
 
 def test_levels_are_the_mean_of_what_drives_reach_and_never_below_the_least() -> None:
     to = offsets(THREE[0].drives, OWN)
-    assert {d.J for d in levels(THREE, rule(), to)} == {LEAST["cusum"] / MARGIN}
+    usual = levels(THREE, rule(), to, no_days(THREE, to))
+    assert {d.J for d in usual} == {LEAST["cusum"] / MARGIN}
     strange = vehicle(*THREE[0].drives, drive(7, 900.0))  # a drive whose level differs: nu must cover it
-    assert levels([strange], rule(), to)[0].nu > levels(THREE, rule(), to)[0].nu + 0.5  # type: ignore[union-attr]
+    covering = levels([strange], rule(), to, no_days([strange], to))
+    assert covering[0].nu > usual[0].nu + 0.5  # type: ignore[union-attr]
 
 
 def test_the_claim_counts_bounds_and_says_what_was_left_out() -> None:

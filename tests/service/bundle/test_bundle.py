@@ -113,15 +113,15 @@ def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest
     refused(bundle, r"manifest\.json: cannot be read: Input/output error; check the folder's permissions")
 
 
-@pytest.mark.parametrize("schema", ["faultline.bundle/1", "faultline.bundle/3", "other/1"])
+@pytest.mark.parametrize("schema", ["faultline.bundle/2", "faultline.bundle/4", "other/1"])
 def test_an_unknown_version_is_refused_before_anything_else(bundle: Path, schema: str) -> None:
     edit(bundle, lambda manifest: manifest.update(schema=schema, something_new=1))
-    refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/2'")
+    refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/3'")
 
 
 @pytest.mark.parametrize(
     "raw",
-    [b"", b'{"schema": "faultline.bundle/2", ', b'{"a": ' + b"[" * 100_000, b'{"schema": "\\ud800"}', b"\xff\xfe{"],
+    [b"", b'{"schema": "faultline.bundle/3", ', b'{"a": ' + b"[" * 100_000, b'{"schema": "\\ud800"}', b"\xff\xfe{"],
 )
 def test_a_manifest_that_is_not_json_is_refused(bundle: Path, raw: bytes) -> None:
     write(bundle, raw)
@@ -186,7 +186,7 @@ def test_golden_vectors_of_another_shape_are_refused(bundle: Path, z: object, r:
     ("shift", "message"),
     [
         ([], "0 shift, not one for each hypothesis"),
-        ([[0.0] * 2] * 41, r"shift\[0\]: has length 2, but there are 3 evidence generators"),
+        ([[0.0] * 2] * 41, r"shift\[0\]: has length 2, but there are 4 evidence generators"),
     ],
 )
 def test_golden_shifts_of_another_shape_are_refused(bundle: Path, shift: object, message: str) -> None:
@@ -219,4 +219,4 @@ def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "t21.ode" in out
     assert "fA_du" in out
     assert show.main(["show", "--json", str(bundle)]) == 0
-    assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/2"
+    assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/3"

@@ -51,6 +51,7 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["evidence"].update(generators=[]), r"evidence\.generators: Expected `array` of length >= 1"),
     (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: Expected `array` of length >= 4"),
     (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["spread"][1].__setitem__(2, 0), r"evidence\.spread\[1\]\[2\]: Expected `float` > 0"),
     (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: Expected `array` of length >= 4"),
     (lambda m: m["evidence"]["allowance"][1].__setitem__(2, -1), r"evidence\.allowance\[1\]\[2\]: Expected `float` >="),
 ]
@@ -106,16 +107,16 @@ TOGETHER: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["generators"].append("t99"), r"evidence\.generators: unknown generator 't99'"),
     (
         lambda m: m["evidence"]["generators"].append("t02.ode"),
-        r"evidence\.generators\[3\]: 't02\.ode' is there twice",
+        r"evidence\.generators\[4\]: 't02\.ode' is there twice",
     ),
     (
         lambda m: m["evidence"]["generators"].append("t06.ode"),
-        r"evidence\.offset\[0\]: has length 3, but there are 4 evidence generators",
+        r"evidence\.offset\[0\]: has length 4, but there are 5 evidence generators",
     ),
-    (lambda m: m["evidence"]["offset"][2].pop(), r"evidence\.offset\[2\]: has length 2, but there are 3"),
-    (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 4, but there are 3"),
-    (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 2, but there are 3"),
-    (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 2, but there are 3"),
+    (lambda m: m["evidence"]["offset"][2].pop(), r"evidence\.offset\[2\]: has length 3, but there are 4"),
+    (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 5, but there are 4"),
+    (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 3, but there are 4"),
+    (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 3, but there are 4"),
     (lambda m: m["evidence"].update(graph=None), r"evidence\.graph: None for 41 hypotheses"),
     (lambda m: m["evidence"].update(hypotheses=[]), r"evidence\.graph: 'faults\.onnx' for 0 hypotheses"),
     (lambda m: m["evidence"].update(graph="x.onnx"), r"evidence\.graph: 'x\.onnx' is not in files"),
@@ -127,11 +128,17 @@ TOGETHER: list[tuple[Change, str]] = [
     ),
 ]
 
-SINGULAR = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-SKEW = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-HUGE = [[1e-300, 1e300, 0.0], [1e300, 1e-300, 0.0], [0.0, 0.0, 1.0]]
-NEGATIVE = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-NOTHING = [[0.0] * 3] * 3
+
+def of_first_two(a: float, b: float, c: float, d: float) -> list[list[float]]:
+    """A covariance of four generators, of which the last two are sound."""
+    return [[a, b, 0.0, 0.0], [c, d, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+SINGULAR = of_first_two(1.0, 1.0, 1.0, 1.0)
+SKEW = of_first_two(1.0, 0.5, 0.0, 1.0)
+HUGE = of_first_two(1e-300, 1e300, 1e300, 1e-300)
+NEGATIVE = of_first_two(-1.0, 0.0, 0.0, 1.0)
+NOTHING = [[0.0] * 4] * 4
 
 
 @pytest.fixture
@@ -151,7 +158,7 @@ def test_noise_that_ranking_could_not_divide_by_is_refused(bundle: Path, noise: 
     refused(bundle, r"evidence\.noise\[2\]: mode maximum: not symmetric and positive definite")
 
 
-@pytest.mark.parametrize("visit", [SKEW, HUGE, NEGATIVE, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+@pytest.mark.parametrize("visit", [SKEW, HUGE, NEGATIVE, of_first_two(0.0, 1.0, 1.0, 0.0)])
 def test_a_spread_of_visits_that_is_none_is_refused(bundle: Path, visit: list[list[float]]) -> None:
     edit(bundle, lambda m: m["evidence"]["visit"].__setitem__(2, visit))
     refused(bundle, r"evidence\.visit\[2\]: mode maximum: not symmetric and positive semidefinite")

@@ -35,7 +35,8 @@ STILL = (0.0, 0.0, 0.0)
 def moved(fault: str, size: float, mode: int) -> Vector:
     """The shift (K,) of the evidence generators."""
     pattern = PATTERNS.get(fault, {})
-    return size * np.array([pattern.get(name, STILL)[mode] for name in EVIDENCE.generators]) * SPREAD[mode]
+    spreads = np.array([pattern.get(name, STILL)[mode] for name in EVIDENCE.generators])
+    return np.asarray(size * spreads * SPREAD[mode])
 
 
 class Vehicle:
@@ -122,6 +123,8 @@ def test_what_no_fault_explains_is_unknown_near_what_its_tests_share() -> None:
 
 def test_a_fault_that_shows_while_dosing_alone_does_not_heal_at_idle() -> None:
     vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE):
+        vehicle.drive(SETTLED, mode)
     for mode in (PARTIAL, MAXIMUM, PARTIAL, MAXIMUM):
         vehicle.drive(SETTLED, mode, {"fA_dos": 0.8})
     assert vehicle.named[0] == ("fA_dos", 1)

@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.core.decision import CONFIRMED, ranked
-from service.core.hypotheses import MINIMUM_TICKS, Hypotheses, Look, confined
+from service.core.hypotheses import Hypotheses, Look, confined
 from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Evidence, Hypothesis
 from service.core.modes import EDGE
-from service.core.window import PART_TICKS, Means, Window
+from service.core.straying import MINIMUM_TICKS, Means
+from service.core.window import PART_TICKS, Window
 
 FAULTS = ["fA", "fB", "fC", "fD"]
 CONFLICTS = st.lists(st.frozensets(st.sampled_from(FAULTS), min_size=1), max_size=6)
@@ -50,6 +51,7 @@ def _evidence(**changed: object) -> Evidence:
     given: dict[str, Any] = {
         "generators": ["t1", "t3"],
         "offset": [[0.0, 0.0]] * 4,
+        "spread": [[0.2, 0.2]] * 4,
         "noise": [[[0.04, 0.0], [0.0, 0.04]]] * 4,
         "visit": [[[0.0, 0.0], [0.0, 0.0]]] * 4,
         "allowance": [[0.05, 0.05]] * 4,
