@@ -51,7 +51,7 @@ def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_on
         assert one.delay_s is not None, one
         assert one.delay_s < 60.0, one
         assert one.excited_s is not None, one
-        assert one.excited_s <= one.delay_s + 0.2, one
+        assert one.excited_s <= one.delay_s + 0.3, one  # a tick, and both are rounded
 
 
 def test_an_hour_is_driven_and_counted(shop: Workshop, told: Record) -> None:
