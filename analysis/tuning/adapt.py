@@ -50,7 +50,8 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
         raise InputError(
             f"{path}: its recording {min(shared)[:12]} has made the model; take a base without this vehicle's drives"
         )
-    used = dict.fromkeys(base.recordings, "in the base") | dict.fromkeys(calibrated, "to make the model")
+    used = dict.fromkeys([*base.recordings, *base.calibrated], "in the base")
+    used |= dict.fromkeys(calibrated, "to make the model")
     vehicle = read(runnable, recordings, used, progress)
     described = stand_ins(bank.model)
     _check_length(vehicle, described)
@@ -64,6 +65,7 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
         base,
         model_sha256=model_digest(dump_model(bank.model)),
         recordings=[*base.recordings, *(drive.sha256 for drive in vehicle.drives)],
+        calibrated=[*base.calibrated, *calibrated],
         detectors=detectors,
         evidence=_evidence(base, detectors[: len(names)], bank, [drive.seen for drive in vehicle.drives]),
         golden_z=golden(vehicle.drives[0].seen),
@@ -152,7 +154,7 @@ def _counts(vehicle: Vehicle, mode: int) -> tuple[int, int]:
     for drive in vehicle.drives:
         inside = drive.seen.usable.all(axis=1) & (drive.seen.mode == mode)
         ticks += int(inside.sum())
-        visits += int((np.diff(inside.astype(np.int8), prepend=0) > 0).sum())
+        visits += int((np.diff(drive.seen.ticks[inside], prepend=-2) > 1).sum())
     return max(ticks, 1), max(visits, 1)
 
 

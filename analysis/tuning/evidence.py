@@ -120,19 +120,19 @@ def _standard(s: Seen, spread: Array) -> Array:
     return standard
 
 
-def _visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[Array]:
+def visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[Array]:
     """The residuals (n, rows) of every stay in a mode."""
     for s in recordings:
-        inside = s.usable.all(axis=1) & (s.mode == mode)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            yield s.r[begin:end][:, rows]
+        inside = np.flatnonzero(s.usable.all(axis=1) & (s.mode == mode))
+        for visit in np.split(inside, np.flatnonzero(np.diff(s.ticks[inside]) > 1) + 1):
+            if len(visit):
+                yield s.r[visit][:, rows]
 
 
 def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
     """The long-run covariance per tick (rows, rows) around each visit's mean, from means over 25 ticks."""
     total, freedom = np.zeros((len(rows), len(rows))), 0
-    for r in _visits(recordings, mode, rows):
+    for r in visits(recordings, mode, rows):
         blocks = len(r) // BLOCK_TICKS
         if blocks > 1:
             means = r[: blocks * BLOCK_TICKS].reshape(blocks, BLOCK_TICKS, -1).mean(axis=1)
@@ -146,12 +146,12 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Arra
     """How far visits to the mode stray within a drive (rows, rows), besides what their ticks' noise makes."""
     total, freedom = np.zeros_like(noise), 0
     for s in recordings:
-        visits = [r for r in _visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
-        if len(visits) > 1:
-            means = np.array([r.mean(axis=0) for r in visits])
+        stays = [r for r in visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
+        if len(stays) > 1:
+            means = np.array([r.mean(axis=0) for r in stays])
             away = means - means.mean(axis=0)
-            total += away.T @ away - (len(visits) - 1) * noise * np.mean([1.0 / len(r) for r in visits])
-            freedom += len(visits) - 1
+            total += away.T @ away - (len(stays) - 1) * noise * np.mean([1.0 / len(r) for r in stays])
+            freedom += len(stays) - 1
     least = noise / VISIT_TICKS
     return np.asarray(least + _positive(total / max(freedom, 1) - least))
 

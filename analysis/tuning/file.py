@@ -15,17 +15,17 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Detectors and evidence of one calibrated model, and of the networks beside it if there are any.
 
     `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
-    logs used, `golden_z` (K, nz) samples from the beginning of the first of them. `zero` (T, modes) [unit of r] is how
-    far from zero the vehicles' offsets lie, root mean square; `base` the SHA-256 of the tuning that this one was
-    adapted from.
+    logs used, `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from the beginning of
+    the first of the logs. `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie, root mean
+    square; `base` the SHA-256 of the tuning that this one was adapted from.
     """
 
     schema: str
     model_sha256: str
     recordings: list[str]
+    calibrated: list[str]
     modes: Modes
     start_within_s: float
-    sensor_set: str
     detectors: list[Detector]
     evidence: Evidence
     golden_z: list[list[float]]

@@ -28,7 +28,7 @@ def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], 
         origin=Origin(
             model=bank.model.name,
             model_sha256=tuning.model_sha256,
-            calibrate=recordings_of(bank.model),
+            calibrate=list(dict.fromkeys([*recordings_of(bank.model), *tuning.calibrated])),
             train=runnable.trained_on,
             tune=tuning.recordings,
             base=tuning.base,

@@ -31,7 +31,7 @@ class Seen:
     """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,).
 
     `sigma` (K, T) is the generators' own spread; only adaptive detectors need it. `level` (K, T) are the residuals
-    without the day, once that has been taken off.
+    without the day, once that has been taken off. `number` (K,) are those of the ticks, where not all are there.
     """
 
     name: str
@@ -41,6 +41,12 @@ class Seen:
     mode: npt.NDArray[np.int64]
     sigma: Array | None = None
     level: Array | None = None
+    number: npt.NDArray[np.int64] | None = None
+
+    @property
+    def ticks(self) -> npt.NDArray[np.int64]:
+        """The numbers (K,) of the ticks: where some are missing, one is no neighbour of the next."""
+        return np.arange(len(self.mode)) if self.number is None else self.number
 
     def only(self, count: int) -> "Seen":
         """With the first `count` generators alone."""
@@ -77,6 +83,7 @@ def seen(name: str, ticks: Sequence[Tick]) -> Seen:
         usable=usable,
         mode=np.array([tick.mode for tick in ticks]),
         sigma=np.array([tick.residuals.sigma for tick in ticks]),
+        number=np.array([tick.number for tick in ticks]),
     )
 
 
@@ -146,7 +153,7 @@ def describe(
         if kind == "adaptive":
             away = away * usual[mode] / sigma
         if kind == "spread":
-            away = np.concatenate([_steps(s.r[:, row], use) for s, use in zip(recordings, inside, strict=True)])
+            away = np.concatenate([_steps(s, row, use) for s, use in zip(recordings, inside, strict=True)])
         scales[mode] = max(_spread_of(away, kind), floor / 2)
     return Described(name, centres, scales, usual)
 
@@ -157,16 +164,16 @@ def standard(s: Seen, row: int, described: Described, kind: str) -> Run:
     spread = described.scale[mode]
     if kind == "adaptive":
         spread = spread * _sigma(s, row)[use] / described.usual[mode]
-    return Run(np.flatnonzero(use), (s.tested(kind)[use, row] - described.offset[mode]) / spread)
+    return Run(s.ticks[use], (s.tested(kind)[use, row] - described.offset[mode]) / spread)
 
 
 def _sigma(s: Seen, row: int) -> Array:
     return np.ones(len(s.r)) if s.sigma is None else s.sigma[:, row]
 
 
-def _steps(r: Array, use: npt.NDArray[np.bool_]) -> Array:
-    """Successive differences within a mode, with the variance of r."""
-    steps: Array = np.diff(r)[use[1:] & use[:-1]] / np.sqrt(2.0)
+def _steps(s: Seen, row: int, use: npt.NDArray[np.bool_]) -> Array:
+    """Differences from one tick to the next within a mode, with the variance of r."""
+    steps: Array = np.diff(s.r[:, row])[use[1:] & use[:-1] & (np.diff(s.ticks) == 1)] / np.sqrt(2.0)
     return steps
 
 

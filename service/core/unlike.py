@@ -50,7 +50,7 @@ class Unlike:
         level[self._rows] = self._day.taken_off(mode, residuals.r[self._rows])
         self._blind = 0 if residuals.usable[self._rows].any() else self._blind + 1
         if self._blind > FROZEN_TICKS:
-            self.alarm = False
+            self.rest()
         return level
 
     def add(self, mode: int, residuals: Residuals, *, suspected: bool) -> None:

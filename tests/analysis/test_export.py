@@ -46,7 +46,7 @@ def made(tmp_path: Path) -> Made:
         recordings=[TUNED],
         modes=modes_of(load_model("uds4")),
         start_within_s=START_WITHIN_S,
-        sensor_set="instrumented",
+        calibrated=[],
         zero=[d.offset for d in golden.manifest.detectors],
         detectors=golden.manifest.detectors,
         evidence=golden.manifest.evidence,

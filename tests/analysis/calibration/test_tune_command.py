@@ -108,8 +108,10 @@ def test_without_a_target_other_vehicles_are_pooled_by_the_usual_rule(fleet: Fle
         assert pooled.offset == own.offset
         assert pooled.J >= 0.5 * own.J / MARGIN
     for name in {*both.evidence.generators} & {*one.evidence.generators}:
-        spread = [[row[e.generators.index(name)] for row in e.spread] for e in (both.evidence, one.evidence)]
-        np.testing.assert_allclose(*spread, rtol=0.5)
+        pooled_one, own_one = (
+            [row[e.generators.index(name)] for row in e.spread] for e in (both.evidence, one.evidence)
+        )
+        np.testing.assert_allclose(pooled_one, own_one, rtol=0.5)
 
 
 @pytest.mark.parametrize(("kind", "count"), [("one-sided", 20), ("threshold", 10), ("low-pass", 10), ("adaptive", 10)])

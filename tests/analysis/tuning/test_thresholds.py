@@ -1,18 +1,21 @@
 """Detectors from made residuals whose centre, spread and lasting bias are known."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J
-from analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen
+from analysis.tuning.evidence import visits
+from analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J, described_by
+from analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen, standard
 from analysis.tuning.thresholds import tune_detectors as tune_all
 from service.core.detectors.cusum import Cusum
+from service.core.detectors.spread import Spread
 from service.core.errors import InputError
 from service.core.generators import Residuals
-from service.core.manifest import MODES, CusumDetector
+from service.core.manifest import MODES, CusumDetector, kind_of
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.core.observer import Tick
 
@@ -190,3 +193,21 @@ def test_a_recording_without_a_usable_tick_is_refused() -> None:
     """Such as a log without the added sensors."""
     with pytest.raises(InputError, match="production: some test could tell for 0 ticks only"):
         seen("production", [])
+
+
+def test_ticks_on_both_sides_of_a_gap_are_no_neighbours() -> None:
+    """A dropout that is cut out: a difference over it is none, and a stay goes on as another visit."""
+    whole = made(3)
+    kept = np.flatnonzero((np.arange(len(whole.r)) % 100 < 40) | (np.arange(len(whole.r)) % 100 > 60))
+    cut = replace(
+        whole, z=whole.z[kept], r=whole.r[kept], usable=whole.usable[kept], mode=whole.mode[kept], number=kept
+    )
+    [detector] = [d for d in tune_all(NAMES[:1], [cut], FLOOR, OWN, ("cusum", "spread")) if kind_of(d) == "spread"]
+    run = standard(cut, 0, described_by(detector), "spread")
+    np.testing.assert_array_equal(run.tick, kept)
+    before, after = np.flatnonzero(np.diff(kept) > 1)[0], np.flatnonzero(np.diff(kept) > 1)[0] + 1
+    seen_there = Spread(1.0, 0, 30.0)
+    for index in (before, after):
+        seen_there.update(int(run.tick[index]), float(run.s[index]))
+    assert seen_there.value == 0.0
+    assert len([*visits([cut], IDLE, [0])]) == 2 * len([*visits([whole], IDLE, [0])])
