@@ -129,7 +129,8 @@ def _nothing(event: Event) -> str:
     if event.transition == "dismissed":
         return "no test alarms any more, and nothing was confirmed"
     if event.alarm or event.transition == "suspected":
-        return "not confirmed yet: what is seen now decides"
+        why = "" if event.alarm else "no test alarms, but this is unlike the drive so far, or unlike any: "
+        return f"{why}not confirmed yet: what is seen now decides"
     if event.cannot_tell:
         return "no alarm, but not known to be free of faults: some tests cannot tell"
     return "no fault: every test is quiet"

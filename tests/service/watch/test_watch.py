@@ -77,6 +77,12 @@ def test_alarms_without_an_explanation_are_not_no_fault() -> None:
     assert "no fault" not in describe(event, {})
 
 
+def test_a_suspicion_without_an_alarm_says_what_raised_it() -> None:
+    event = msgspec.structs.replace(QUIET, transition="suspected")
+    assert "no test alarms, but this is unlike the drive so far" in describe(event, {})
+    assert "every test is quiet" not in describe(event, {})
+
+
 def test_what_is_unknown_is_said_to_be_near_the_equations_that_it_breaks() -> None:
     unknown = msgspec.structs.replace(FAULT, diagnoses=[Diagnosis(faults=[], rank=1, p=None, near=["e01", "e02"])])
     said = describe(unknown, {}, {"e01": Equation(name="e01", description="flow of the pump")})
