@@ -67,9 +67,10 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
         [bundles[which]["verdicts"][name] for which in ("before", "after")]
         for name in ("truck-drive-s11-fA_ori", "truck-drive-s12-fq_pump")
     )
-    assert [verdict["named"] for verdict in pump] == [False, True]
-    assert [verdict["isolated"] for verdict in orifice] == [["fA_ori", "fA_dos"], ["fA_ori"]]
-    assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([44.0, 26.0], abs=1.0)
+    assert [verdict["isolated"] for verdict in orifice] == [["fA_ori"], ["fA_ori"]]
+    assert [verdict["isolated"] for verdict in pump] == [["fA_p", "fq_pump"]] * 2
+    assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([44.0, 14.0], abs=1.0)
+    assert [verdict["delay_s"] for verdict in pump] == pytest.approx([38.0, 5.0], abs=1.0)
 
 
 @pytest.mark.long

@@ -65,7 +65,7 @@ def test_the_better_model_tolerates_less_where_the_wrong_flow_mattered(corrected
     shares = corrected.tolerances
     assert set(shares) == {g.test for g in corrected.after.generators}
     assert shares["t12"] < 0.5  # predicts the pressure after the pump from the flow out of the dosing unit
-    assert shares["t08"] == pytest.approx(1.0)  # it has no dosing valve
+    assert shares["t08"] == pytest.approx(1.0, abs=0.1)  # it has no dosing valve; its day is known by the others too
     sentence = corrected.sentences()[2]
     assert sentence.startswith("lasting deviation that is tolerated: t")
     assert sentence.endswith(" times, the others as much as before")
