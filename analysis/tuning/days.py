@@ -17,6 +17,7 @@ def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:
     day, level = Day(evidence), s.r.copy()
     for mode, own, usable in zip(s.mode.tolist(), s.r[:, rows], s.usable[:, rows], strict=True):
         day.add(mode, own, usable)
+    day.settle()
     for tick, mode in enumerate(s.mode.tolist()):
         level[tick, rows] = day.taken_off(mode, s.r[tick, rows])
     return replace(s, level=level)

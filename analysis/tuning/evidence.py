@@ -31,6 +31,7 @@ ENOUGH = 8
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
 PER_DIRECTION = 3  # recordings, at least
 STEPS = 100  # of expectation maximisation
+LEAST_OWN = 0.01  # of the spread: what each mean strays by itself, so that there is something to divide by
 
 
 def gather(
@@ -186,15 +187,15 @@ def as_seen(means: Array, spread: Array, drifts: Array) -> tuple[Array, Array]:
     R, shape = len(means), means.shape[1:]
     y = (means / spread)[:, :EDGE].reshape(R, -1)
     W = (drifts / spread)[:, :EDGE].reshape(len(drifts), y.shape[1])
-    size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), 1e-6)
+    size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), LEAST_OWN)
     x = np.zeros((R, len(W)))
     for _ in range(STEPS):
         gain = (size**2 * W.T).T @ np.linalg.inv((size**2 * W.T) @ W + np.diag(own**2))  # (drifts, means)
         x = y @ gain.T
-        V = np.diag(size**2) - gain @ (size**2 * W.T)
+        V = _positive(np.diag(size**2) - gain @ (size**2 * W.T))
         size = np.sqrt((x**2).mean(axis=0) + V.diagonal())
         own = np.sqrt(((y - x @ W) ** 2).mean(axis=0) + np.einsum("kd,kl,ld->d", W, V, W))
-        own = np.maximum(own, 1e-6)
+        own = np.maximum(own, LEAST_OWN)
     left, more = _directions(y - x @ W)
     alone, found = np.abs(means).max(axis=0) / spread, np.zeros((len(W) + len(more), *shape))
     alone[:EDGE] = np.sqrt(np.maximum(left**2 + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(EDGE, -1)

@@ -158,7 +158,7 @@ def _sizes(evidence: Evidence) -> Iterator[str]:
     if len(evidence.hypotheses) > MOST_HYPOTHESES:
         yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
     yield from _widths(evidence)
-    parts = {name: getattr(evidence, name) for name in ("offset", "noise", "visit", "allowance", "drifts")}
+    parts = {name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance", "drifts")}
     for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"
@@ -167,6 +167,8 @@ def _sizes(evidence: Evidence) -> Iterator[str]:
 def _widths(evidence: Evidence) -> Iterator[str]:
     spread = np.sqrt(np.array([np.diag(noise) for noise in evidence.noise]))  # (modes, K)
     visit = np.sqrt(np.array([np.diag(rows) for rows in evidence.visit]))
+    if (np.array(evidence.spread) ** 2 * WIDEST < spread**2).any():
+        yield f"evidence.spread: a value below a {WIDEST**0.5:.0f}th of the spread of the noise"
     of = {"visit": visit, "allowance": np.array(evidence.allowance), "drifts": np.array(evidence.drifts)}
     for name, values in of.items():
         if values.size and (np.abs(values) > WIDEST * spread).any():

@@ -7,12 +7,14 @@ A fault that was there from the start is taken off too where a day could look li
 it, and `service.core.unlike` looks at that.
 
 What a tick shows counts half a minute to a minute later, if nothing is suspected until then: what a fault does before
-it is suspected must not become the day. And a day moves on: its sums forget, and no day is known better than `WANDER`.
+it is suspected must not become the day. And a day moves on. Its sums forget, no day is known better than `WANDER`, and
+one that nothing has been learnt of for a while comes back to the usual one, as an Ornstein-Uhlenbeck process does:
+
+    mean <- mean * f,  P <- P0 + f^2 (P - P0),  f = exp(-t / tau)
 """
 
 import numpy as np
 
-from service.core.generators import NOTHING
 from service.core.manifest import Evidence
 from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
@@ -25,7 +27,10 @@ REMEMBERED_TICKS = 6000
 """20 min: when so many ticks of a mode are known, half of them are forgotten."""
 
 WANDER = 0.1
-"""How far a day moves while it is used, in parts of how far days differ."""
+"""How far a day moves while it is learnt, in parts of how far days differ."""
+
+TAU_TICKS = 90_000.0
+"""5 h: a day that nothing is learnt of moves by a fifth of that in six minutes, by half of it in an hour."""
 
 WIDENED = 3.0
 """Detectors see residuals in parts of their spread and of so many standard deviations of what is unknown of the day."""
@@ -38,39 +43,54 @@ class Day:
         self._straying = Straying(evidence)
         self._offset, self._spread = np.array(evidence.offset), np.array(evidence.spread)
         self._shape = 3, *self._straying.offset.shape
-        self._pending = 3 + len(evidence.hypotheses), *self._straying.offset.shape
         self.forget()
 
     def forget(self) -> None:
         """Begins anew: nothing is known."""
-        self._known = np.zeros(self._shape)  # sums as in `Means`
-        self._level = self._straying.unknown
+        self._known = np.zeros(self._shape)  # sums as in `Means`, since what was known `before` them
+        self._level = self._before = self._straying.unknown
+        self._aged = 0  # ticks of which nothing was learnt
         self.discard()
+
+    def begin(self, seen: Means) -> None:
+        """Begins anew with what has been seen."""
+        self.forget()
+        self._learn(np.array([seen.ticks, seen.squares, seen.total]))
 
     def discard(self) -> None:
         """Something is suspected: what has been seen of late is not taken for the day's."""
-        self._older, self._newer = np.zeros(self._pending), np.zeros(self._pending)
+        self._older, self._newer = np.zeros(self._shape), np.zeros(self._shape)
         self._visit = Visit(self._shape[-1])
         self._ticks = 0
 
-    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector = NOTHING, *, suspected: bool = False) -> None:
-        """Takes the residuals (K,) of a tick and the shifts (H, K) of the hypotheses; not the day's if `suspected`."""
+    def add(self, mode: int, r: Vector, usable: Mask) -> None:
+        """Takes the residuals (K,) of a tick at which nothing is suspected."""
         self._visit.in_mode(mode)
         if mode != EDGE:
             part = self._newer[:, mode]
             part[0] += usable
             part[1] += usable * (2.0 * self._visit.length + 1.0)
             part[2] += np.where(usable, r, 0.0)
-            if len(shift):
-                part[3:] += np.where(usable, shift, 0.0)
             self._visit.length = self._visit.length + usable
         self._ticks += 1
         if self._ticks % GUARD_TICKS == 0:
-            if not suspected:
-                self._known += self._older[:3]
-            self._older, self._newer = self._newer, np.zeros(self._pending)
-            self._known[:, self._known[0] >= REMEMBERED_TICKS] /= 2.0
-            self._learn()
+            learnt, self._older, self._newer = self._older, self._newer, np.zeros(self._shape)
+            self._learn(learnt)
+
+    def wait(self) -> None:
+        """A tick of which nothing is learnt: a day moves on, and what waited to be learnt is old."""
+        self._aged += 1
+        if self._aged % GUARD_TICKS == 0:
+            f, unknown = float(np.exp(-GUARD_TICKS / TAU_TICKS)), self._straying.unknown.covariance
+            covariance = unknown + f**2 * (self._level.covariance - unknown)
+            self._level = self._before = Level(f * self._level.mean, covariance)
+            self._known[:] = 0.0
+            self.discard()
+
+    def settle(self) -> None:
+        """Nothing more is to come: what has been seen of late is the day's too."""
+        self._learn(self._older + self._newer)
+        self.discard()
 
     def taken_off(self, mode: int, r: Vector) -> Vector:
         """The residuals (K,) of a tick as detectors see them: without the day, and drawn to the offset.
@@ -83,21 +103,17 @@ class Day:
         wider = np.sqrt(1.0 + WIDENED**2 * variance / self._spread[mode] ** 2)
         return np.asarray(self._offset[mode] + (r - self._offset[mode] - mean) / wider)
 
-    def _learn(self) -> None:
-        level = self._straying.known(_means(self._known))
+    def _learn(self, sums: Vector) -> None:
+        if not sums[0].any():  # nothing could tell
+            return
+        self._known += sums
+        self._known[:, self._known[0] >= REMEMBERED_TICKS] /= 2.0
+        ticks, squares, total = self._known
+        seen = Means(ticks, np.minimum(squares, ticks**2), total, np.zeros((0, *ticks.shape)))
+        level = self._straying.known(seen, self._before)
         self._level = Level(level.mean, level.covariance + WANDER**2 * self._straying.unknown.covariance)
-
-    @property
-    def recent(self) -> Means:
-        """What has been seen of late, which is not taken for the day's yet."""
-        return _means(self._older + self._newer)
 
     @property
     def level(self) -> Level:
         """Where the day puts the means."""
         return self._level
-
-
-def _means(sums: Vector) -> Means:
-    ticks, squares, total, *shift = sums
-    return Means(ticks, np.minimum(squares, ticks**2), total, np.array(shift).reshape(-1, *ticks.shape))

@@ -41,6 +41,9 @@ SURE = 100.0
 CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
+VAIN_TICKS = 3000
+"""10 min: what was not confirmed until then is taken for the day's."""
+
 DOUBTED, DOUBTS = 10.0, 20
 """A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
 best one fits better by less than this: what confirmed it was on its way to somewhere usual."""
@@ -96,6 +99,7 @@ class Decision:
         self._settled = self._cleared = False
         self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
+        self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = False
@@ -107,11 +111,11 @@ class Decision:
         self._usable = residuals.usable
         self.level = self._unlike.without_day(mode, residuals)
         self._detectors.update(tick, mode, residuals._replace(level=self.level))
-        self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubts < DOUBTS)
+        self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubted is None)
         if tick % RANKING_PERIOD == 0:
             self._unlike.look()
         if self.suspicious:
-            if self._latest is None:
+            if self._latest is None or self._is_news():
                 self._open(tick)
             self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
             self._quiet[:] = 0.0
@@ -122,8 +126,9 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        if tick % RANKING_PERIOD == 0 and (self.suspicious or not self._settled):  # or it may be healing
-            self._weigh(settled)
+        if tick % RANKING_PERIOD == 0 and self._doubted is None and (self.suspicious or not self._settled):
+            self._weigh(settled)  # but not what is healing
+            self._doubt(tick)
         if self.suspicious:
             self._count_unseen()
         else:
@@ -133,15 +138,17 @@ class Decision:
         """An episode begins: what is seen from now on is looked at apart."""
         self._look, self._deviating, self._settled = None, frozenset(), False
         self._showing[:], self._alarmed = False, frozenset()
-        self._first, self._cleared, self._doubts, self._unseen = tick, False, 0, 0
+        self._first, self._cleared, self._unseen = tick, False, 0
+        self._doubts, self._doubted = 0, None
         self._window.clear()
         self._unlike.suspect()
 
     def _count_unseen(self) -> None:
         """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
-        if self._usable[self._looked_at].all():
+        alarmed = self._detectors.alarmed & self._trusted
+        if self._usable[self._looked_at].all() or not alarmed:
             self._unseen = 0
-        elif any(self._usable[row] for row in self._detectors.alarmed & self._trusted):
+        elif any(self._usable[row] for row in alarmed):
             self._unseen += 1
 
     def _wait(self, tick: int, mode: int) -> None:
@@ -153,7 +160,7 @@ class Decision:
         if healed or not self.confirmed:
             if self.confirmed:
                 self._unlike.rest()
-            self._latest, self.confirmed = None, False
+            self._latest, self._doubted, self.confirmed = None, None, False
             self._diagnoses = []
 
     def _weigh(self, settled: bool) -> None:
@@ -171,12 +178,23 @@ class Decision:
         self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
         self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
-        if self._doubts >= DOUBTS:
-            self.confirmed, self._diagnoses = False, []
-            self._unlike.rest()
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
             self._explain()
+
+    def _doubt(self, tick: int) -> None:
+        """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the day's."""
+        if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= VAIN_TICKS):
+            self.confirmed, self._diagnoses = False, []
+            self._doubted = self._detectors.firing
+            self._unlike.accept(self._window.means)
+
+    def _is_news(self) -> bool:
+        """Whether something else is suspected than what was doubted."""
+        if self._doubted is None:
+            return False
+        self._doubted &= self._detectors.firing
+        return self._unlike.alarm or self._detectors.firing != self._doubted
 
     @property
     def suspicious(self) -> bool:

@@ -91,13 +91,16 @@ class Straying:
         """How far the means (C, K) lie from the vehicle's offsets; zero where nothing was seen."""
         return np.asarray(np.where(means.ticks > 0, means.total / np.maximum(means.ticks, 1.0) - self.offset, 0.0))
 
-    def known(self, means: Means) -> Level:
-        """The level of a day of which these means were seen without a fault: what is expected of all, given some."""
+    def known(self, means: Means, before: Level) -> Level:
+        """The level of a day of which these means were seen without a fault: what is expected of all, given some.
+
+        `before` is what was known of it before.
+        """
         seen: Indices = np.flatnonzero(means.seen)
         if not len(seen):
-            return self.unknown
-        P = self.unknown.covariance
+            return before
+        P = before.covariance
         S = P[np.ix_(seen, seen)] + self.scatter(means)[np.ix_(seen, seen)]
         gain = np.linalg.solve(S, P[seen]).T  # (D, seen)
-        mean = gain @ self.deviation(means).ravel()[seen]
-        return Level(mean.reshape(self.offset.shape), P - gain @ P[seen])
+        mean = before.mean + (gain @ (self.deviation(means) - before.mean).ravel()[seen]).reshape(before.mean.shape)
+        return Level(mean, P - gain @ P[seen])

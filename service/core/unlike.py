@@ -13,8 +13,8 @@ from service.core.generators import Residuals
 from service.core.hypotheses import Hypotheses
 from service.core.manifest import Evidence
 from service.core.signals import Vector
-from service.core.straying import Level
-from service.core.window import Window
+from service.core.straying import Level, Means
+from service.core.window import Recent, Window
 
 CHANGED, SAME = 15.0, 10.0
 """How much better than none a fault must fit, on this day, what has been seen of late; and that it no longer does."""
@@ -24,17 +24,17 @@ UNLIKE = 30.0
 
 
 class Unlike:
-    """The day, and all that was seen at ticks at which nothing was suspected.
+    """The day, what was seen of late, and all that was seen while nothing was suspected.
 
     Its alarm stands while what is seen of late is unlike this day; that of what is unlike any day stands until `rest`.
-    Evidence that has been unable to tell for long says nothing of now: then the alarm ends by itself.
+    Evidence that has been unable to tell for long says nothing of now, nor is the day still known: all begins anew.
     """
 
     def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses) -> None:
         self._rows = [generators.index(name) for name in evidence.generators]
         self._hypotheses = hypotheses
         self._day = Day(evidence)
-        self._ever = Window(evidence, generators)
+        self._recent, self._ever = Recent(evidence, generators), Window(evidence, generators)
         self._unlike_any = False
         self._blind = 0  # ticks since any of the evidence could tell
         self.alarm = False
@@ -48,33 +48,43 @@ class Unlike:
         """The residuals (T,) of a tick as detectors of the level see them."""
         level = residuals.r.copy()
         level[self._rows] = self._day.taken_off(mode, residuals.r[self._rows])
-        self._blind = 0 if residuals.usable[self._rows].any() else self._blind + 1
-        if self._blind > FROZEN_TICKS:
-            self.rest()
         return level
 
     def add(self, mode: int, residuals: Residuals, *, suspected: bool) -> None:
         """A tick, at which something is suspected already or not."""
-        r, usable = residuals.r[self._rows], residuals.usable[self._rows]
-        self._day.add(mode, r, usable, residuals.shift, suspected=suspected)
-        if not suspected:
+        usable = residuals.usable[self._rows]
+        self._recent.add(mode, residuals.r, residuals.usable, residuals.shift)
+        if suspected or not usable.any():
+            self._day.wait()
+        else:
+            self._day.add(mode, residuals.r[self._rows], usable)
             self._ever.add(mode, residuals.r, residuals.usable, residuals.shift)
+        self._blind = 0 if usable.any() else self._blind + 1
+        if self._blind == FROZEN_TICKS:
+            self._day.forget()
+            self.rest()
 
     def look(self) -> None:
         """Whether anything is unlike; asked now and then."""
-        today = self._hypotheses.look(self._day.recent, self._day.level)
         ever = self._hypotheses.look(self._ever.means)
-        self._unlike_any = self._unlike_any or (ever is not None and ever.gain > UNLIKE)
+        if not self._unlike_any and ever is not None and ever.gain > UNLIKE:
+            self._unlike_any = True
+            self._day.forget()  # it is this day's usual that is suspected
+        today = self._hypotheses.look(self._recent.means, self._day.level)
         gain = 0.0 if today is None else today.gain
         self.alarm = self._unlike_any or gain > CHANGED or (self.alarm and gain > SAME)
 
     def suspect(self) -> None:
-        """Something is suspected: what was seen of late is not the day's; if it is the day that is, it is forgotten."""
+        """Something is suspected: what was seen of late is not the day's."""
         self._day.discard()
-        if self._unlike_any:
-            self._day.forget()
+
+    def accept(self, seen: Means) -> None:
+        """What has been seen while something was suspected is the day's."""
+        self._day.begin(seen)
+        self.rest()
 
     def rest(self) -> None:
         """What was suspected is over, or was nothing."""
         self.alarm = self._unlike_any = False
         self._ever.clear()
+        self._recent.clear()

@@ -15,6 +15,7 @@ from service.core.signals import Mask, Vector
 from service.core.straying import Means, Visit
 
 PART_TICKS = 750  # 150 s
+RECENT_TICKS = 150  # 30 s
 
 
 class Window:
@@ -32,17 +33,12 @@ class Window:
         self._sums = np.zeros((2, 3 + self._hypotheses, EDGE, K))
         self._visit = Visit(K)
 
-    def wait(self, mode: int) -> None:
-        """A tick that is not taken: a visit lasts as long as the mode does, whether its ticks count or not."""
-        self._visit.in_mode(mode)
-
     def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
         """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
-        self.wait(mode)
+        self._visit.in_mode(mode)
+        self._forget(mode)
         if mode == EDGE:
             return
-        if self._sums[1, 0, mode].max() >= PART_TICKS:
-            self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
         told = usable[self._columns]
         part = self._sums[1, :, mode]
         part[0] += told
@@ -52,9 +48,27 @@ class Window:
             part[3:] += np.where(told, shift, 0.0)
         self._visit.length = self._visit.length + told
 
+    def _forget(self, mode: int) -> None:
+        if mode != EDGE and self._sums[1, 0, mode].max() >= PART_TICKS:
+            self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
+
     @property
     def means(self) -> Means:
         """What was seen."""
         ticks, squares, total, *shift = self._sums.sum(axis=0)
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
         return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))
+
+
+class Recent(Window):
+    """The same of the last 30 to 60 s alone, whatever the mode: one that has not been visited since is not seen."""
+
+    def clear(self) -> None:
+        """Starts anew."""
+        super().clear()
+        self._ticks = 0
+
+    def _forget(self, _mode: int) -> None:
+        self._ticks += 1
+        if self._ticks % RECENT_TICKS == 0:
+            self._sums[0], self._sums[1] = self._sums[1], 0.0

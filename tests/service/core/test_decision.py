@@ -1,11 +1,13 @@
 """Suspected, confirmed, explained, healed: the decision over made residuals with the golden bundle's manifest."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from service.bundle import load_bundle
-from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, SUREST, UNSEEN_TICKS, Decision
+from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, SUREST, UNSEEN_TICKS, VAIN_TICKS, Decision
 from service.core.detectors.bank import FROZEN_TICKS
 from service.core.generators import Residuals
 from service.core.manifest import CusumDetector
@@ -30,6 +32,7 @@ PATTERNS = {
     "strange": {"t02.ode": (1.0, 1.0, 1.0), "t08.ode": (-1.0, -1.0, -1.0)},  # no fault does that
 }
 STILL = (0.0, 0.0, 0.0)
+T08 = EVIDENCE.generators.index("t08.ode")
 
 
 def moved(fault: str, size: float, mode: int) -> Vector:
@@ -52,9 +55,18 @@ class Vehicle:
         mode: int,
         faults: dict[str, float] | None = None,
         mute: tuple[str, ...] = (),
+        stuck: dict[str, float] | None = None,
+        day: Vector | None = None,
     ) -> None:
-        """Ticks in a mode under these faults; those `mute` cannot tell."""
+        """Ticks in a mode under these faults; those `mute` cannot tell, `stuck` are off by so many of their spreads.
+
+        `day` (modes, K) is another one.
+        """
         r = OFFSET[:, mode].copy()
+        for name, size in (stuck or {}).items():
+            r[NAMES.index(name)] += size * SCALE[NAMES.index(name), mode]
+        if day is not None:
+            r[ROWS] += day[mode]
         for fault, size in (faults or {}).items():
             r[ROWS] += moved(fault, size, mode) if mode != EDGE else 0.0
         largest = {
@@ -158,7 +170,7 @@ def test_a_disturbance_that_passes_is_withdrawn_though_its_sum_never_comes_back_
 
 
 def test_a_sensor_that_has_nothing_to_do_with_it_does_not_keep_a_fault_from_healing() -> None:
-    vehicle = Vehicle()
+    vehicle = calm()
     for mode in (PARTIAL, MAXIMUM, PARTIAL, MAXIMUM):
         vehicle.drive(SETTLED, mode, {"fA_dos": 0.8})
     assert vehicle.named
@@ -210,3 +222,73 @@ def test_blindness_that_comes_later_does_not_undo_what_the_window_has_told() -> 
     assert vehicle.named == [("fA_du", 1)]
     vehicle.drive(SETTLED, MAXIMUM, {"fA_du": 0.6})
     assert vehicle.named == [("fA_du", 1)]
+
+
+def calm(ticks: int = 3 * SETTLED) -> Vehicle:
+    """A vehicle whose day is known."""
+    vehicle = Vehicle()
+    for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL):
+        vehicle.drive(ticks, mode)
+    return vehicle
+
+
+def watched(vehicle: Vehicle, ticks: int, mode: int, faults: dict[str, float]) -> list[tuple[bool, bool, bool]]:
+    """Whether something is suspected, told, and whether a test alarms, at every tick."""
+    seen = []
+    for _ in range(ticks):
+        vehicle.drive(1, mode, faults)
+        seen.append((vehicle.decision.suspected, bool(vehicle.named), bool(vehicle.decision.alarm)))
+    return seen
+
+
+@pytest.mark.parametrize("size", [0.11, 0.13, 0.15, 0.17, 0.2])
+def test_a_change_that_no_test_alarms_at_is_one_suspicion_and_comes_to_an_end(size: float) -> None:
+    """Told, or the day's after a while: no suspicion for ever, and none again and again."""
+    vehicle = calm()
+    seen = watched(vehicle, 2 * VAIN_TICKS, PARTIAL, {"fA_du": size})
+    begun = sum(now[0] and not before[0] for before, now in pairwise(seen))
+    assert begun <= 2
+    assert seen[-1] in ((False, False, False), (False, True, True), (False, True, False))
+
+
+def test_what_the_evidence_alone_suspects_is_confirmed_and_told() -> None:
+    vehicle = calm()
+    seen = watched(vehicle, 600, MAXIMUM, {"fA_dos": 0.1})
+    assert not any(alarm for _, _, alarm in seen)
+    assert (True, False, False) in seen
+    assert vehicle.named == [("fA_dos", 1)]
+
+
+@pytest.mark.parametrize(("fault", "size"), [("fA_t", 0.3), ("fA_du", 0.25), ("fA_du", 0.2)])
+def test_a_test_that_is_stuck_in_alarm_does_not_hide_a_fault(fault: str, size: float) -> None:
+    """t06 is no evidence: its alarm is doubted after a while, and what comes then is news."""
+    vehicle = calm()
+    stuck = {"t06.ode": 10.0}
+    for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL):
+        vehicle.drive(VAIN_TICKS // 4, mode, stuck=stuck)
+    assert vehicle.decision.suspected
+    assert vehicle.named == []
+    vehicle.drive(300, PARTIAL, {fault: size}, stuck=stuck)
+    assert fault in {name for name, _ in vehicle.named}
+
+
+def test_a_repaired_fault_ends_though_a_test_of_the_evidence_died_under_it() -> None:
+    vehicle = Vehicle()
+    vehicle.drive(300, PARTIAL, {"fA_du": 0.5})
+    assert vehicle.named
+    vehicle.drive(UNSEEN_TICKS + 300, PARTIAL, {"fA_du": 0.5}, mute=("t13.ode",))
+    for mode in (PARTIAL, MAXIMUM, IDLE) * 30:
+        vehicle.drive(SETTLED, mode, mute=("t13.ode",))
+    assert vehicle.named == []
+    assert not vehicle.decision.suspected
+
+
+def test_a_stop_in_which_the_tank_is_filled_makes_no_fault() -> None:
+    """The first of the bundle's drifts that moves t08: 30 min without a test that can tell, then another day."""
+    level = next(np.array(drift) for drift in EVIDENCE.drifts if abs(np.array(drift)[IDLE, T08]) > 100.0)
+    vehicle = calm()
+    vehicle.drive(9000, IDLE, mute=tuple(NAMES))
+    for mode in (PARTIAL, MAXIMUM, IDLE) * 10:
+        vehicle.drive(SETTLED, mode, day=level)
+        assert vehicle.named == []
+    assert not vehicle.decision.suspected

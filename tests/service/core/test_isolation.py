@@ -139,7 +139,7 @@ def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
         window = _window(evidence)
         for ticks in stays:
             _add(window, 0, (0.5, 0.5), ticks=ticks)
-            window.wait(EDGE)
+            _add(window, EDGE, (0.0, 0.0))
         look = Hypotheses(evidence).look(window.means)
         assert look is not None
         gains.append(look.gain)
@@ -241,12 +241,11 @@ def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
 
 
 def test_a_stay_is_one_visit_however_it_is_interrupted() -> None:
-    """By lost samples, by a detector that alarms and does not, by what the window forgets."""
+    """By lost samples, and by what the window forgets."""
     window = _window(_evidence())
     for _ in range(40):
         _add(window, 0, (0.5, 0.5), ticks=20)
         _add(window, 0, (0.5, 0.5), told=(False, False))
-        window.wait(0)
     assert (window.means.ticks[0] ** 2 / window.means.squares[0]).tolist() == [1.0, 1.0]
     _add(window, 0, (0.5, 0.5), ticks=3 * PART_TICKS)
     assert (window.means.ticks[0] ** 2 / window.means.squares[0]).tolist() == [1.0, 1.0]
