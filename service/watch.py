@@ -128,7 +128,7 @@ def _nothing(event: Event) -> str:
     """No candidate is not the same as no fault."""
     if event.transition == "dismissed":
         return "no test alarms any more, and nothing was confirmed"
-    if event.alarm or event.transition == "suspected":
+    if event.alarm or event.suspected:
         why = "" if event.alarm else "no test alarms, but this is unlike the drive so far, or unlike any: "
         return f"{why}not confirmed yet: what is seen now decides"
     if event.cannot_tell:

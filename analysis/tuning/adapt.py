@@ -1,8 +1,9 @@
-"""A workshop's act: a tuning of reference vehicles is taken over for this one, which brings its offsets alone.
+"""A workshop's act: a tuning of reference vehicles is taken over for this one, which brings where its residuals lie.
 
-Spread, thresholds and what is known of straying come from the base; where each residual lies without a fault, from a
-short fault-free drive of this vehicle. A fault that is there already would be adapted away: so an offset is taken only
-where the reference vehicles make it plausible, and only where the drive was long enough to know it.
+Thresholds and what is known of days come from the base; the offset of each residual without a fault, and how loud it is
+within a drive where that is more than the base knows, from a short fault-free drive of this vehicle. A fault that is
+there already would be adapted away: so an offset is taken only where the reference vehicles make it plausible, and only
+where the drive was long enough to know it.
 """
 
 import hashlib

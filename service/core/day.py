@@ -29,8 +29,8 @@ REMEMBERED_TICKS = 6000
 WANDER = 0.1
 """How far a day moves while it is learnt, in parts of how far days differ."""
 
-TAU_TICKS = 90_000.0
-"""5 h: a day that nothing is learnt of moves by a fifth of that in six minutes, by half of it in an hour."""
+TAU_TICKS = 180_000.0
+"""10 h: a day that nothing is learnt of moves by a seventh of how far days differ in six minutes, by two fifths in 1 h."""
 
 WIDENED = 3.0
 """Detectors see residuals in parts of their spread and of so many standard deviations of what is unknown of the day."""

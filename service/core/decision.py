@@ -232,7 +232,7 @@ class Decision:
 
     @property
     def suspected(self) -> bool:
-        """Whether some test alarms and nothing is confirmed."""
+        """Whether something is suspected and nothing is confirmed."""
         return self._latest is not None and not self.confirmed
 
     @property

@@ -37,9 +37,10 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     """One transition of the diagnosis.
 
     `tick` and `t_s` [s] say when it was decided, in log time since the first tick; `since_tick` when the evidence began
-    (the alarmed tests' CUSUM last left zero), None without alarm. `alarm` and `cannot_tell` name tests; a test in
-    neither is quiet. `wall` is the wall clock's time (RFC 3339) on a vehicle and None offline, so that offline events
-    compare byte by byte. `bundle` is the SHA-256 of the manifest.
+    (the alarmed tests' CUSUM last left zero; or the suspicion, where none alarms), None where nothing is wrong.
+    `suspected`: something is, and nothing is confirmed, whether a test alarms or not. `alarm` and `cannot_tell` name
+    tests; a test in neither is quiet. `wall` is the wall clock's time (RFC 3339) on a vehicle and None offline, so that
+    offline events compare byte by byte. `bundle` is the SHA-256 of the manifest.
     """
 
     schema: str
@@ -54,6 +55,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     cannot_tell: list[str]
     since_tick: int | None
     bundle: str
+    suspected: bool = False
 
 
 def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], int, tuple[str, ...]]]:

@@ -243,7 +243,7 @@ class Count(_Part, frozen=True):
 
 
 class Claim(_Part, frozen=True):
-    """What fault-free recordings say of false alarms: suspicions (a detector alarms) and confirmed diagnoses.
+    """What fault-free recordings say of false alarms: suspicions, of detectors or of the evidence, and diagnoses told.
 
     Of all the drives, so many were `left_out` of tuning in turn, and counted on.
 

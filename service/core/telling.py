@@ -27,7 +27,7 @@ class Decided(Protocol):
 
     @property
     def suspected(self) -> bool:
-        """Whether some test alarms and nothing is confirmed."""
+        """Whether something is suspected and nothing is confirmed."""
 
     @property
     def since(self) -> int | None:
@@ -102,6 +102,7 @@ class Teller:
             cannot_tell=decision.cannot_tell,
             since_tick=decision.since,
             bundle=self._bundle,
+            suspected=decision.suspected,
         )
 
 

@@ -78,7 +78,7 @@ def test_alarms_without_an_explanation_are_not_no_fault() -> None:
 
 
 def test_a_suspicion_without_an_alarm_says_what_raised_it() -> None:
-    event = msgspec.structs.replace(QUIET, transition="suspected")
+    event = msgspec.structs.replace(QUIET, transition="suspected", suspected=True)
     assert "no test alarms, but this is unlike the drive so far" in describe(event, {})
     assert "every test is quiet" not in describe(event, {})
 
