@@ -30,7 +30,7 @@ WANDER = 0.1
 """How far a day moves while it is learnt, in parts of how far days differ."""
 
 TAU_TICKS = 180_000.0
-"""10 h: a day that nothing is learnt of moves by a seventh of how far days differ in six minutes, by two fifths in 1 h."""
+"""10 h: a day that nothing is learnt of moves by a seventh of how far days differ in 6 min, by two fifths in 1 h."""
 
 WIDENED = 3.0
 """Detectors see residuals in parts of their spread and of so many standard deviations of what is unknown of the day."""
