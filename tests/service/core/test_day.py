@@ -1,5 +1,6 @@
 """What is known of a day, what is taken off for it, and what is unlike it: two generators whose straying is known."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ def test_a_day_of_which_nothing_is_learnt_comes_back_to_the_usual_one() -> None:
     known = made.level
     for _ in range(round(TAU_TICKS)):
         made.wait()
-    assert made.level.mean == pytest.approx(known.mean / np.e, rel=0.01)
+    assert made.level.mean == pytest.approx(known.mean / math.e, rel=0.01)
     grown = made.level.variance / Straying(evidence()).unknown.variance
     assert grown == pytest.approx(1.0 - np.exp(-2.0), abs=0.03)
     for _ in range(4 * GUARD_TICKS):  # and what is learnt then is not outweighed by what was known hours ago
