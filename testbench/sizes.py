@@ -40,7 +40,32 @@ def effect(fault: Fault, healthy: Run) -> float:
     read = np.array([fault.size * (fault.name == "fy_p_tp"), fault.size * (fault.name == "fy_p_ap"), 0.0, 0.0])
     sensors, external = BENCH.ecu_sensors, BENCH.external
     noise = (external["y_p_tp"].noise, external["y_p_ap"].noise, sensors.noise_p_du, sensors.noise_n_p)
-    return float((np.abs(_means(run) + read - _means(healthy)) / noise).max())
+    t = np.arange(DOSING_FROM, DURATION, PERIOD)
+    return float((np.abs(means(run, t) + read - means(healthy, t)) / noise).max())
+
+
+def means(run: Run, t: Array) -> Array:
+    """Means of `WINDOW` seconds, one beginning every second of t: of p_tp, p_ap, y_p_du [Pa] and n_p [rev/s].
+
+    Without the added sensors' noise, which no single window should decide about.
+
+    Args:
+        run: a run of the rig.
+        t: (K,) instants `PERIOD` apart, of the rig's clock [s].
+
+    Returns:
+        (windows, 4).
+    """
+    known = np.searchsorted(run.ecu_t, t, side="right") - 1
+    columns = [
+        np.interp(t, run.t, run.pressures[:, 0]),
+        np.interp(t, run.t, run.pressures[:, 2]),
+        run.ecu[known, Knowledge._fields.index("p_du")],
+        run.ecu[known, Knowledge._fields.index("n_p")],
+    ]
+    size, step = round(WINDOW / PERIOD), round(1.0 / PERIOD)
+    sums = np.cumsum(np.vstack([np.zeros(4), np.stack(columns, axis=1)]), axis=0)
+    return np.asarray((sums[size:] - sums[:-size])[::step] / size)
 
 
 def found(name: str, healthy: Run) -> tuple[float, float]:
@@ -63,21 +88,6 @@ def main() -> None:
             continue  # silence has no size
         small, large = found(name, healthy)
         print(f"\n[fault.{name}]  # {meaning}\nsmall = {small:.3g}\nlarge = {large:.3g}", flush=True)
-
-
-def _means(run: Run) -> Array:
-    """10 s means every second from the first dose on, of p_tp, p_ap, y_p_du [Pa] and n_p [rev/s]; (windows, 4)."""
-    t = np.arange(DOSING_FROM, DURATION, PERIOD)
-    known = np.searchsorted(run.ecu_t, t, side="right") - 1
-    columns = [
-        np.interp(t, run.t, run.pressures[:, 0]),
-        np.interp(t, run.t, run.pressures[:, 2]),
-        run.ecu[known, Knowledge._fields.index("p_du")],
-        run.ecu[known, Knowledge._fields.index("n_p")],
-    ]
-    size, step = round(WINDOW / PERIOD), round(1.0 / PERIOD)
-    sums = np.cumsum(np.vstack([np.zeros(4), np.stack(columns, axis=1)]), axis=0)
-    return np.asarray((sums[size:] - sums[:-size])[::step] / size)
 
 
 def _smallest(excess: Callable[[float], float], largest: float) -> float:

@@ -1,7 +1,7 @@
 """What was wanted of the diagnosis beside what was measured: one row a figure."""
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from diagnosis_judged import EXCITED_S, LOOK_S, Judged
@@ -15,6 +15,10 @@ FAST = ("fA_ori", "fA_t", "fA_du")
 HOSE = "e10"
 """The balance of the hose after the pump, in the four-state model: what a leak there adds to."""
 
+SIZES = ("small", "large")
+
+Row = tuple[str, str, str]
+"""What, what was wanted, what was measured."""
 Mates = Mapping[int, Mapping[Cell, frozenset[str]]]
 
 
@@ -66,77 +70,69 @@ def median(values: Sequence[float | None]) -> str:
 
 def goals(told: Sequence[Judged], free: Hours, of_others: Mates) -> list[str]:
     """The table, as lines of Markdown."""
-    large, small = singles(told, "large"), singles(told, "small")
-    pump = [one for label in ("small", "large") for one in singles(told, label, only=["fA_p"])]
-    seen, unseen = ([one for one in pump if one.changes is changes] for changes in (True, False))
-    leaks = [one for label in ("small", "large") for one in singles(told, label, only=["leak_ap"])]
-    pairs = [one for one in told if one.kind == "pair"]
     rows = [
-        (
-            "fault-free: diagnoses told",
-            "none in 500 h over 20 vehicles",
-            exact_rate(len(free.false), free.hours) + f", {free.vehicles} vehicles",
-        ),
-        (
-            "fault-free: alarms of single tests",
-            "at the rate tuned",
-            exact_rate(sum(free.alarms.values()), free.hours) + f"; the first vehicle's tuning: {free.claim}",
-        ),
-        ("large: detected", "100 %", share(large, lambda one: one.detected)),
-        *(
-            (
-                f"large {fault}: median delay in exciting operation",
-                "< 15 s",
-                median([one.excited_s for one in large if one.faults[0] == fault]) + " s",
-            )
-            for fault in FAST
-        ),
-        ("large: true component in the diagnosis after 120 s", ">= 98 %", share(detected(large), Judged.holds)),
-        (
-            "large: alone or only with practical mates",
-            ">= 95 %",
-            share(detected(large), lambda one: narrow(one, of_others))
-            + f"; mates: {in_words(of_others, 'large', APART)}",
-        ),
-        ("large: alone", "-", share(detected(large), lambda one: one.first() == [*one.faults])),
-        ("large: mean size", "<= 1.5", mean_size(large)),
-        ("fA_p that changes what is measured: detected", "100 %", share(seen, lambda one: one.detected)),
-        (
-            "fA_p that changes what is measured: in the diagnosis after 120 s",
-            ">= 98 %",
-            share(detected(seen), Judged.holds),
-        ),
-        (
-            "fA_p that changes what is measured: alone or only with practical mates",
-            ">= 95 %",
-            share(detected(seen), lambda one: narrow(one, of_others)),
-        ),
-        ("fA_p that changes nothing: quiet", "100 %", share(unseen, lambda one: not one.detected)),
-        ("small: detected within 300 s of exciting operation", ">= 90 %", share(small, early)),
-        ("small: true component in the diagnosis after 120 s", ">= 95 %", share(detected(small), Judged.holds)),
-        ("small: mean size", "<= 2.5", mean_size(small)),
-        (
-            "fA_p that changes what is measured: unknown",
-            "-",
-            share(detected(seen), lambda one: one.first() == ["unknown"]),
-        ),
-        (
-            "leak: told as what it is to the model, a flow missing behind the pump (fq_pump)",
-            "-",
-            share(detected(leaks), _missing),
-        ),
-        ("leak: unknown", "100 %", share(detected(leaks), lambda one: one.first() == ["unknown"])),
-        ("leak: unknown, near the hose's balance", "100 %", share(detected(leaks), lambda one: one.located(HOSE))),
-        ("pairs: one diagnosis alone, with no true fault", "<= 2 %", share(detected(pairs), Judged.wrong_alone)),
-        ("pairs: the true pair in the diagnosis", ">= 60 %", share(detected(pairs), Judged.holds)),
-        ("pairs: judged as two", "-", share(detected(pairs), _as_two)),
+        *_of_free(free),
+        *_of_large(singles(told, "large"), of_others),
+        *_of_pump([one for label in SIZES for one in singles(told, label, only=["fA_p"])], of_others),
+        *_of_small(singles(told, "small")),
+        *_of_leaks([one for label in SIZES for one in singles(told, label, only=["leak_ap"])]),
+        *_of_pairs([one for one in told if one.kind == "pair"]),
     ]
     head = ["| | wanted | measured |", "|---|---|---|"]
     return [*head, *(f"| {what} | {wanted} | {measured} |" for what, wanted, measured in rows)]
 
 
-def _missing(one: Judged) -> bool:
-    return "fq_pump" in one.first()
+def _of_free(free: Hours) -> Iterator[Row]:
+    told, alarms = exact_rate(len(free.false), free.hours), exact_rate(sum(free.alarms.values()), free.hours)
+    yield "fault-free: diagnoses told", "none in 500 h over 20 vehicles", f"{told}, {free.vehicles} vehicles"
+    claim = f"{alarms}; the first vehicle's tuning: {free.claim}"
+    yield "fault-free: alarms of single tests", "at the rate tuned", claim
+
+
+def _of_large(large: Sequence[Judged], of_others: Mates) -> Iterator[Row]:
+    seen = detected(large)
+    yield "large: detected", "100 %", share(large, lambda one: one.detected)
+    for fault in FAST:
+        delay = median([one.excited_s for one in large if one.faults[0] == fault])
+        yield f"large {fault}: median delay in exciting operation", "< 15 s", f"{delay} s"
+    yield "large: true component in the diagnosis after 120 s", ">= 98 %", share(seen, Judged.holds)
+    among = share(seen, lambda one: narrow(one, of_others))
+    mates = in_words(of_others, "large", APART)
+    yield "large: alone or only with practical mates", ">= 95 %", f"{among}; mates: {mates}"
+    yield "large: alone", "-", share(seen, lambda one: one.first() == [*one.faults])
+    yield "large: mean size", "<= 1.5", mean_size(large)
+
+
+def _of_pump(pump: Sequence[Judged], of_others: Mates) -> Iterator[Row]:
+    visible, hidden = ([one for one in pump if one.changes is changes] for changes in (True, False))
+    seen, what = detected(visible), "fA_p that changes what is measured"
+    yield f"{what}: detected", "100 %", share(visible, lambda one: one.detected)
+    yield f"{what}: in the diagnosis after 120 s", ">= 98 %", share(seen, Judged.holds)
+    among = share(seen, lambda one: narrow(one, of_others))
+    yield f"{what}: alone or only with practical mates", ">= 95 %", among
+    yield f"{what}: unknown", "-", share(seen, lambda one: one.first() == ["unknown"])
+    yield "fA_p that changes nothing: quiet", "100 %", share(hidden, lambda one: not one.detected)
+
+
+def _of_small(small: Sequence[Judged]) -> Iterator[Row]:
+    yield "small: detected within 300 s of exciting operation", ">= 90 %", share(small, early)
+    yield "small: true component in the diagnosis after 120 s", ">= 95 %", share(detected(small), Judged.holds)
+    yield "small: mean size", "<= 2.5", mean_size(small)
+
+
+def _of_leaks(leaks: Sequence[Judged]) -> Iterator[Row]:
+    seen = detected(leaks)
+    as_flow = "leak: told as what it is to the model, a flow missing behind the pump (fq_pump)"
+    yield as_flow, "-", share(seen, lambda one: "fq_pump" in one.first())
+    yield "leak: unknown", "100 %", share(seen, lambda one: one.first() == ["unknown"])
+    yield "leak: unknown, near the hose's balance", "100 %", share(seen, lambda one: one.located(HOSE))
+
+
+def _of_pairs(pairs: Sequence[Judged]) -> Iterator[Row]:
+    seen = detected(pairs)
+    yield "pairs: one diagnosis alone, with no true fault", "<= 2 %", share(seen, Judged.wrong_alone)
+    yield "pairs: the true pair in the diagnosis", ">= 60 %", share(seen, Judged.holds)
+    yield "pairs: judged as two", "-", share(seen, _as_two)
 
 
 def _as_two(one: Judged) -> bool:

@@ -6,14 +6,11 @@ ripple reaches the sensor before the filter, there is nothing to see, and a diag
 
 import numpy as np
 
-from testbench.bus import Knowledge
 from testbench.cycles import DOSING_FROM
-from testbench.plant import Array
 from testbench.request import Request
 from testbench.simulation import Run
-from testbench.sizes import SIGMAS, WINDOW
+from testbench.sizes import PERIOD, SIGMAS, WINDOW, means
 
-PERIOD = 0.1  # s, of the samples that are compared
 QUIETER = 0.1  # of the spread of y_p_tp: a hundred samples show 14 %
 
 
@@ -26,21 +23,6 @@ def changes(asked: Request, run: Run, healthy: Run) -> bool:
     t = np.arange(max(onset, DOSING_FROM), asked.duration, PERIOD)
     external, ecu = asked.vehicle.external, asked.vehicle.ecu_sensors
     noise = np.array([external["y_p_tp"].noise, external["y_p_ap"].noise, ecu.noise_p_du, ecu.noise_n_p])
-    shift = np.abs(_means(run, t) - _means(healthy, t)) / noise
+    shift = np.abs(means(run, t) - means(healthy, t))[:: round(WINDOW)] / noise  # windows that do not overlap
     spread = [np.hypot(noise[0], np.interp(t, r.ecu_t, r.ripple) / 2**0.5).mean() for r in (run, healthy)]
     return bool(shift.max() > SIGMAS or abs(spread[0] / spread[1] - 1.0) > QUIETER)
-
-
-def _means(run: Run, t: Array) -> Array:
-    """10 s means (windows, 4) of p_tp, p_ap, y_p_du [Pa] and n_p [rev/s], without the added sensors' noise."""
-    known = np.searchsorted(run.ecu_t, t, side="right") - 1
-    columns = [
-        np.interp(t, run.t, run.pressures[:, 0]),
-        np.interp(t, run.t, run.pressures[:, 2]),
-        run.ecu[known, Knowledge._fields.index("p_du")],
-        run.ecu[known, Knowledge._fields.index("n_p")],
-    ]
-    size = round(WINDOW / PERIOD)
-    windows = len(t) // size
-    means: Array = np.stack([c[: windows * size].reshape(windows, size).mean(axis=1) for c in columns], axis=1)
-    return means
