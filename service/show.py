@@ -59,5 +59,6 @@ def _summary(bundle: Bundle) -> str:
         lines += ["", m.claim.said]
     lines += ["", *(f"{fault.name:<9} {fault.component}: {fault.description}" for fault in m.faults)]
     lines += ["", "equations, near which an unknown fault may be:"]
-    lines += [f"{equation.name:<9} {equation.description}" for equation in m.equations]
+    disturbing = {each.equation: f"; {each.name}: {each.description}" for each in m.disturbances}
+    lines += [f"{e.name:<9} {e.description}{disturbing.get(e.name, '')}" for e in m.equations]
     return "\n".join(lines)

@@ -104,7 +104,11 @@ def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
     from service.bundle import load_bundle  # brings in the inference library, which watching does without
 
     manifest = load_bundle(folder).manifest
-    return {fault.name: fault for fault in manifest.faults}, {one.name: one for one in manifest.equations}
+    equations = {one.name: one for one in manifest.equations}
+    for each in manifest.disturbances:
+        was = equations[each.equation]
+        equations[was.name] = msgspec.structs.replace(was, description=f"{was.description}: {each.description}?")
+    return {fault.name: fault for fault in manifest.faults}, equations
 
 
 def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, Equation] | None = None) -> str:
@@ -114,6 +118,8 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
     if event.since_tick is not None and event.tick:
         since = event.since_tick * event.t_s / event.tick
         head += f", evidence since {since:.1f} s"
+    if event.intermittent:
+        head += ", comes and goes"
     lines = [head, *(_candidate(diagnosis, faults, equations or {}) for diagnosis in event.diagnoses)]
     if not event.diagnoses:
         lines.append(_nothing(event))
@@ -137,12 +143,13 @@ def _nothing(event: Event) -> str:
 
 
 def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
+    likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
     if not diagnosis.faults:
         known = (f"{name} ({equations[name].description})" if name in equations else name for name in diagnosis.near)
         where = f", near {', '.join(known)}" if diagnosis.near else ""
-        return f"{diagnosis.rank}. unknown: no fault of the model explains what is seen{where}"
+        why = "no fault of the model explains what is seen" if diagnosis.p is None else "no fault of a component"
+        return f"{diagnosis.rank}. unknown: {why}{where}{likelihood}"
     names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
-    likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
     return f"{diagnosis.rank}. {names}{likelihood}"
 
 

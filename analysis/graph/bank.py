@@ -62,12 +62,13 @@ class Bank:
         """The formulas of all networks, with the parameters and faults of each trial."""
         expressions = tuple(formula for network in self.networks for formula in network.formulas.values())
         used = {symbol.name for expression in expressions for symbol in expression.free_symbols}
-        parameters = tuple(name for name in (*self.model.parameters, *self.model.faults) if name in used)
-        nominal = {name: p.value for name, p in self.model.parameters.items()} | dict.fromkeys(self.model.faults, 0.0)
+        model = self.model
+        parameters = tuple(name for name in (*model.parameters, *model.assumable) if name in used)
+        nominal = {name: p.value for name, p in model.parameters.items()} | dict.fromkeys(model.assumable, 0.0)
         theta = np.array([[[trial.get(name, nominal[name]) for name in parameters]] for trial in trials])
         states = tuple(last(network.test, state).name for network in self.networks for state in network.states)
         signals = tuple(channel.signal for channel in self.inputs)
-        return Formulas(expressions, signals, states, parameters, theta, self.model.name)
+        return Formulas(expressions, signals, states, parameters, theta, model.name)
 
     def graph(self) -> bytes:
         """The ONNX graph of the model's own parameters, faults at zero.

@@ -66,7 +66,7 @@ def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
         rates, output = _rates(model, test, place, lambda grouped: grouped)
         middle = {sp.Symbol(name): sp.Float((model.known[name].min + model.known[name].max) / 2) for name in inputs}
         numbers = {sp.Symbol(name): sp.Float(p.value) for name, p in model.parameters.items()}
-        numbers |= {sp.Symbol(name): sp.Integer(0) for name in model.faults}
+        numbers |= {sp.Symbol(name): sp.Integer(0) for name in model.assumable}
         linear = linear_form(test.name, test.states, middle, numbers, rates, output, place)
         return _network(test, signals, linear, place)
 
@@ -152,8 +152,11 @@ class Evaluator:
 
     def __init__(self, networks: Sequence[Network], model: Model) -> None:
         self._networks = networks
-        self._names = [*model.parameters, *model.faults]
-        self._nominal = {**{name: p.value for name, p in model.parameters.items()}, **dict.fromkeys(model.faults, 0.0)}
+        self._names = [*model.parameters, *model.assumable]
+        self._nominal = {
+            **{name: p.value for name, p in model.parameters.items()},
+            **dict.fromkeys(model.assumable, 0.0),
+        }
         entries = [getattr(network, field) for network in networks for field in MATRICES]
         self._shapes = [entry.shape for entry in entries]
         flat = [element for entry in entries for element in entry]

@@ -73,5 +73,5 @@ class Runnable:
             return {}
         names = [generator.name for generator in self.bank.generators]
         model = self.bank.model
-        trials = [{h.fault: model.faults[h.fault].absolute(h.size, model)} for h in evidence.hypotheses]
+        trials = [{h.fault: model.assumable[h.fault].absolute(h.size, model)} for h in evidence.hypotheses]
         return {evidence.graph: self.bank.only([names.index(name) for name in evidence.generators]).graph_of(trials)}

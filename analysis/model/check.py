@@ -54,18 +54,28 @@ def check_model(model: Model, equation_names: Sequence[str], where: str) -> None
 
 
 def _check_faults(model: Model, where: str) -> None:
-    faults = [(k, e.fault) for k, e in enumerate(model.equations.values()) if e.fault is not None]
-    for k, fault in faults:
-        if fault.relative_to is not None and fault.relative_to not in model.parameters:
+    entering = [
+        (f"equation[{k}].{what}", each)
+        for k, equation in enumerate(model.equations.values())
+        for what, each in (("fault", equation.fault), ("disturbance", equation.disturbance))
+        if each is not None
+    ]
+    for place, each in entering:
+        if each.relative_to is not None and each.relative_to not in model.parameters:
             raise ModelError(
-                f"{where}: equation[{k}].fault.relative_to: {fault.relative_to} is no parameter; "
-                "leave it away for sizes in SI units"
+                f"{where}: {place}.relative_to: {each.relative_to} is no parameter; leave it away for sizes in SI units"
             )
-    twice = first_repeated([fault.name for _, fault in faults])
+    twice = first_repeated([each.name for _, each in entering])
     if twice is not None:
         raise ModelError(
             f"{where}: fault {twice} is in two equations; let it define an unknown of its own and use that in both"
         )
+    for k, equation in enumerate(model.equations.values()):
+        if equation.fault and equation.disturbance and equation.fault.enters == equation.disturbance.enters:
+            raise ModelError(
+                f"{where}: equation[{k}].disturbance.enters: {equation.fault.enters} is what its fault replaces; "
+                "let it replace another name"
+            )
 
 
 def _check_differentials(model: Model, where: str) -> None:

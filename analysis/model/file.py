@@ -6,8 +6,9 @@
     [known.y_p_tp]           unit, description, min, max, noise, zero, drift, added  (the last three may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
-    [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault (may be absent)
+    [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
+      disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
     [[differential]]         name, state, derivative
     [modes]                  signal, idle_below, maximum_above, settle_s, edges = {n_p = 4.0}
       (no table: one mode; no idle_below: no idle mode; no maximum_above: no maximum; no edges and settle_s: no edge)
@@ -209,23 +210,25 @@ def _parameter(table: Table) -> Parameter:
 
 def _equation(table: Table, names: Sequence[str]) -> Equation:
     text = table.text("expr")
-    fault = table.table("fault")
+    fault, disturbance = table.table("fault"), table.table("disturbance")
     equation = Equation(
         name=table.text("name"),
         description=table.text("description", ""),
         text=text,
         expression=parse_expression(text, names, table.at("expr")),
-        fault=None if fault is None else _fault(fault, names),
+        fault=None if fault is None else _fault(fault, names, fault.text("component")),
+        disturbance=None if disturbance is None else _fault(disturbance, names, ""),
     )
     table.done()
-    if equation.fault is not None and sp.Symbol(equation.fault.enters) not in equation.expression.free_symbols:
-        raise table.fail(
-            "fault.enters", f"{equation.fault.enters} is not in `{text}`; a fault must change its equation"
-        )
+    for what, entering in (("fault", equation.fault), ("disturbance", equation.disturbance)):
+        if entering is not None and sp.Symbol(entering.enters) not in equation.expression.free_symbols:
+            raise table.fail(
+                f"{what}.enters", f"{entering.enters} is not in `{text}`; a {what} must change its equation"
+            )
     return equation
 
 
-def _fault(table: Table, names: Sequence[str]) -> Fault:
+def _fault(table: Table, names: Sequence[str], component: str) -> Fault:
     name, text = table.text("name"), table.text("enters")
     check_name(name, f"{table.at('name')}: {name!r}")
     if name in names:
@@ -235,7 +238,7 @@ def _fault(table: Table, names: Sequence[str]) -> Fault:
         raise table.fail("enters", f"`{text}` must be like `A -> A + {name}`, with a declared name on the left")
     fault = Fault(
         name=name,
-        component=table.text("component"),
+        component=component,
         description=table.text("description", ""),
         enters=enters,
         replacement=parse_expression(replacement, [*names, name], table.at("enters")),

@@ -74,7 +74,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """A fault variable, zero when there is no fault.
+    """A fault variable, zero when there is no fault; that of a disturbance has no component.
 
     It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
     are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None.
@@ -96,13 +96,18 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class Equation:
-    """`expression` = 0, without fault; `text` is how the file writes it."""
+    """`expression` = 0, without fault; `text` is how the file writes it.
+
+    A `disturbance` is what may enter as a fault does and is none of a component: a leak of the hose, for example. It
+    takes no part in structure; where it explains what is seen, the fault is unknown and near this equation.
+    """
 
     name: str
     description: str
     text: str
     expression: sp.Expr
     fault: Fault | None
+    disturbance: Fault | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +165,16 @@ class Model:
         return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None}
 
     @property
+    def disturbances(self) -> dict[str, Fault]:
+        """What is no component's fault, by name, in the order of the equations."""
+        return {e.disturbance.name: e.disturbance for e in self.equations.values() if e.disturbance is not None}
+
+    @property
+    def assumable(self) -> dict[str, Fault]:
+        """All that may be assumed to be wrong: the faults, then the disturbances."""
+        return self.faults | self.disturbances
+
+    @property
     def sensor_set(self) -> Literal["production", "instrumented"]:
         """What a vehicle must have for it: its own sensors, or added ones besides."""
         return "instrumented" if any(known.added for known in self.known.values()) else "production"
@@ -170,11 +185,10 @@ class Model:
         return [name for name, p in self.parameters.items() if p.calibrated]
 
     def expression(self, equation: str, *, with_fault: bool) -> sp.Expr:
-        """The expression of the named equation that equals zero, with its fault variable or without."""
+        """The expression of the named equation that equals zero, with what may be wrong in it or without."""
         found = self.equations[equation]
-        if found.fault is None or not with_fault:
-            return found.expression
-        return found.expression.xreplace({sp.Symbol(found.fault.enters): found.fault.replacement})
+        wrong = [each for each in (found.fault, found.disturbance) if each is not None and with_fault]
+        return found.expression.xreplace({sp.Symbol(each.enters): each.replacement for each in wrong})
 
     def with_parameters(self, values: Mapping[str, float], provenance: Mapping[str, object]) -> "Model":
         """The same model with other parameter values, and with `provenance` added at the end.

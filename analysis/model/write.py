@@ -46,16 +46,16 @@ def _modes(modes: OperatingModes) -> dict[str, object]:
 
 def _equation(equation: Equation) -> dict[str, object]:
     table: dict[str, object] = {"name": equation.name, "description": equation.description, "expr": equation.text}
-    if equation.fault is not None:
-        f = equation.fault
-        table["fault"] = {
-            "name": f.name,
-            "component": f.component,
-            "description": f.description,
-            "enters": f.enters_text,
-            "sizes": f.sizes,
-            **({} if f.relative_to is None else {"relative_to": f.relative_to}),
-        }
+    for what, each in (("fault", equation.fault), ("disturbance", equation.disturbance)):
+        if each is not None:
+            table[what] = {
+                "name": each.name,
+                **({"component": each.component} if what == "fault" else {}),
+                "description": each.description,
+                "enters": each.enters_text,
+                "sizes": each.sizes,
+                **({} if each.relative_to is None else {"relative_to": each.relative_to}),
+            }
     return table
 
 

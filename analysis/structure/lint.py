@@ -109,7 +109,7 @@ def _unused_parts(model: Model) -> Iterator[Finding]:
     formulas = [model.expression(name, with_fault=True) for name in model.equations]
     formulas += [expression for unknown in model.unknown.values() for expression in unknown.initial]
     used = {symbol.name for formula in formulas for symbol in formula.free_symbols}
-    used |= {fault.relative_to for fault in model.faults.values() if fault.relative_to is not None}
+    used |= {each.relative_to for each in model.assumable.values() if each.relative_to is not None}
     for name, parameter in model.parameters.items():
         if name not in used:
             yield Finding("warning", f"parameter.{name}", "is in no formula; use it or remove it")

@@ -166,5 +166,6 @@ def _evidence(base: Tuning, detectors: Sequence[Detector], bank: Bank, recording
     """
     offset_of = {detector.generator: detector.offset for detector in detectors}
     offset = np.array([offset_of[name] for name in base.evidence.generators]).T
-    moved = msgspec.structs.replace(base.evidence, offset=offset.tolist())
+    followers = [msgspec.structs.replace(f, offset=list(offset_of[f.generator])) for f in base.evidence.followers]
+    moved = msgspec.structs.replace(base.evidence, offset=offset.tolist(), followers=followers)
     return no_surer(moved, bank, recordings, stand_ins(bank.model))

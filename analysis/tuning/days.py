@@ -11,13 +11,14 @@ from service.core.manifest import Evidence
 def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:
     """The recording without its day, taken off as it is known at the end: while it is not known, detectors are deafer.
 
-    Residuals of generators that are no evidence stay as they are.
+    Residuals of networks stay as they are.
     """
     rows = [generators.index(name) for name in evidence.generators]
+    moved = [*rows, *(generators.index(follower.generator) for follower in evidence.followers)]
     day, level = Day(evidence), s.r.copy()
     for mode, own, usable in zip(s.mode.tolist(), s.r[:, rows], s.usable[:, rows], strict=True):
         day.add(mode, own, usable)
     day.settle()
     for tick, mode in enumerate(s.mode.tolist()):
-        level[tick, rows] = day.taken_off(mode, s.r[tick, rows])
+        level[tick, moved] = day.taken_off(mode, s.r[tick, moved])
     return replace(s, level=level)

@@ -15,7 +15,7 @@ from analysis.graph.bank import FAULTS, Bank, Trial
 from analysis.graph.independence import independent
 from analysis.model import Model
 from analysis.tuning.thresholds import OWN, Seen
-from service.core.manifest import MODES, Evidence, Hypothesis
+from service.core.manifest import MODES, Evidence, Follower, Hypothesis
 from service.core.modes import EDGE
 from service.core.straying import MINIMUM_TICKS
 
@@ -51,16 +51,18 @@ def gather(
     within = [_centred(s, offset) for s in recordings]
     spread = np.maximum(_spread(within, described), bank.sigma / 2)  # (modes, T)
     rows = independent(np.concatenate([_standard(s, spread) for s in within]))
-    spread, offset = spread[:, rows], offset[rows].T  # (modes, K)
+    order = [*rows, *(row for row in range(len(bank.generators)) if row not in rows)]  # followers are behind
+    K, everywhere, around = len(rows), spread[:, order], offset[order].T  # (modes, T)
+    spread, offset = everywhere[:, :K], around[:, :K]
     noise = np.zeros((len(MODES), len(rows), len(rows)))
     visit = np.zeros_like(noise)
     for mode in set(described):
         noise[mode] = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
         visit[mode] = _between(recordings, mode, rows, noise[mode])
     own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
-    drifts = np.array(_drifts(bank.only(rows), recordings, described)).reshape(-1, *own.shape)
+    drifts = np.array(_drifts(bank.only(order), recordings, described)).reshape(-1, len(MODES), len(order))
     if len(recordings) >= ENOUGH:
-        own, drifts = as_seen(_strays(apart or recordings, rows, offset)[:, described], spread, drifts)
+        own, drifts = as_seen(_strays(apart or recordings, order, around)[:, described], everywhere, drifts, K)
     return Evidence(
         generators=[bank.generators[row].name for row in rows],
         offset=offset.tolist(),
@@ -68,7 +70,16 @@ def gather(
         noise=noise[described].tolist(),
         visit=visit[described].tolist(),
         allowance=np.hypot(own, ALLOWANCE * spread).tolist(),
-        drifts=drifts.tolist(),
+        drifts=drifts[..., :K].tolist(),
+        followers=[
+            Follower(
+                generator=bank.generators[row].name,
+                offset=around[:, column].tolist(),
+                spread=everywhere[:, column].tolist(),
+                drifts=drifts[..., column].tolist(),
+            )
+            for column, row in enumerate(order[K:], start=K)
+        ],
         graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
         hypotheses=hypotheses,
     )
@@ -174,19 +185,20 @@ def _mean(s: Seen, mode: int, rows: list[int]) -> Array:
     return s.r[inside][:, rows].mean(axis=0) if inside.sum() >= MINIMUM_TICKS else np.full(len(rows), np.nan)
 
 
-def as_seen(means: Array, spread: Array, drifts: Array) -> tuple[Array, Array]:
-    """What each mean strays by itself (modes, K), and the drifts (R, modes, K), as large as R drives show them.
+def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, Array]:
+    """What each mean strays by itself (modes, K), and the drifts (n, modes, T), as large as R drives show them.
 
-    `means` are the deviations of the drives (R, modes, K), `drifts` those that the model names, at the sizes that it
+    `means` are the deviations of the drives (R, modes, T), `drifts` those that the model names, at the sizes that it
     gives. First their sizes are found, by expectation maximisation: x of a drive is normal with the sizes' variances,
 
         mean = sum_k x_k drift_k + own,
 
-    then the directions in which what is left strays together. The edge, which is no evidence, is left as it is.
+    then the directions in which what is left strays together. The edge, which is no evidence, is left as it is. Sizes
+    and directions are those of the first K generators, and say how far the others move with them.
     """
-    R, shape = len(means), means.shape[1:]
-    y = (means / spread)[:, :EDGE].reshape(R, -1)
-    W = (drifts / spread)[:, :EDGE].reshape(len(drifts), y.shape[1])
+    R, T = len(means), means.shape[2]
+    all_y, all_W = (means / spread)[:, :EDGE], (drifts / spread)[:, :EDGE]
+    y, W = all_y[..., :K].reshape(R, -1), all_W[..., :K].reshape(len(drifts), -1)
     size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), LEAST_OWN)
     x = np.zeros((R, len(W)))
     for _ in range(STEPS):
@@ -196,26 +208,30 @@ def as_seen(means: Array, spread: Array, drifts: Array) -> tuple[Array, Array]:
         size = np.sqrt((x**2).mean(axis=0) + V.diagonal())
         own = np.sqrt(((y - x @ W) ** 2).mean(axis=0) + np.einsum("kd,kl,ld->d", W, V, W))
         own = np.maximum(own, LEAST_OWN)
-    left, more = _directions(y - x @ W)
-    alone, found = np.abs(means).max(axis=0) / spread, np.zeros((len(W) + len(more), *shape))
-    alone[:EDGE] = np.sqrt(np.maximum(left**2 + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(EDGE, -1)
-    found[:, :EDGE] = np.concatenate([size[:, None] * W, more]).reshape(len(found), EDGE, shape[1])
+    u = _directions(y - x @ W)
+    left = (y - x @ W) - u @ (u.T @ (y - x @ W))
+    alone = np.abs(means[..., :K]).max(axis=0) / spread[:, :K]
+    alone[:EDGE] = np.sqrt(np.maximum((left**2).mean(axis=0) + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(
+        EDGE, K
+    )
+    more = np.tensordot(u.T, all_y - np.tensordot(x, all_W, axes=1), axes=1) / np.sqrt(R)  # (n, modes, T)
+    found = np.zeros((len(W) + len(more), len(means[0]), T))
+    found[:, :EDGE] = np.concatenate([size[:, None, None] * all_W, more])
     found[: len(W), EDGE] = size[:, None] * (drifts / spread)[:, EDGE]
-    return alone * spread, found * spread
+    return alone * spread[:, :K], found * spread
 
 
-def _directions(y: Array) -> tuple[Array, Array]:
-    """How deviations (R, means) stray: each mean by itself (means,), and the directions (n, means) of all together."""
+def _directions(y: Array) -> Array:
+    """How much each drive has of n directions in which deviations (R, means) stray together: unit vectors (R, n)."""
     R = len(y)
-    _, size, direction = np.linalg.svd(y, full_matrices=False)
+    drives, size, _ = np.linalg.svd(y, full_matrices=False)
     told = np.cumsum(size**2) / max(float((size**2).sum()), 1e-300)
     kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
-    more = size[:kept, None] * direction[:kept] / np.sqrt(R)
-    return np.sqrt(np.maximum((y**2).mean(axis=0) - (more**2).sum(axis=0), 0.0)), more
+    return np.asarray(drives[:, :kept])
 
 
 def _hypotheses(model: Model) -> list[Hypothesis]:
-    return [Hypothesis(fault=fault.name, size=size) for fault in model.faults.values() for size in fault.sizes]
+    return [Hypothesis(fault=each.name, size=size) for each in model.assumable.values() for size in each.sizes]
 
 
 def _drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Array]:

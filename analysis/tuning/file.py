@@ -8,7 +8,7 @@ import msgspec
 from service.core.errors import InputError
 from service.core.manifest import Claim, Detector, Evidence, Modes, PerMode
 
-SCHEMA = "faultline.tuning/3"
+SCHEMA = "faultline.tuning/4"
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

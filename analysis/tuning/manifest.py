@@ -7,7 +7,7 @@ from analysis.calibration.provenance import recordings_of
 from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.tuning.file import Tuning
-from service.core.manifest import SCHEMA, Equation, Fault, File, Manifest, Origin
+from service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
 
 GOLDEN = "golden.json"
 
@@ -40,6 +40,11 @@ def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], 
         faults=[
             Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
         ],
+        disturbances=[
+            Disturbance(name=e.disturbance.name, equation=e.name, description=e.disturbance.description)
+            for e in bank.model.equations.values()
+            if e.disturbance is not None
+        ],
         equations=_equations(runnable),
         evidence=tuning.evidence,
         claim=tuning.claim,
@@ -47,9 +52,10 @@ def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], 
 
 
 def _equations(runnable: Runnable) -> list[Equation]:
-    """Those that generators use, in the model's order."""
+    """Those that generators use, or that may be disturbed, in the model's order."""
     model = runnable.bank.model
     described = {name: equation.description for name, equation in model.equations.items()}
     described |= {d.name: f"{d.derivative} is the derivative of {d.state}" for d in model.differentials}
     used = {name for generator in runnable.generators for name in generator.equations}
+    used |= {name for name, equation in model.equations.items() if equation.disturbance is not None}
     return [Equation(name=name, description=text) for name, text in described.items() if name in used]

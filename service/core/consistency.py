@@ -63,6 +63,8 @@ def _names(manifest: Manifest) -> Iterator[str]:
         if any((other.graph, other.test) == (generator.graph, generator.test) for other in generators[:row]):
             yield f"generators[{row}].test: {generator.test!r} is there twice"
     yield from _repeated([fault.name for fault in manifest.faults], "faults", ".name")
+    named = [*(fault.name for fault in manifest.faults), *(each.name for each in manifest.disturbances)]
+    yield from _repeated(named, "faults and disturbances")
     yield from _repeated([equation.name for equation in manifest.equations], "equations", ".name")
     yield from _repeated(manifest.evidence.generators, "evidence.generators")
     for row, generator in enumerate(generators):
@@ -79,6 +81,8 @@ def _generators(manifest: Manifest) -> Iterator[str]:
     files = [graph.file for graph in manifest.graphs]
     if [name for name, _ in groupby(generator.graph for generator in manifest.generators)] != files:
         yield f"generators: not one graph's after the other's, as {', '.join(files)}"
+    for index, each in enumerate(manifest.disturbances):
+        yield from _unknown([each.equation], equations, f"disturbances[{index}].equation", "equation")
     for row, generator in enumerate(manifest.generators):
         path = f"generators[{row}]"
         yield from _unknown(generator.inputs, signals, f"{path}.inputs", "signal")
@@ -96,7 +100,7 @@ def _generators(manifest: Manifest) -> Iterator[str]:
 
 def _decision(manifest: Manifest) -> Iterator[str]:
     signals = {channel.signal for channel in manifest.inputs}
-    faults = {fault.name for fault in manifest.faults}
+    assumable = {*(fault.name for fault in manifest.faults), *(each.name for each in manifest.disturbances)}
     names = [generator.name for generator in manifest.generators]
     modes, evidence = manifest.modes, manifest.evidence
     yield from _unknown([modes.signal], signals, "modes.signal", "signal")
@@ -105,8 +109,11 @@ def _decision(manifest: Manifest) -> Iterator[str]:
         yield f"modes.idle_below: {modes.idle_below:g} is not below maximum_above, {modes.maximum_above:g}"
     yield from _detectors(manifest.detectors, names)
     yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
+    followers = [follower.generator for follower in evidence.followers]
+    yield from _unknown(followers, names, "evidence.followers", "generator")
+    yield from _repeated([*evidence.generators, *followers], "evidence.generators and followers")
     for index, hypothesis in enumerate(evidence.hypotheses):
-        yield from _unknown([hypothesis.fault], faults, f"evidence.hypotheses[{index}].fault", "fault")
+        yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
 
 
 def _detectors(detectors: Sequence[Detector], names: Sequence[str]) -> Iterator[str]:
@@ -139,6 +146,9 @@ def of_evidence(evidence: Evidence) -> Iterator[str]:
     for index, drift in enumerate(evidence.drifts):
         yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
     yield from uneven(evidence.visit, K, "evidence.visit", what)
+    for index, follower in enumerate(evidence.followers):
+        if len(follower.drifts) != len(evidence.drifts):
+            yield f"evidence.followers[{index}].drifts: {len(follower.drifts)}, but evidence has {len(evidence.drifts)}"
     for name, matrices in (("noise", evidence.noise), ("visit", evidence.visit)):
         for mode, rows in enumerate(matrices):
             yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
@@ -159,6 +169,8 @@ def _sizes(evidence: Evidence) -> Iterator[str]:
         yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
     yield from _widths(evidence)
     parts = {name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance", "drifts")}
+    for index, follower in enumerate(evidence.followers):
+        parts |= {f"followers[{index}].{name}": getattr(follower, name) for name in ("offset", "spread", "drifts")}
     for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"

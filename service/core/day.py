@@ -41,14 +41,17 @@ class Day:
 
     def __init__(self, evidence: Evidence) -> None:
         self._straying = Straying(evidence)
-        self._offset, self._spread = np.array(evidence.offset), np.array(evidence.spread)
+        followers = evidence.followers
+        self._offset = np.column_stack([evidence.offset, *(f.offset for f in followers)])  # (modes, K + F)
+        self._spread = np.column_stack([evidence.spread, *(f.spread for f in followers)])
         self._shape = 3, *self._straying.offset.shape
         self.forget()
 
     def forget(self) -> None:
         """Begins anew: nothing is known."""
         self._known = np.zeros(self._shape)  # sums as in `Means`, since what was known `before` them
-        self._level = self._before = self._straying.unknown
+        self._before = self._straying.unknown
+        self._put(self._before)
         self._aged = 0  # ticks of which nothing was learnt
         self.discard()
 
@@ -83,7 +86,8 @@ class Day:
         if self._aged % GUARD_TICKS == 0:
             f, unknown = float(np.exp(-GUARD_TICKS / TAU_TICKS)), self._straying.unknown.covariance
             covariance = unknown + f**2 * (self._level.covariance - unknown)
-            self._level = self._before = Level(f * self._level.mean, covariance)
+            self._before = Level(f * self._level.mean, covariance)
+            self._put(self._before)
             self._known[:] = 0.0
             self.discard()
 
@@ -93,15 +97,12 @@ class Day:
         self.discard()
 
     def taken_off(self, mode: int, r: Vector) -> Vector:
-        """The residuals (K,) of a tick as detectors see them: without the day, and drawn to the offset.
+        """The residuals (K + F,) of a tick as detectors see them: without the day, and drawn to the offset.
 
-        The less is known of the day, the nearer: a detector's threshold then is the spread of days, and not that of a
-        drive. At an edge the day is the mean of those of all modes.
+        Those of followers behind the others. The less is known of the day, the nearer: a detector's threshold then is
+        the spread of days, and not that of a drive. At an edge the day is the mean of those of all modes.
         """
-        mean, variance = self._level.mean, self._level.variance
-        mean, variance = (mean.mean(axis=0), variance.mean(axis=0)) if mode == EDGE else (mean[mode], variance[mode])
-        wider = np.sqrt(1.0 + WIDENED**2 * variance / self._spread[mode] ** 2)
-        return np.asarray(self._offset[mode] + (r - self._offset[mode] - mean) / wider)
+        return np.asarray(self._offset[mode] + (r - self._offset[mode] - self._mean[mode]) / self._wider[mode])
 
     def _learn(self, sums: Vector) -> None:
         if not sums[0].any():  # nothing could tell
@@ -111,7 +112,12 @@ class Day:
         ticks, squares, total = self._known
         seen = Means(ticks, np.minimum(squares, ticks**2), total, np.zeros((0, *ticks.shape)))
         level = self._straying.known(seen, self._before)
-        self._level = Level(level.mean, level.covariance + WANDER**2 * self._straying.unknown.covariance)
+        self._put(Level(level.mean, level.covariance + WANDER**2 * self._straying.unknown.covariance))
+
+    def _put(self, level: Level) -> None:
+        mean, variance = (np.vstack([each, each.mean(axis=0)]) for each in self._straying.everywhere(level))
+        self._level, self._mean = level, mean
+        self._wider = np.sqrt(1.0 + WIDENED**2 * variance / self._spread**2)
 
     @property
     def level(self) -> Level:

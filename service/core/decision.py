@@ -8,24 +8,25 @@ conflicts: they may alarm where a fault that their test decouples brings operati
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
 once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
-sensitive tests alarm by chance too, and a fault has to fit what is seen to be named. If none does, two faults at once
-may; if none of these do either, the fault is unknown, and said to be near the equations that all conflicts share.
-"""
+sensitive tests alarm by chance too, and a fault has to fit what is seen to be named (`service.core.explaining`).
 
-from collections.abc import Mapping, Sequence
+A fault may come and go (`service.core.intermittence`): seconds in which it was not there are left out of the window,
+and from then on explanations are not ranked, as that hangs on which modes have seen how much of it.
+"""
 
 import numpy as np
 
 from service.core.detectors.bank import DetectorBank
 from service.core.events import Diagnosis, candidates
+from service.core.explaining import Explainer
 from service.core.generators import Residuals
-from service.core.hypotheses import Hypotheses, Look, confined
-from service.core.isolation import UNKNOWN, diagnoses
+from service.core.hypotheses import Hypotheses, Look
+from service.core.intermittence import BLOCK_TICKS, Intermittence
 from service.core.manifest import Manifest
 from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
 from service.core.unlike import Unlike
-from service.core.window import Window
+from service.core.window import Blocks
 
 RANKING_PERIOD = 15
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.
@@ -48,23 +49,15 @@ DOUBTED, DOUBTS = 10.0, 20
 """A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
 best one fits better by less than this: what confirmed it was on its way to somewhere usual."""
 
-TIE = 9.0
-TIE_PART = 0.25
-"""Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
-told apart: the data do not separate them, or neither explains the data."""
-
 UNSEEN_TICKS = 300
 """An alarm of 60 s during which some test of the evidence cannot tell is confirmed by its length: a filter that is all
 but shut takes its own pressure out of the operating range. Who it is remains open among those that alarms allow."""
 
-SUREST = 0.999
-"""No fault is more probable than this: the model may lack what it is."""
+GONE_BLOCKS = 60
+"""3 min: what no block in a row has shown is gone, though something was unlike any day before."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
-
-OF_TWO = 15.0
-"""By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""
 
 LINGER_TICKS = 300
 """A confirmed episode lasts until no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""
@@ -78,17 +71,17 @@ class Decision:
 
     def __init__(self, manifest: Manifest) -> None:
         self._tests = [generator.test for generator in manifest.generators]
-        self._sensitive = [frozenset(generator.faults) for generator in manifest.generators]
-        self._equations = [frozenset(generator.equations) for generator in manifest.generators]
         names = [generator.name for generator in manifest.generators]
         self._detectors = DetectorBank(manifest.detectors, names)
         of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
         self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
         self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
-        self._hypotheses = Hypotheses(manifest.evidence)
+        self._hypotheses = Hypotheses(manifest.evidence, alone={each.name for each in manifest.disturbances})
+        self._explainer = Explainer(manifest)
         self._unlike = Unlike(manifest.evidence, names, self._hypotheses)
-        self._window = Window(manifest.evidence, names)
+        self._window = Blocks(manifest.evidence, names)
+        self._intermittence = Intermittence(self._hypotheses)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
         self._first = 0  # tick at which one did first
         self._alarmed: frozenset[int] = frozenset()  # those that did, the last time that any did
@@ -129,6 +122,8 @@ class Decision:
         if tick % RANKING_PERIOD == 0 and self._doubted is None and (self.suspicious or not self._settled):
             self._weigh(settled)  # but not what is healing
             self._doubt(tick)
+        if tick % BLOCK_TICKS == 0:
+            self._close_block()
         if self.suspicious:
             self._count_unseen()
         else:
@@ -141,6 +136,7 @@ class Decision:
         self._first, self._cleared, self._unseen = tick, False, 0
         self._doubts, self._doubted = 0, None
         self._window.clear()
+        self._intermittence.rest()
         self._unlike.suspect()
 
     def _count_unseen(self) -> None:
@@ -181,6 +177,15 @@ class Decision:
         self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
             self._explain()
+
+    def _close_block(self) -> None:
+        """What the last seconds have shown is kept, unless the fault comes and goes."""
+        if not (self.confirmed and self._settled):
+            self._window.keep()
+            return
+        self._intermittence.judge(self._window, self._unlike.day)
+        if self._intermittence.gone >= GONE_BLOCKS:
+            self._unlike.rest()
 
     def _doubt(self, tick: int) -> None:
         """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the day's."""
@@ -232,8 +237,13 @@ class Decision:
 
     @property
     def suspected(self) -> bool:
-        """Whether something is suspected and nothing is confirmed."""
-        return self._latest is not None and not self.confirmed
+        """Whether something is suspected and neither confirmed nor taken for the day's."""
+        return self._latest is not None and not self.confirmed and self._doubted is None
+
+    @property
+    def intermittent(self) -> bool:
+        """Whether the fault comes and goes. Who it is is not ranked then, as neither its sizes nor modes are sure."""
+        return self._intermittence.found
 
     @property
     def diagnoses(self) -> list[Diagnosis]:
@@ -249,63 +259,7 @@ class Decision:
 
     def _explained(self) -> list[Diagnosis]:
         alarmed = self._alarmed & self._trusted
-        rows = sorted((self._deviating or alarmed) if self._settled else self._deviating | alarmed)
-        conflicts = [self._sensitive[row] for row in rows] or [frozenset(self._hypotheses.faults)]
-        if self._settled and self._look is not None and self._look.faults:
-            misfits = self._fitting(conflicts, self._look)
-            found = [*misfits] or [UNKNOWN]
-        else:
-            found, misfits = diagnoses(conflicts), {}
-        p = probabilities(misfits)
-        near = frozenset.intersection(*(self._equations[row] for row in rows)) if rows else frozenset()
-        return [
-            Diagnosis(faults=list(faults), rank=rank, p=p.get(faults), near=sorted(near) if faults == UNKNOWN else [])
-            for faults, rank in ranked(found, misfits)
-        ]
-
-    def _fitting(self, conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, ...], float]:
-        """The misfits of what fits and hits every conflict: single faults, else the best two at once, else nothing."""
-        single = confined(conflicts, {(fault,): q for fault, q in look.faults.items()})
-        best = min(single.values(), default=np.inf)
-        if best <= look.limit:
-            return {faults: q for faults, q in single.items() if q <= max(look.limit, best + TIE)}
-        pairs = confined(conflicts, look.pairs)
-        least = min(pairs.values(), default=np.inf)
-        if least > min(look.limit, best - OF_TWO):
-            return {}
-        return {faults: q for faults, q in pairs.items() if q <= least + TIE}
-
-
-def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
-    """How likely each single fault is if it is one of these: a misfit is -2 log of a likelihood; all as likely before.
-
-    Of two faults at once none is given: there such figures were too sure.
-
-    >>> probabilities({("fA",): 2.0, ("fB",): 2.0, ("fC",): 10.0})
-    {('fA',): 0.495, ('fB',): 0.495, ('fC',): 0.009}
-    >>> probabilities({("fA", "fB"): 2.0})
-    {}
-    """
-    if any(len(faults) > 1 for faults in misfits) or not misfits:
-        return {}
-    q = np.array(list(misfits.values()))
-    weight = np.exp((q.min() - q) / 2)
-    return dict(zip(misfits, np.minimum(np.round(weight / weight.sum(), 3), SUREST).tolist(), strict=True))
-
-
-def ranked(
-    found: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float]
-) -> list[tuple[tuple[str, ...], int]]:
-    """Explanations with their ranks, best first; all are equal where the misfit of one is not known.
-
-    >>> ranked([("fA",), ("fB",), ("fC",)], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 8.0})
-    [(('fB',), 1), (('fC',), 1), (('fA',), 3)]
-    >>> ranked([("fA", "fB"), ("fA", "fC")], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 80.0})
-    [(('fA', 'fB'), 1), (('fA', 'fC'), 1)]
-    """
-    if not all(faults in misfits for faults in found):
-        return [(faults, 1) for faults in found]
-    q = {faults: misfits[faults] for faults in found}
-    behind = {faults: value - max(TIE, TIE_PART * value) for faults, value in q.items()}
-    rank = {faults: 1 + sum(other < behind[faults] for other in q.values()) for faults in found}
-    return sorted(rank.items(), key=lambda item: (item[1], item[0]))
+        if self._settled and self._look is not None and self._look.faults and not self.intermittent:
+            return self._explainer.by_evidence(sorted(self._deviating or alarmed), self._look)
+        rows = (self._deviating or alarmed) if self._settled else self._deviating | alarmed
+        return self._explainer.by_conflicts(sorted(rows))

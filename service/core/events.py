@@ -19,12 +19,12 @@ tests than before cannot tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """One explanation of what is wrong: all of `faults` together; no name means that no known fault or pair does.
+    """One explanation of what is wrong: all of `faults` together; no name means that it is no known fault nor a pair.
 
     `rank` starts at 1; explanations the data cannot separate share a rank. `p` is the probability, with three digits,
-    that it is this one if it is a single known fault; None before residuals have settled, and of two faults at once,
-    for which no calibration curve stands behind it. What is unknown is `near` the equations that all tests which
-    deviate have in common; no equation means that they have none.
+    that it is this one if it is one of these; None before residuals have settled, and of two faults at once, for which
+    no calibration curve stands behind it. What is unknown is `near` the equation that what explains it enters, as a
+    leak does a balance; where nothing explains it, near those that all tests which deviate have in common.
     """
 
     faults: list[str]
@@ -38,7 +38,8 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
 
     `tick` and `t_s` [s] say when it was decided, in log time since the first tick; `since_tick` when the evidence began
     (the alarmed tests' CUSUM last left zero; or the suspicion, where none alarms), None where nothing is wrong.
-    `suspected`: something is, and nothing is confirmed, whether a test alarms or not. `alarm` and `cannot_tell` name
+    `suspected`: something is, and nothing is confirmed, whether a test alarms or not. `intermittent`: what is confirmed
+    comes and goes, and explanations are not ranked. `alarm` and `cannot_tell` name
     tests; a test in neither is quiet. `wall` is the wall clock's time (RFC 3339) on a vehicle and None offline, so that
     offline events compare byte by byte. `bundle` is the SHA-256 of the manifest.
     """
@@ -56,6 +57,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     since_tick: int | None
     bundle: str
     suspected: bool = False
+    intermittent: bool = False
 
 
 def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], int, tuple[str, ...]]]:

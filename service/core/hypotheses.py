@@ -9,10 +9,11 @@ with what is known of the day and its covariance P, the scatter S of what was se
 for the error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line
 between those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
 
-Of two faults at once the shifts are added, and both sizes are free.
+Of two faults at once the shifts are added, and both sizes are free. A disturbance (what is no component's fault) is
+weighed as a fault is, but not as one of two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -30,11 +31,23 @@ UNLIKELY = 3.72
 
 
 class Segments(NamedTuple):
-    """Neighbouring sizes of one sign: the fault of each, and its ends as rows of the shifts, of which row 0 is none."""
+    """Neighbouring sizes of one sign: the fault of each, and its ends as rows of the shifts, of which row 0 is none.
 
+    Those of `alone` are never one of two.
+    """
+
+    alone: frozenset[str]
     faults: list[str]
     begin: Indices
     end: Indices
+
+
+class Fitted(NamedTuple):
+    """A fault at its best size: so far along a row of the segments."""
+
+    misfit: float
+    row: int
+    part: float
 
 
 class Look:
@@ -65,15 +78,32 @@ class Look:
         """The misfit of no fault."""
         return float(self._target @ self._target)
 
-    @cached_property
+    def nothing_in(self, means: Mask) -> float:
+        """The misfit of no fault in those of the means (C, K) that were seen."""
+        rows = means[self._seen]
+        d, S = self._d[rows], self._S[np.ix_(rows, rows)]
+        return float(d @ np.linalg.solve(S, d))
+
+    @property
     def faults(self) -> dict[str, float]:
         """The misfit of every fault at its best size."""
+        return {fault: fitted.misfit for fault, fitted in self.fitted.items()}
+
+    @cached_property
+    def fitted(self) -> dict[str, Fitted]:
+        """Every fault at its best size."""
         parts = np.clip(((self._target - self._begin) * self._way).sum(axis=1) / self._length, 0.0, 1.0)
-        misfits = self._misfits((self._begin + self._reweighted(parts)[:, None] * self._way)[:, None])
-        found: dict[str, float] = {}
-        for fault, misfit in zip(self._segments.faults, misfits.tolist(), strict=True):
-            found[fault] = min(found.get(fault, np.inf), misfit)
+        parts = self._reweighted(parts)
+        misfits = self._misfits((self._begin + parts[:, None] * self._way)[:, None])
+        found: dict[str, Fitted] = {}
+        for row, (fault, misfit) in enumerate(zip(self._segments.faults, misfits.tolist(), strict=True)):
+            if fault not in found or misfit < found[fault].misfit:
+                found[fault] = Fitted(misfit, row, float(parts[row]))
         return found
+
+    def misfit_at(self, size: Fitted) -> float:
+        """The misfit of a fault of a size that was fitted to something else."""
+        return float(self._misfits((self._begin[size.row] + size.part * self._way[size.row])[None, None])[0])
 
     @cached_property
     def pairs(self) -> dict[tuple[str, ...], float]:
@@ -83,7 +113,9 @@ class Look:
         faults = self._segments.faults
         for i, j in combinations(range(len(faults)), 2):
             pair = tuple(sorted((faults[i], faults[j])))
-            if faults[i] != faults[j] and (pair not in at or far[i, j] < far[at[pair]]):
+            if faults[i] == faults[j] or not self._segments.alone.isdisjoint(pair):
+                continue
+            if pair not in at or far[i, j] < far[at[pair]]:
                 at[pair] = i, j
         if not at:
             return {}
@@ -153,9 +185,9 @@ class Look:
 class Hypotheses:
     """All faults of a bundle, as polygons of shifts that begin at none."""
 
-    def __init__(self, evidence: Evidence) -> None:
+    def __init__(self, evidence: Evidence, alone: Collection[str] = ()) -> None:
         self._straying = Straying(evidence)
-        self._segments = _segments(evidence)
+        self._segments = _segments(evidence, alone)
         self.faults = list(dict.fromkeys(self._segments.faults))
 
     def look(self, means: Means, day: Level | None = None) -> Look | None:
@@ -171,7 +203,7 @@ class Hypotheses:
         return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), shift]), self._segments)
 
 
-def _segments(evidence: Evidence) -> Segments:
+def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
     """The chains of sizes: each fault's positive and negative ones, from none on."""
     chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
     for row, hypothesis in enumerate(evidence.hypotheses, start=1):
@@ -185,7 +217,7 @@ def _segments(evidence: Evidence) -> Segments:
             ends.append((before, row))
             before = row
     begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
-    return Segments(faults, begin, end)
+    return Segments(frozenset(alone), faults, begin, end)
 
 
 def confined(

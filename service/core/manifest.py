@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-SCHEMA: Final = "faultline.bundle/3"
+SCHEMA: Final = "faultline.bundle/4"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
@@ -197,11 +197,31 @@ class Equation(_Part, frozen=True):
     description: Text
 
 
+class Disturbance(_Part, frozen=True):
+    """What may be wrong in an equation and is no component's fault, as a leak: where it explains, who is unknown."""
+
+    name: Name
+    equation: Name
+    description: Text
+
+
 class Hypothesis(_Part, frozen=True):
-    """A fault of one size, in the unit of its model; sizes of one sign are a chain that begins at none."""
+    """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none."""
 
     fault: Name
     size: float
+
+
+class Follower(_Part, frozen=True):
+    """A generator that is no evidence: its day follows from that of those that are.
+
+    Of every mode `offset`, `spread` and by drift how far it moves [Pa], as in `Evidence`.
+    """
+
+    generator: Name
+    offset: PerMode[float]
+    spread: PerMode[Positive]
+    drifts: list[PerMode[float]]
 
 
 class Evidence(_Part, frozen=True):
@@ -214,7 +234,7 @@ class Evidence(_Part, frozen=True):
     [Pa] is the fault-free mean, `spread` that of a tick within a drive, `noise` (mode, generator, generator) [Pa^2]
     the covariance of ticks, `visit` that of visits to the mode besides. From one day to the next a mean strays by
     `allowance` (mode, generator) [Pa], and all together by `drifts` (drift, mode, generator) [Pa], a standard deviation
-    each (`service.core.straying`).
+    each (`service.core.straying`). These move the `followers` too.
     """
 
     generators: NotEmpty[Name]
@@ -224,6 +244,7 @@ class Evidence(_Part, frozen=True):
     visit: PerMode[list[list[float]]]
     allowance: PerMode[list[NotNegative]]
     drifts: list[PerMode[list[float]]]
+    followers: list[Follower]
     graph: Name | None
     hypotheses: list[Hypothesis]
 
@@ -269,7 +290,7 @@ class Manifest(_Part, frozen=True):
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
     """
 
-    schema: Literal["faultline.bundle/3"]
+    schema: Literal["faultline.bundle/4"]
     name: Text
     sensor_set: Literal["production", "instrumented"]
     period_s: Period
@@ -284,6 +305,7 @@ class Manifest(_Part, frozen=True):
     modes: Modes
     detectors: list[Detector]
     faults: list[Fault]
+    disturbances: list[Disturbance]
     equations: list[Equation]
     evidence: Evidence
     claim: Claim | None = None

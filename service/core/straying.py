@@ -8,6 +8,10 @@ vehicle's offset they lie where the day puts them, and what is seen of them in n
 with the covariance V of a tick, U of a visit to the mode (a visit has a dose and a history of its own, and does not get
 surer by its length; of unequal visits v is n^2 / sum of squared lengths), the drifts w (how all means stray together
 from one day to the next: a fluid's viscosity, a sensor's zero), and a what each strays by itself.
+
+The drifts move other generators too, by f_k: what is expected of their days follows from these means',
+
+    E[f] = f w P0^-1 day,     Var[f] = A P A' + f (1 - w P0^-1 w') f',   A = f w P0^-1,  P = Var[day]
 """
 
 from typing import NamedTuple
@@ -75,6 +79,13 @@ class Straying:
         drifts = np.array(evidence.drifts).reshape(-1, len(MODES), K)[:, STEADY].reshape(-1, C * K)
         own = np.array(evidence.allowance)[STEADY].ravel()
         self.unknown = Level(np.zeros((C, K)), np.diag(own**2) + drifts.T @ drifts)
+        moved = np.zeros((len(drifts), C, len(evidence.followers)))
+        for column, follower in enumerate(evidence.followers):
+            moved[..., column] = np.array(follower.drifts).reshape(-1, len(MODES))[:, STEADY]
+        following = moved.reshape(len(drifts), C * len(evidence.followers))
+        told = np.linalg.solve(self.unknown.covariance, drifts.T)  # (D, R)
+        self._following = following.T @ told.T  # A (C F, D)
+        self._unfollowed = (following**2).sum(axis=0) - ((drifts @ told).T @ following * following).sum(axis=0)
 
     def scatter(self, means: Means) -> Vector:
         """How far means strays besides the day (D, D), by what was seen of them."""
@@ -90,6 +101,13 @@ class Straying:
     def deviation(self, means: Means) -> Vector:
         """How far the means (C, K) lie from the vehicle's offsets; zero where nothing was seen."""
         return np.asarray(np.where(means.ticks > 0, means.total / np.maximum(means.ticks, 1.0) - self.offset, 0.0))
+
+    def everywhere(self, level: Level) -> tuple[Vector, Vector]:
+        """Expected value and variance (C, K + F) of where a day puts the means; those of followers are behind."""
+        C, A = len(level.mean), self._following
+        mean = (A @ level.mean.ravel()).reshape(C, len(A) // C)
+        variance = ((A @ level.covariance * A).sum(axis=1) + np.maximum(self._unfollowed, 0.0)).reshape(C, len(A) // C)
+        return np.hstack([level.mean, mean]), np.hstack([level.variance, variance])
 
     def known(self, means: Means, before: Level) -> Level:
         """The level of a day of which these means were seen without a fault: what is expected of all, given some.

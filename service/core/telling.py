@@ -30,6 +30,10 @@ class Decided(Protocol):
         """Whether something is suspected and nothing is confirmed."""
 
     @property
+    def intermittent(self) -> bool:
+        """Whether what is confirmed comes and goes."""
+
+    @property
     def since(self) -> int | None:
         """The tick at which the evidence began."""
 
@@ -103,6 +107,7 @@ class Teller:
             since_tick=decision.since,
             bundle=self._bundle,
             suspected=decision.suspected,
+            intermittent=decision.intermittent,
         )
 
 

@@ -32,6 +32,7 @@ class Unlike:
 
     def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses) -> None:
         self._rows = [generators.index(name) for name in evidence.generators]
+        self._moved = [*self._rows, *(generators.index(f.generator) for f in evidence.followers)]
         self._hypotheses = hypotheses
         self._day = Day(evidence)
         self._recent, self._ever = Recent(evidence, generators), Window(evidence, generators)
@@ -45,9 +46,9 @@ class Unlike:
         return self._day.level
 
     def without_day(self, mode: int, residuals: Residuals) -> Vector:
-        """The residuals (T,) of a tick as detectors of the level see them."""
+        """The residuals (T,) of a tick as detectors of the level see them; those of networks as they are."""
         level = residuals.r.copy()
-        level[self._rows] = self._day.taken_off(mode, residuals.r[self._rows])
+        level[self._moved] = self._day.taken_off(mode, residuals.r[self._moved])
         return level
 
     def add(self, mode: int, residuals: Residuals, *, suspected: bool) -> None:

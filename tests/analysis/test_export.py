@@ -251,7 +251,7 @@ def test_a_dbc_that_is_no_text_is_refused(made: Made, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/3'"),
+        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/4'"),
         ({"extra": 1}, "not a tuning file: Object contains unknown field `extra`"),
         ({"detectors": None}, "not a tuning file: Expected `array`, got `null`"),
     ],

@@ -57,9 +57,9 @@ class Judged:
         return "+".join(sorted(self.faults)) in self.first(look_s)
 
     def located(self, equation: str, look_s: float = LOOK_S) -> bool:
-        """Whether the diagnosis of rank 1 is unknown, and near to this equation of the model among others."""
+        """Whether of rank 1, alone or among others, is that it is unknown and near to this equation of the model."""
         said = self.standing.get(look_s, [])
-        return first(said) == ["unknown"] and any(equation in near for _, rank, _, near in said if rank == 1)
+        return any(equation in near for name, rank, _, near in said if rank == 1 and name == "unknown")
 
     def wrong_alone(self, look_s: float = LOOK_S) -> bool:
         """Whether one diagnosis alone is of rank 1, names something, and names no true fault."""

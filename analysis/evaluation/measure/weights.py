@@ -19,10 +19,16 @@ def weights(diagnoses: Sequence[Diagnosis]) -> dict[Explanation, float]:
     >>> weights([*told, Diagnosis(faults=["fC"], rank=3, p=None)])[frozenset({"fA"})]
     0.5
     """
+    found: dict[Explanation, float] = {}
     if any(diagnosis.p is not None for diagnosis in diagnoses):
-        return {frozenset(diagnosis.faults): diagnosis.p or 0.0 for diagnosis in diagnoses}
-    first = [frozenset(diagnosis.faults) for diagnosis in diagnoses if diagnosis.rank == 1]
-    return {explanation: 1.0 / len(first) for explanation in first}
+        given = [(diagnosis, diagnosis.p or 0.0) for diagnosis in diagnoses]
+    else:
+        first = [diagnosis for diagnosis in diagnoses if diagnosis.rank == 1]
+        given = [(diagnosis, 1.0 / len(first)) for diagnosis in first]
+    for diagnosis, p in given:  # what is unknown may be near several places
+        explanation = frozenset(diagnosis.faults)
+        found[explanation] = found.get(explanation, 0.0) + p
+    return found
 
 
 def true_explanation(faults: Collection[str], known: Collection[str]) -> Explanation:

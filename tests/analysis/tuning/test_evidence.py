@@ -11,7 +11,8 @@ from analysis.graph.runnable import Runnable
 from analysis.model import Model, load_model
 from analysis.tuning.evidence import as_seen, gather
 from analysis.tuning.thresholds import Seen, tune_detectors
-from service.core.decision import CONFIRMED, TIE
+from service.core.decision import CONFIRMED
+from service.core.explaining import TIE
 from service.core.hypotheses import Hypotheses, Look
 from service.core.manifest import MODES, Evidence
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
@@ -96,7 +97,7 @@ def made() -> Made:
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
-    expected = [(fault.name, size) for fault in made.bank.model.faults.values() for size in fault.sizes]
+    expected = [(fault.name, size) for fault in made.bank.model.assumable.values() for size in fault.sizes]
     assert [(h.fault, h.size) for h in made.evidence.hypotheses] == expected
     shape = (len(MODES), len(made.evidence.generators))
     assert np.shape(made.evidence.offset) == np.shape(made.evidence.allowance) == shape
@@ -245,8 +246,24 @@ def test_drifts_that_the_model_names_have_the_size_that_drives_show() -> None:
     means = 0.5 * rng.standard_normal((200, 1, 1, 1))[:, 0] * drifts[0] + 20.0 * rng.standard_normal(
         (200, *spread.shape)
     )
-    own, found = as_seen(means, spread, drifts)
+    own, found = as_seen(means, spread, drifts, 2)
     size = np.abs(found[:2]).max(axis=(1, 2)) / np.abs(drifts).max(axis=(1, 2))
     assert size == pytest.approx([0.5, 0.0], abs=0.1)
     strayed = np.sqrt(own**2 + (found**2).sum(axis=0))[:EDGE]
     assert strayed == pytest.approx(np.sqrt(20.0**2 + (0.5 * drifts[0]) ** 2)[:EDGE], rel=0.15)
+
+
+def test_generators_that_are_no_evidence_move_with_the_drifts_of_those_that_are() -> None:
+    """One that the model names, and one that only the drives show."""
+    rng = np.random.default_rng(10)
+    spread, (x, u) = np.full((len(MODES), 3), 100.0), rng.standard_normal((2, 200, 1))
+    drifts = np.zeros((1, len(MODES), 3))
+    drifts[0, :EDGE] = [100.0, -100.0, 300.0]
+    means = np.zeros((200, *spread.shape))
+    means[:, :EDGE] = x[:, None] * [100.0, -100.0, 300.0] + u[:, None] * [200.0, 200.0, -400.0]
+    means[..., :2] += 5.0 * rng.standard_normal((200, len(MODES), 2))
+    own, found = as_seen(means, spread, drifts, 2)
+    assert own.shape == (len(MODES), 2)
+    told = np.einsum("kmt,kms->mts", found, found)[:EDGE]  # of modes, the covariance that drifts make of generators
+    wanted = np.cov(means[:, 0].T, bias=True)
+    assert told == pytest.approx(np.broadcast_to(wanted, told.shape), rel=0.1, abs=2000.0)

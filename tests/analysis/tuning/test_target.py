@@ -62,6 +62,7 @@ def no_days(_: Sequence[Vehicle], to: Array) -> Evidence:
         visit=[[[0.0]]] * len(MODES),
         allowance=[[0.0]] * len(MODES),
         drifts=[],
+        followers=[],
         graph=None,
         hypotheses=[],
     )

@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from service.core.day import GUARD_TICKS, REMEMBERED_TICKS, TAU_TICKS, WANDER, Day
+from service.core.day import GUARD_TICKS, REMEMBERED_TICKS, TAU_TICKS, WANDER, WIDENED, Day
 from service.core.decision import RANKING_PERIOD
 from service.core.detectors.bank import FROZEN_TICKS
 from service.core.generators import Residuals
 from service.core.hypotheses import Hypotheses
-from service.core.manifest import Evidence, Hypothesis
+from service.core.manifest import Evidence, Follower, Hypothesis
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.core.straying import Means, Straying
 from service.core.unlike import Unlike
@@ -35,6 +35,7 @@ def evidence(**changed: Any) -> Evidence:
         "visit": [[[0.0, 0.0], [0.0, 0.0]]] * 4,
         "allowance": [[OWN, OWN]] * 4,
         "drifts": [[[STRAY, STRAY]] * 4],
+        "followers": [],
         "graph": "faults.onnx",
         "hypotheses": [Hypothesis(fault="fA", size=1.0)],
     }
@@ -111,6 +112,22 @@ def test_detectors_see_the_day_as_far_as_it_is_unknown_as_their_own_spread() -> 
     known = learnt(2.0 * STRAY)
     assert np.abs(known.taken_off(IDLE, at(2.0 * STRAY)) - at(0.0)).max() < 0.2 * NOISE
     assert np.abs(known.taken_off(EDGE, at(2.0 * STRAY)) - at(0.0)).max() < 2.0 * NOISE
+
+
+def test_a_follower_has_the_day_that_the_evidence_shows_taken_off_too() -> None:
+    """It moves three times as far as they do, the other way; it is told of only by them."""
+    drifts = [[-3.0 * STRAY] * 4]
+    follower = Follower(generator="tc", offset=[500.0] * 4, spread=[NOISE] * 4, drifts=drifts)
+    made, far = Day(evidence(followers=[follower])), np.append(at(80.0), 500.0 - 240.0)
+    deaf = made.taken_off(IDLE, far)
+    assert abs(deaf[2] - 500.0) < NOISE  # nothing is known of the day: it is far, in parts of what days do
+    for _ in range(10 * GUARD_TICKS):
+        made.add(IDLE, at(80.0), BOTH)
+    left = made.taken_off(PARTIAL, far)
+    assert left[2] == pytest.approx(500.0, abs=0.5 * NOISE)
+    faulty = made.taken_off(PARTIAL, np.append(at(80.0), 500.0 - 240.0 + 300.0))
+    unknown = WIDENED * 3.0 * WANDER * STRAY  # of a day that is known
+    assert faulty[2] - left[2] == pytest.approx(300.0 * NOISE / np.hypot(NOISE, unknown), rel=0.1)
 
 
 def test_a_generator_that_cannot_tell_says_nothing_of_the_day() -> None:

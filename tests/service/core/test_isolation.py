@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.decision import CONFIRMED, ranked
+from service.core.decision import CONFIRMED
+from service.core.explaining import ranked
 from service.core.hypotheses import Hypotheses, Look, confined
 from service.core.isolation import UNKNOWN, diagnoses
 from service.core.manifest import Evidence, Hypothesis
@@ -56,6 +57,7 @@ def _evidence(**changed: object) -> Evidence:
         "visit": [[[0.0, 0.0], [0.0, 0.0]]] * 4,
         "allowance": [[0.05, 0.05]] * 4,
         "drifts": [],
+        "followers": [],
         "graph": "faults.onnx",
         "hypotheses": [Hypothesis(fault=fault, size=size) for fault, size in SIZES],
     }

@@ -16,6 +16,7 @@ class Decided:
     cannot_tell: list[str] = field(default_factory=list)
     alarm: list[str] = field(default_factory=list)
     suspected: bool = False
+    intermittent: bool = False
     since: int | None = None
 
 
