@@ -46,7 +46,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Samples:
-    """The stretches of some recordings, with the SHA-256 of their logs; columns are `signals`.
+    """The stretches of some recordings, with the SHA-256 of their drives (`Log.drive`); columns are `signals`.
 
     The `seconds` of the recordings are there once for each start (`training.phases`).
     """
@@ -84,7 +84,7 @@ def load_samples(
     seconds = 0.0
     for path in recordings:
         log = open_known(path, say)
-        if log.sha256 in digests:
+        if log.drive in digests:
             raise InputError(f"{path}: this recording is named twice; name it once")
         if vehicle is not None:
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
@@ -100,7 +100,7 @@ def load_samples(
         seconds += kept
         say(f"{log.id}: {kept:.0f} s, seen from {count} starts of the vehicle")
         stretches += found
-        digests.append(log.sha256)
+        digests.append(log.drive)
     signals = tuple(channel.signal for channel in inputs)
     samples = Samples(signals, tuple(stretches), tuple(digests), vehicle, seconds)
     _check(samples, recordings)

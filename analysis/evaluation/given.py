@@ -39,17 +39,17 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
             without a truth; or a name in `faults` is no fault of the bundle or of any truth.
     """
     found: list[Given] = []
-    hashes: dict[str, Path] = {}
+    drives: dict[str, Path] = {}
     for path in paths:
         recording = _described(path)
         _check_sensors(path, recording, bundle)
-        sha256 = hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
-        if sha256 in hashes:
-            raise InputError(f"{path}: the same recording as {hashes[sha256]}; give each once")
+        own = recording.can.bench_sha256 or hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
+        if own in drives:
+            raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
         if any(other.recording.id == recording.id for other in found):
             raise InputError(f"{path}: id {recording.id!r} is another recording's too; each needs one of its own")
-        _check_unseen(path, sha256, bundle.manifest.origin)
-        hashes[sha256] = path
+        _check_unseen(path, own, bundle.manifest.origin)
+        drives[own] = path
         found.append(Given(path, recording, find_truth(truths, recording.id)))
     return _chosen(found, bundle, faults)
 
@@ -73,8 +73,8 @@ def _check_sensors(path: Path, recording: Recording, bundle: Bundle) -> None:
         )
 
 
-def _check_unseen(path: Path, sha256: str, origin: Origin) -> None:
-    if sha256 in [*origin.calibrate, *origin.train, *origin.tune]:
+def _check_unseen(path: Path, drive: str, origin: Origin) -> None:
+    if drive in [*origin.calibrate, *origin.train, *origin.tune]:
         raise InputError(f"{path}: the bundle was made from this recording; evaluate on one it has not seen")
 
 

@@ -66,8 +66,8 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     drives: list[Drive] = []
     for path in paths:
         log = open_known(path, progress.note)
-        twice = "twice" if log.sha256 in {drive.sha256 for drive in drives} else None
-        if (how := used.get(log.sha256, twice)) is not None:
+        twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
+        if (how := used.get(log.drive, twice)) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
         if runnable.networks:
@@ -75,7 +75,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         progress.say(log.id)
         table = compile_dbc(log.dbc, units, str(path))
         ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
-        drives.append(Drive(log.sha256, ticks, seen(log.id, ticks)))
+        drives.append(Drive(log.drive, ticks, seen(log.id, ticks)))
     return Vehicle(runnable, drives)
 
 

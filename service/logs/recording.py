@@ -20,6 +20,7 @@ SCHEMA = 1
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
 """Usable as a folder's name."""
+Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,11 +28,16 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Can(_Part, frozen=True):
-    """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal."""
+    """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal.
+
+    `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
+    another clock, the log is another one, but the drive is the same.
+    """
 
     file: str
     dbc: str
-    dbc_sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+    dbc_sha256: Sha256
+    bench_sha256: Sha256 | None = None
 
 
 class Table(_Part, frozen=True):

@@ -180,6 +180,18 @@ def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_pa
         fleet.tune(model, fleet.drives["b1"], "--adapt", fleet.base)
 
 
+def test_a_drive_that_made_the_model_is_refused_when_ingested_again(fleet: Fleet, tmp_path: Path) -> None:
+    """With another clock its log is another one; the drive is known by the bench's own."""
+    again = write_recording(tmp_path / "again", frames(UDS4, {}, 32, zero=ZERO), "b")
+    with (again / "recording.toml").open("a") as described:
+        described.write(f'bench_sha256 = "{"0" * 64}"\n')
+    model = tmp_path / "b.toml"
+    model.write_text(dump_model(of("b", recordings=("0" * 64,))))
+    with pytest.raises(InputError, match=r"again: this recording is used to make the model; tune on"):
+        fleet.tune(model, again)
+    assert fleet.tune(fleet.b, again).recordings == ["0" * 64]
+
+
 def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tmp_path: Path) -> None:
     base = load_tuning(fleet.base)
     given: list[str | Path] = [fleet.b, fleet.drives["b1"], "--adapt", tmp_path / "base.json"]

@@ -88,6 +88,19 @@ def test_what_the_bundle_was_made_from_is_refused_among_others(made: Made, tmp_p
     )
 
 
+def ingested(log: Path, sha256: str) -> Path:
+    """The recording as if it had been ingested from a bench's CAN log of this hash."""
+    return edited(log, r"\Z", f'bench_sha256 = "{sha256}"\n')
+
+
+def test_a_bench_recording_ingested_again_is_the_same_drive(made: Made, tmp_path: Path) -> None:
+    """With another clock its log is another one."""
+    first, second = (ingested(made.recording(name, stop_s=20.0 + k), "0" * 64) for k, name in enumerate("ab"))
+    assert f"{second}: the same recording as {first}; give each once" in refused(made, first, second)
+    bundle = remade(tmp_path, lambda manifest: manifest["origin"]["tune"].append("0" * 64))  # type: ignore[index]
+    assert f"{first}: the bundle was made from this recording; evaluate on one" in refused(made, first, bundle=bundle)
+
+
 def test_a_recording_without_a_truth_is_refused(made: Made) -> None:
     first, second = made.recording("first", stop_s=20.0), made.recording("second", stop_s=21.0)
     (made.truths / "second.toml").unlink()
