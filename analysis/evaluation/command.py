@@ -11,8 +11,7 @@ import msgspec
 from analysis.evaluation.given import Given, given
 from analysis.evaluation.judge import Verdict, apart, judge
 from analysis.evaluation.live import live_events
-from analysis.evaluation.measure.cases import cases_of
-from analysis.evaluation.measure.facts import Facts, facts
+from analysis.evaluation.measure.facts import Facts, facts, labelled
 from analysis.evaluation.sentence import sentence, summary
 from analysis.evaluation.story import Story, tell
 from analysis.progress import Progress
@@ -46,7 +45,6 @@ def main(argv: list[str]) -> int:
             f"{options.recording[0]}: like the others, faulty from its beginning; a report needs a fault-free part, "
             "add a recording without a fault"
         )
-    cases = cases_of([one.truth for one in chosen])
     shown = detailed(options.detail, chosen)
     if options.report:
         _make(options.report)
@@ -55,9 +53,10 @@ def main(argv: list[str]) -> int:
     with Progress("evaluating") as progress:
         for one, story, events, verdict in _judged(options, bundle, chosen, progress):
             print(msgspec.json.encode(verdict).decode() if options.json else sentence(verdict), flush=True)
-            judged.append(facts(one, cases[one.recording.id], verdict, events, story))
+            judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
                 stories.append(story)
+        judged = labelled(judged)
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
         if options.report:
@@ -149,7 +148,7 @@ def _size(one: Given) -> float:
 def _judged(
     options: argparse.Namespace, bundle: Bundle, chosen: list[Given], progress: Progress
 ) -> Iterator[tuple[Given, Story, list[Event], Verdict]]:
-    """Each recording run and judged, one at a time."""
+    """Each recording run and judged, one at a time, with the truth of what began before its log ends."""
     tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
     known = [fault.name for fault in bundle.manifest.faults]
     for number, one in enumerate(chosen, start=1):
@@ -158,8 +157,10 @@ def _judged(
         live = live_events(options.events, bundle, log) if options.events else None
         story = tell(bundle, log)
         events = story.events if live is None else live
-        there = [fault for fault in one.truth.fault if fault.onset_s < story.end_s]  # the log may end before one comes
-        truth = msgspec.structs.replace(one.truth, fault=there)
+        truth = one.truth.until(story.end_s)
+        for fault in one.truth.fault:
+            if fault not in truth.fault:
+                progress.note(f"{one.path}: {fault.name} begins at {fault.onset_s:g} s, the log ends before; left out")
         verdict = judge(truth, events, tests, story.origin_s, story.end_s, known)
         if live is not None:
             off = apart(live, story.events, len(story.t_s) - 1)
@@ -167,7 +168,7 @@ def _judged(
         if options.picture:
             progress.say("drawing")
             _draw(story, live, verdict, options.picture)
-        yield one, story, events, verdict
+        yield one._replace(truth=truth), story, events, verdict
 
 
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:

@@ -147,15 +147,21 @@ def test_a_report_without_a_fault_leaves_out_what_needs_one(made: Made, tmp_path
     assert "Fault signature matrix" not in text
 
 
-def test_a_short_recording_and_a_fault_that_does_not_come_are_no_obstacle(made: Made, tmp_path: Path) -> None:
-    """Twelve seconds have no block, and of the fault there is not a tick."""
+def test_a_short_recording_and_a_fault_that_does_not_come_are_no_obstacle(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twelve seconds have no block; a fault that begins behind the log's end is in neither verdict nor report."""
     short = made.recording("short", stop_s=12.0)
     late = made.recording("late", stop_s=68.0, fault=clogged(onset_s=500.0, name="fA_t"))
     arguments = [str(BUNDLE), str(short), str(late), "--truth", str(made.truths), "--report", str(tmp_path / "r")]
     assert main(arguments) == 1
     found = msgspec.json.decode((tmp_path / "r" / "report.json").read_bytes(), type=Evaluation)
-    assert {cell.alarm.trials for cell in found.cells} == {0}
-    assert [case.detected.hits for case in found.isolation] == [0]
+    assert [(one.case, one.faulty_hours, one.verdict.faults) for one in found.recordings] == 2 * [("fault-free", 0, [])]
+    assert not found.cells
+    assert not found.isolation
+    told = capsys.readouterr()
+    assert "late: fault-free, 0 false alarms" in told.out
+    assert f"{late}: fA_t begins at 500 s, the log ends before; left out" in told.err
     ElementTree.fromstring((tmp_path / "r" / "report.html").read_text().partition("\n")[2])  # noqa: S314
 
 
