@@ -57,6 +57,11 @@ class Facts:
         """Of the fault-free part and of the faulty one (2,)."""
         return np.asarray(self.ticks * self.period_s / 3600.0)
 
+    @property
+    def free_hours(self) -> float:
+        """Of the fault-free part, in which some test could tell [h]: the silence of others is no peace."""
+        return self.told.free_ticks * self.period_s / 3600.0
+
 
 def labelled(of: Sequence[Facts]) -> list[Facts]:
     """All recordings with their cases, whose labels say sizes where another recording has another one."""
@@ -74,7 +79,7 @@ def facts(given: Given, verdict: Verdict, events: list[Event], story: Story) -> 
         given=given,
         case=Case(tuple(sorted(fault.name for fault in given.truth.fault)), ""),
         verdict=verdict,
-        told=told(events, K, onset, manifest.period_s, verdict.faults, known),
+        told=told(events, np.asarray(story.usable.any(axis=1)), onset, manifest.period_s, verdict.faults, known),
         blocks=blocks(story, onset),
         ticks=np.array([onset, K - onset]),
         modes=np.array([np.bincount(story.mode[part], minlength=len(MODES)) for part in parts]),

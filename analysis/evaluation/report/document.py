@@ -64,6 +64,8 @@ class Test(msgspec.Struct, frozen=True, kw_only=True):
 class Told(msgspec.Struct, frozen=True, kw_only=True):
     """What was told over all recordings; false alarms are told episodes of the fault-free parts.
 
+    Their hours are those in which some test could tell.
+
     `shared`: where no probability was told, it was shared equally by the diagnoses of rank 1.
     """
 
@@ -120,7 +122,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         mode_hours={m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(MODES, modes, strict=True)},
         recordings=[_judged(one) for one in of],
         told=Told(
-            false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of)),
+            false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(one.free_hours for one in of)),
             scores=scores([one.told for one in of]),
             shared=any(one.told.shared for one in of),
         ),

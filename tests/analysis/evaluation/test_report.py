@@ -127,7 +127,8 @@ def test_the_data_say_what_was_told(data: Evaluation) -> None:
     assert cells["t02.ode", "fA_du"].alarm.hits == 1
     assert cells["t08.ode", "fA_du"].alarm.hits == 0
     assert (data.told.false_alarms.events, data.simulated) == (0, True)
-    assert data.told.false_alarms.hours == pytest.approx((69 + 70 + 70) / 3600, abs=1 / 3600)
+    warm_up_s = 20.0  # of each recording: no test can tell there, so its silence is no peace
+    assert data.told.false_alarms.hours == pytest.approx((69 + 70 + 70 - 3 * warm_up_s) / 3600, abs=1 / 3600)
     assert {test.generator: test.equals for test in data.tests}["t10.ode"] == "t08.ode"
 
 
