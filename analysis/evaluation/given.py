@@ -42,7 +42,7 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
     drives: dict[str, Path] = {}
     for path in paths:
         recording = _described(path)
-        _check_sensors(path, recording, bundle)
+        recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {bundle.where}")
         own = recording.can.bench_sha256 or hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
         if own in drives:
             raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
@@ -63,14 +63,6 @@ def _described(path: Path) -> Recording:
     opened = open_known(path, lambda _: None).recording
     assert opened is not None, "a log without a recording is refused"
     return opened
-
-
-def _check_sensors(path: Path, recording: Recording, bundle: Bundle) -> None:
-    if (recording.sensor_set, bundle.manifest.sensor_set) == ("production", "instrumented"):
-        raise InputError(
-            f"{path / 'recording.toml'}: sensor_set is 'production', the bundle {bundle.where} needs 'instrumented'; "
-            "give recordings of an instrumented vehicle, or a bundle made for production sensors"
-        )
 
 
 def _check_unseen(path: Path, drive: str, origin: Origin) -> None:

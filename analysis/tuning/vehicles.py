@@ -66,6 +66,8 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     drives: list[Drive] = []
     for path in paths:
         log = open_known(path, progress.note)
+        if log.recording is not None:
+            log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
         twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
         if (how := used.get(log.drive, twice)) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")

@@ -71,6 +71,18 @@ class Recording(_Part, frozen=True, kw_only=True):
     can: Can
     external: External | None = None
 
+    def check_sensors(self, folder: Path, needed: str, what: str) -> None:
+        """Whether this recording in `folder` has the added sensors, where `what`, for the sensor set `needed`, does.
+
+        Raises:
+            LogError: the recording is of fewer sensors.
+        """
+        if (self.sensor_set, needed) == ("production", "instrumented"):
+            raise LogError(
+                f"{folder / FILE}: sensor_set is 'production', {what} needs 'instrumented'; give recordings of an "
+                "instrumented vehicle, or tune and export a model without the added sensors (docs/tuning.md)"
+            )
+
 
 def load_recording(folder: Path) -> Recording:
     """The description of a recording whose files are all there and whose DBC is the one it was made with.

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import hashlib
 import io
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -211,6 +212,16 @@ def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tm
     written(msgspec.structs.replace(base, schema="faultline.tuning/1"))
     with pytest.raises(InputError, match=r"base.json: schema: this is 'faultline.tuning/1', wanted is .*; run `faultl"):
         fleet.tune(*given)
+
+
+@pytest.mark.parametrize("more", [(), ("--adapt",)])
+def test_a_recording_of_too_few_sensors_is_refused(fleet: Fleet, more: tuple[str, ...], tmp_path: Path) -> None:
+    few = Path(shutil.copytree(fleet.drives["b1"], tmp_path / "few"))
+    described = (few / "recording.toml").read_text()
+    (few / "recording.toml").write_text(described.replace('sensor_set = "instrumented"', 'sensor_set = "production"'))
+    message = r"few/recording.toml: sensor_set is 'production', the model uds4 needs 'instrumented'; give recordings of"
+    with pytest.raises(InputError, match=message):
+        fleet.tune(fleet.b, few, *more, *([fleet.base] if more else []))
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
