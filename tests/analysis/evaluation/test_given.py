@@ -43,10 +43,14 @@ def refused(made: Made, *recordings: Path, more: tuple[str, ...] = (), bundle: P
     return message
 
 
-def test_a_bundle_without_thresholds_is_refused(made: Made, tmp_path: Path) -> None:
-    bundle = remade(tmp_path, lambda manifest: manifest.update(detectors=[]))
+@pytest.mark.parametrize("change", [lambda m: m.update(detectors=[]), lambda m: m.pop("detectors")])
+def test_a_bundle_without_thresholds_is_refused(
+    made: Made, tmp_path: Path, change: Callable[[dict[str, object]], None]
+) -> None:
+    bundle = remade(tmp_path, change)
     message = refused(made, made.recording("free"), bundle=bundle)
-    assert "detectors: not one for each generator, in the same order; export the bundle again" in message
+    assert "manifest.json: detectors: there are none, so the bundle has no thresholds; run `faultline tune`" in message
+    assert message.endswith("then `faultline export`")
 
 
 def test_a_recording_of_too_few_sensors_is_refused(made: Made) -> None:
