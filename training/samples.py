@@ -10,13 +10,11 @@ import numpy.typing as npt
 from analysis.calibration.provenance import check_vehicle
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
-from analysis.recordings.observe import open_known, ticks_of
+from analysis.recordings.observe import Blind, open_known, ticks_of
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.core.generators import Residuals
 from service.core.manifest import Input
 from service.core.observer import Tick
-from service.core.signals import Mask, Vector
 from training.phases import starts
 
 Array = npt.NDArray[np.float64]
@@ -58,16 +56,6 @@ class Samples:
     seconds: float
 
 
-class _Blind:
-    """Generators that compute nothing: only the samples are wanted."""
-
-    def step(self, z: Vector, usable: Mask) -> Residuals:
-        """Nothing of nothing."""
-        del z, usable
-        none = np.zeros(0)
-        return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
-
-
 def load_samples(
     model: Model, inputs: Sequence[Input], recordings: Sequence[Path], say: Callable[[str], None]
 ) -> Samples:
@@ -94,7 +82,7 @@ def load_samples(
         count = 0
         for start in starts(log.relative(), table):
             count += 1
-            ticks = ticks_of(model, inputs, start, start.frames(), _Blind())
+            ticks = ticks_of(model, inputs, start, start.frames(), Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept

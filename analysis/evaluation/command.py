@@ -8,12 +8,14 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.evaluation.given import Given, given
+from analysis.evaluation.given import Given, check_reportable, given
 from analysis.evaluation.judge import Verdict, apart, judge
 from analysis.evaluation.live import live_events
 from analysis.evaluation.measure.facts import Facts, facts, labelled
+from analysis.evaluation.report.document import isolating
 from analysis.evaluation.sentence import sentence, summary
 from analysis.evaluation.story import Story, tell
+from analysis.places import check_folder
 from analysis.progress import Progress
 from service.bundle import Bundle, load_bundle
 from service.core.errors import InputError
@@ -39,15 +41,11 @@ def main(argv: list[str]) -> int:
     options = _options(argv)
     bundle = load_bundle(options.bundle)
     chosen = given(bundle, options.recording, options.truth, options.fault)
-    _check_names(options.require, bundle)
-    if options.report and not any(_free(one) for one in chosen):
-        raise InputError(
-            f"{options.recording[0]}: like the others, faulty from its beginning; a report needs a fault-free part, "
-            "add a recording without a fault"
-        )
     shown = detailed(options.detail, chosen)
     if options.report:
-        _make(options.report)
+        _check_required(options.require, bundle, chosen)
+        check_folder(options.report, "--report")
+        check_reportable(chosen, bundle)
     judged: list[Facts] = []
     stories: list[Story] = []
     with Progress("evaluating") as progress:
@@ -98,24 +96,23 @@ def _options(argv: list[str]) -> argparse.Namespace:
     return options
 
 
-def _make(folder: Path) -> None:
-    """The report's folder, before hours of recordings are run for it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
-
-
-def _free(one: Given) -> bool:
-    return all(fault.onset_s > 0.0 for fault in one.truth.fault)
-
-
-def _check_names(required: list[str], bundle: Bundle) -> None:
+def _check_required(required: list[str], bundle: Bundle, chosen: list[Given]) -> None:
+    """Whether what is required may be met: its faults are known and recorded, and some generator tells by structure."""
     known = [fault.name for fault in bundle.manifest.faults]
     for words in required:
         for name in words.split(":"):
             if name not in known:
                 raise InputError(f"--require {words}: {name!r} is no fault of the bundle; those are {', '.join(known)}")
+        fault, other = _pair(words)
+        if not any([each.name for each in one.truth.fault] == [fault] for one in chosen):
+            raise InputError(f"--require {words}: no recording has {fault} alone; add one, or leave it out")
+        sees = [fault in generator.faults for generator in bundle.manifest.generators]
+        clears = [
+            c and other not in g.faults for c, g in zip(isolating(bundle), bundle.manifest.generators, strict=True)
+        ]
+        if not any(s and (other is None or c) for s, c in zip(sees, clears, strict=True)):
+            what = f"isolates {fault} from {other}" if other else f"detects {fault}"
+            raise InputError(f"--require {words}: no generator {what} by structure, in any recording; leave it out")
 
 
 def _pair(words: str) -> tuple[str, str | None]:

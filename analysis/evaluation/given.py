@@ -2,14 +2,17 @@
 
 import hashlib
 from collections.abc import Callable, Collection, Sequence
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
+from analysis.evaluation.measure.blocks import BLOCK_S
 from analysis.evaluation.truth import Truth, find_truth
-from analysis.recordings.observe import open_known
+from analysis.recordings.observe import open_known, samples_of
 from service.bundle import Bundle
 from service.core.errors import InputError
 from service.core.manifest import Origin
+from service.core.modes import MAXIMUM
 from service.logs import Log, Recording, load_recording
 
 
@@ -52,6 +55,32 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
         drives[own] = path
         found.append(Given(path, recording, find_truth(truths, recording.id)))
     return _chosen(found, bundle, faults)
+
+
+def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
+    """Whether recordings make a report, seen from their samples alone: they are read until it is known.
+
+    Raises:
+        InputError: none has a fault-free part that a block fits in, or none a phase of maximum dose.
+    """
+    manifest, free, maximum = bundle.manifest, False, False
+    for one in chosen:
+        ticks = samples_of(manifest, bundle.table, one.open(bundle, lambda _: None).relative())
+        onset = min((fault.onset_s for fault in one.truth.fault), default=inf)
+        free |= round(sum(tick.t_s < onset for tick in ticks) * manifest.period_s / BLOCK_S) > 0
+        maximum |= any(tick.mode == MAXIMUM for tick in ticks)
+        if free and maximum:
+            return
+    like = f"{chosen[0].path}: " + ("like the others, " if len(chosen) > 1 else "")
+    if not free:
+        raise InputError(
+            f"{like}without a fault-free part of {BLOCK_S / 2:.0f} s; a report needs one, "
+            "add a recording without a fault"
+        )
+    raise InputError(
+        f"{like}without a phase of maximum dose, where most faults show best; a report needs one, add a recording that "
+        "has it"
+    )
 
 
 def _described(path: Path) -> Recording:

@@ -14,6 +14,7 @@ from analysis.graph.bank import build_bank
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
+from analysis.places import check_file
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
 from analysis.recordings.observe import START_WITHIN_S
@@ -88,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(options: argparse.Namespace) -> None:
+    check_file(options.out, "--out")
     if options.target is not None and not 0.0 < options.target < np.inf:
         raise InputError(f"--target {options.target:g}: a rate is a positive number of suspicions per hour; give one")
     for also in options.also:

@@ -224,6 +224,17 @@ def test_a_recording_of_too_few_sensors_is_refused(fleet: Fleet, more: tuple[str
         fleet.tune(fleet.b, few, *more, *([fleet.base] if more else []))
 
 
+def test_a_place_that_cannot_be_written_is_told_before_any_work(fleet: Fleet, tmp_path: Path) -> None:
+    """Before the model is even looked at."""
+    (tmp_path / "file").touch()
+    for out, words in (
+        (tmp_path, "is a folder; give --out the name"),
+        (tmp_path / "file/x", "file: is no folder; giv"),
+    ):
+        with pytest.raises(InputError, match=words):
+            tune(["no-model.toml", str(fleet.drives["a1"]), "--out", str(out)])
+
+
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
 def test_a_target_that_is_no_rate_is_refused(fleet: Fleet, rate: str) -> None:
     with pytest.raises(InputError, match=r"--target .*: a rate is a positive number of suspicions per hour; give one"):
