@@ -25,6 +25,7 @@ from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
+from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule
 from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from service.core.errors import InputError
@@ -152,7 +153,9 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     if not given.claim:
         return tuning
     manifests = []
-    for of_fold in found.of_folds:
+    for fold, of_fold in zip(left_out, found.of_folds, strict=True):
+        for doubt in doubts(fold, of_fold.evidence, rule.generators, described):
+            progress.note(doubt)
         part = msgspec.structs.replace(tuning, detectors=of_fold.detectors, evidence=of_fold.evidence)
         manifests.append(manifest_of(runnable, part, {}, "none"))
     counts = count(left_out, manifests, to, progress.say)

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import hashlib
 import io
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -159,6 +160,19 @@ def test_a_fault_that_is_there_is_not_adapted_away(fleet: Fleet, bias: float, tm
     message = r"biased: t\d\d.ode lies .* off in mode '\w+', [\d.]+ standard deviations of what .*base.json makes plaus"
     with pytest.raises(InputError, match=message):
         fleet.tune(fleet.b, biased, "--adapt", fleet.base)
+
+
+def test_a_fault_in_a_drive_to_tune_on_is_told(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is no error: a day may be like that, and only the user knows."""
+    biased = write_recording(tmp_path / "biased", frames(UDS4, {}, 40, zero={"y_p_du": 20_000.0}), "a")
+    fleet.tune(fleet.a, fleet.drives["a1"], fleet.drives["a2"], biased)
+    told = [line for line in capsys.readouterr().err.splitlines() if "standard deviations" in line]
+    assert len(told) == 1
+    assert re.match(
+        r"biased: t\d\d.ode lies [\d.]+ standard deviations from the other drives in mode '\w+' \(4", told[0]
+    )
 
 
 def test_adapting_needs_every_mode_for_long_enough(fleet: Fleet, tmp_path: Path) -> None:

@@ -1,8 +1,11 @@
 """Targets, folds and claims on made drives, whose rate of alarms is known."""
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from analysis.graph.runnable import Runnable
 from analysis.tuning.claim import claim, folds, rate_of, thresholds
 from analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
+from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
 from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
 from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
@@ -108,6 +112,45 @@ def test_of_several_vehicles_whole_ones_are_left_out() -> None:
     for index, fold in enumerate(found):
         assert THREE[index] not in fold.train
         assert fold.hours == pytest.approx(2 * 4000 / HOUR)
+
+
+def shifted(s: Drive, by: float, ticks: slice) -> Drive:
+    """The drive with its first residual further off under partial dose, in some of its ticks."""
+    r, there = s.seen.r.copy(), np.zeros(len(s.seen.r), dtype=np.bool_)
+    there[ticks] = True
+    r[there & (s.seen.mode == PARTIAL), 0] += by
+    return replace(s, seen=replace(s.seen, r=r))
+
+
+def doubted(*drives: Drive, days: float = 500.0) -> list[str]:
+    """What is said of drives of a vehicle whose means stray by `days` from day to day."""
+    found, to = folds([vehicle(*drives)], OWN), np.zeros((2, len(MODES)))
+    evidence = msgspec.structs.replace(no_days([], to), allowance=[[days]] * len(MODES))
+    return [doubt for fold in found for doubt in doubts(fold, evidence, NAMES, OWN)]
+
+
+def test_a_drive_far_from_the_others_is_doubted_and_only_that() -> None:
+    sound = [drive(seed) for seed in (1, 2, 3)]
+    assert doubted(*sound) == []
+    [said] = doubted(*sound, shifted(drive(4), 3000.0, slice(None)))
+    assert re.fullmatch(
+        r"made-4: ta.ode lies 5\.\d standard deviations from the other drives in mode 'partial' \(4 are plausible\): "
+        r"is there a fault in it\? Leave it out, or know why",
+        said,
+    )
+    assert doubted(*sound, shifted(drive(4), 1500.0, slice(None))) == []  # a day
+
+
+def test_a_step_within_a_drive_is_doubted_though_it_is_a_days_size() -> None:
+    """White noise of 900 in 500 ticks of each half: a standard deviation of 57."""
+    [said] = doubted(drive(1), shifted(drive(2), 1000.0, slice(2000, None)))
+    assert re.match(
+        r"made-2: ta.ode lies 1[5-9]\.\d standard deviations apart in the drive's two halves in mode 'p", said
+    )
+
+
+def test_of_a_single_drive_nothing_is_known() -> None:
+    assert doubted(shifted(drive(1), 3000.0, slice(2000, None))) == []
 
 
 @pytest.mark.parametrize("kind", LEVEL_KINDS)
