@@ -261,6 +261,18 @@ def test_the_claim_counts_bounds_and_says_what_was_left_out() -> None:
     assert "exponential tail" in missed.said
 
 
+def test_one_drive_left_out_is_not_resampled() -> None:
+    pair = [vehicle(drive(1), drive(2, without=[MAXIMUM]))]
+    made = claim(pair, folds(pair, OWN), np.array([[6.0, 0.0]]), None, extrapolated=False)
+    assert made.left_out == 1
+    assert re.search(
+        r"6 suspicions, \d+ per hour \(95 %: at most \d+; one drive cannot be resampled\); 0 conf", made.said
+    )
+    counts = np.array([[6.0, 0.0], [0.0, 0.0]])
+    both = [vehicle(drive(1), drive(2))]
+    assert "; resampling drives: 0 to " in claim(both, folds(both, OWN), counts, None, extrapolated=False).said
+
+
 def test_resampling_whole_vehicles_shows_that_they_differ() -> None:
     """The same count of one bad vehicle and of all alike: the exact bound is the same, the spread is not."""
     hours = np.ones(6)
