@@ -221,5 +221,7 @@ def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     if tuning.claim is not None:
         lines.append(tuning.claim.said)
+    elif tuning.base is not None:
+        lines.append("false alarms: nothing is claimed of this vehicle: the base has no claim of several vehicles")
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")
     return "\n".join(lines)

@@ -26,6 +26,7 @@ from service.core.errors import InputError
 from service.core.manifest import CusumDetector
 from service.core.modes import IDLE
 from service.logs import open_log
+from service.show import main as show
 
 ZERO = {"y_p_ap": 0.0}
 
@@ -128,7 +129,9 @@ def test_every_detector_can_be_asked_for_and_exported(fleet: Fleet, kind: str, c
     assert load_bundle(bundle).manifest.detectors == tuning.detectors
 
 
-def test_adapting_keeps_the_base_and_brings_the_offsets(fleet: Fleet, tmp_path: Path) -> None:
+def test_adapting_keeps_the_base_and_brings_the_offsets(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     base, drive = load_tuning(fleet.base), fleet.drives["b1"]
     adapted = fleet.tune(fleet.b, drive, "--adapt", fleet.base)
     own = fleet.tune(fleet.b, drive)
@@ -152,6 +155,26 @@ def test_adapting_keeps_the_base_and_brings_the_offsets(fleet: Fleet, tmp_path: 
     dbc.write_bytes(DBC)
     assert export([str(fleet.b), "--tuning", str(adapted_file), "--dbc", str(dbc), "--out", str(bundle)]) == 0
     assert load_bundle(bundle).manifest.origin.base == adapted.base
+    assert adapted.base is not None
+    assert show(["show", str(bundle)]) == 0
+    told = capsys.readouterr().out
+    assert "\nfalse alarms: nothing is claimed of them\nadapted to this vehicle from the tuning " in told
+    assert f"{adapted.base[:12]} of others\n" in told
+
+
+def test_what_an_adapted_tuning_claims_is_said(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = load_tuning(fleet.base)
+    assert base.claim is not None
+    several = tmp_path / "several.json"
+    several.write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(base, claim=msgspec.structs.replace(base.claim, vehicles=2)))
+    )
+    for path, said in ((fleet.base, "nothing is claimed of this vehicle: the base has no"), (several, base.claim.said)):
+        given = [fleet.b, fleet.drives["b1"], "--adapt", path, "--out", tmp_path / "out.json"]
+        assert tune([*map(str, given)]) == 0
+        assert said in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("bias", [20_000.0, -20_000.0])
