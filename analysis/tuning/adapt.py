@@ -23,7 +23,7 @@ from analysis.recordings.modes import modes_of, stand_ins
 from analysis.tuning.evidence import no_surer
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
-from analysis.tuning.thresholds import Seen
+from analysis.tuning.thresholds import Seen, more_of
 from analysis.tuning.vehicles import Vehicle, offsets, read
 from service.core.consistency import of_evidence
 from service.core.errors import InputError
@@ -113,14 +113,16 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
 
 def _check_length(vehicle: Vehicle, described: Sequence[int]) -> None:
     names = ", ".join(drive.seen.name for drive in vehicle.drives)
-    short = []
+    short, remedies = [], []
     for mode in dict.fromkeys(described):
         ticks = sum(drive.seen.usable[drive.seen.mode == mode].sum(axis=0).min() for drive in vehicle.drives)
         if (seconds := float(ticks) * PERIOD_S) < LEAST_S:
             short.append(f"{MODES[mode]!r} for {seconds:.0f} s")
+            remedies.append(more_of(mode))
     if short:
         raise InputError(
-            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; add a fault-free drive that stays in it"
+            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; "
+            f"add a fault-free drive {' and '.join(dict.fromkeys(remedies))}"
         )
 
 

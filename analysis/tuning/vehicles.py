@@ -16,7 +16,7 @@ from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.progress import Progress
 from analysis.recordings.observe import open_known, ticks_of
-from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, seen
+from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import MODES
@@ -97,7 +97,7 @@ def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
         raise InputError(
             f"tuning data ({', '.join(drive.seen.name for drive in vehicle.drives)}): "
             f"{vehicle.runnable.generators[row].name} saw mode {MODES[mode]!r} for {ticks} ticks only; "
-            "add a fault-free recording that stays in it"
+            f"add a fault-free recording {more_of(mode)}"
         )
 
 

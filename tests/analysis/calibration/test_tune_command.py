@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from made_drive import DBC, HOLD_S, UDS4, frames, freed, write_recording
+from made_drive import DBC, ECU, HOLD_S, UDS4, frames, freed, write_recording
 
 from analysis.export import main as export
 from analysis.model import Model, dump_model
@@ -203,6 +203,16 @@ def test_adapting_needs_every_mode_for_long_enough(fleet: Fleet, tmp_path: Path)
     short = write_recording(tmp_path / "short", log, "b")
     with pytest.raises(InputError, match=rf"short: saw mode .*'maximum' for \d+ s.*, {LEAST_S:.0f} s are needed; add"):
         fleet.tune(fleet.b, short, "--adapt", fleet.base)
+
+
+def test_nobody_is_told_to_stay_at_an_edge(fleet: Fleet, tmp_path: Path) -> None:
+    """A long drive of few steps: the added sensors are lost until some seconds after each of them."""
+    log = [f for f in frames(UDS4, {}, 42, zero=ZERO) if f.can_id == ECU or f.t % HOLD_S > 8.0 or f.t > 4 * HOLD_S]
+    calm = write_recording(tmp_path / "calm", log, "b")
+    with pytest.raises(InputError) as caught:
+        fleet.tune(fleet.b, calm, "--adapt", fleet.base)
+    assert re.search(r"calm: saw mode .*'edge' for \d+ s, 20 s are needed; add a fault-free drive", str(caught.value))
+    assert str(caught.value).endswith("with more steps, such as of the dose")
 
 
 def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_path: Path) -> None:
