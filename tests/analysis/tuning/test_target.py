@@ -207,6 +207,14 @@ def test_with_too_few_hours_the_tail_is_drawn_on_and_holds() -> None:
     assert 8.9 <= factor.value < 25.0
 
 
+def test_traces_that_never_leave_zero_have_a_factor() -> None:
+    """Of all drives, or of those that resampling draws alone."""
+    still = [Trace(np.zeros(HOUR // 2), 0.5)]
+    assert factor_for(0.02, [still, still]).value == 0.0
+    peaked = poisson(1, 0.5, 1.0)
+    assert factor_for(0.02, [still, still, [peaked]]).value > float(peaked.x.max())
+
+
 @pytest.mark.parametrize("target", [5.0, 0.5])
 def test_thresholds_for_a_target_keep_it_on_other_drives(target: float) -> None:
     """Counted on hours that nothing was tuned on, within what chance makes of it (99.9 %)."""
