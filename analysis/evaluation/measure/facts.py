@@ -1,4 +1,7 @@
-"""What is kept of a recording once it was run: counts, not samples, so that memory does not grow with the hours."""
+"""What is kept of a recording once it was run: counts, and a row a minute, but no samples.
+
+So it is the longest recording that memory grows with, and not all of them: while one is run, its story is all there.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
