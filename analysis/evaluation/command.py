@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +34,7 @@ read them.
 """
 
 DETAILED = 12
-"""Recordings of which the report shows residuals and CUSUM over time, unless others are chosen."""
+"""Recordings of which the report shows residuals and detectors over time, unless others are chosen."""
 
 
 def main(argv: list[str]) -> int:
@@ -53,7 +54,7 @@ def main(argv: list[str]) -> int:
             print(msgspec.json.encode(verdict).decode() if options.json else sentence(verdict), flush=True)
             judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
-                stories.append(story)
+                stories.append(replace(story, events=events))  # of a bus, where those are judged
         judged = labelled(judged)
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)

@@ -46,7 +46,7 @@ def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:
             *shown.get("methods", []),
         ),
         section("Which generators to keep", *_selection(e)),
-        section("Residuals and CUSUM over time", *shown.get("traces", [])),
+        section("Residuals and detectors over time", *shown.get("traces", [])),
         section("What the terms mean", markup.definitions(TERMS)),
         section("What this does not say", "".join(map(paragraph, LIMITS))),
     ]

@@ -1,6 +1,7 @@
 """The report of a small set: whole, readable without sight, the same each time, and its data keep their shape."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,13 +10,16 @@ import numpy as np
 import pytest
 from made_set import BUNDLE, Made, clogged
 from made_story import bundle, event, known, story
+from matplotlib.patches import Rectangle
 
 from analysis.evaluation.command import main
+from analysis.evaluation.report import traces
 from analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
 from analysis.evaluation.report.markup import Td, table
 from analysis.evaluation.report.page import page
 from analysis.evaluation.report.pictures import pictures
 from service.core.errors import InputError
+from service.core.manifest import Detector, LowPassDetector
 
 
 @pytest.fixture(scope="module")
@@ -179,8 +183,8 @@ def test_networks_are_shown_beside_equations() -> None:
     r[600:, 0] = 3.0
     sums[650:, 0] = 11.0
     mode = np.repeat([0.0, 2.0, 1.0, 2.0], 300)
-    whole = story(r, sums, mode=mode)
-    one = known(whole, ["fA_du"], 120.0, [event(700, ("", 1), ("fA_du+fA_t", 2))])
+    whole = replace(story(r, sums, mode=mode), events=[event(700, ("", 1), ("fA_du+fA_t", 2))])
+    one = known(whole, ["fA_du"], 120.0, whole.events)
     made = bundle()
     first, second = made.manifest.generators
     network = msgspec.structs.replace(second, test="t02", name="t02.rnn", faults=first.faults)
@@ -193,6 +197,27 @@ def test_networks_are_shown_beside_equations() -> None:
     text = page(found, drawn)
     ElementTree.fromstring(text.partition("\n")[2])  # noqa: S314
     assert "Equations and networks side by side" in text
+
+
+def test_traces_say_what_tests_what_is_not_drawn_and_what_was_told() -> None:
+    """Made: two generators with the same residual and low-pass detectors; one diagnosis, from 140 s on."""
+    r, sums = np.full((1200, 2), 3.0), np.zeros((1200, 2))
+    made = bundle()
+    detectors: list[Detector] = [
+        LowPassDetector(generator=d.generator, offset=d.offset, scale=d.scale, J=1.0, hold_ticks=5, time_ticks=5.0)
+        for d in made.manifest.detectors
+    ]
+    made = made._replace(manifest=msgspec.structs.replace(made.manifest, detectors=detectors))
+    whole = replace(story(r, sums), bundle=made, events=[event(0), event(700, ("fA_du", 1), ("fA_t", 2))])
+    one = known(whole, ["fA_du"], 120.0, whole.events)
+    figure, alt, caption = traces.draw(evaluation(made, [one]), whole, one)
+    told, *panels = figure.axes
+    assert [panel.get_title() for panel in panels] == ["residual", "low-pass in parts of its threshold"]
+    assert "detectors (low-pass)" in alt
+    assert caption.endswith("Not drawn, being the same signal as another: t08.ode (as t02.ode).")
+    assert [label.get_text() for label in told.get_yticklabels()] == ["fA_du", "fA_t"]
+    bars = [bar for bar in told.patches if isinstance(bar, Rectangle) and bar.get_height() == 0.7]
+    assert {bar.get_x() for bar in bars} == {140.0}
 
 
 def test_what_a_cell_holds_is_text_and_no_markup() -> None:
