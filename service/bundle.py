@@ -101,10 +101,16 @@ def load_bundle(folder: Path) -> Bundle:
 
 def decode_manifest(raw: bytes, where: str) -> Manifest:
     """The manifest in `raw`; the version is looked at first, then every field and what they say of each other."""
-    schema = _decode(raw, _Header, where).schema
-    if schema != SCHEMA:
+    header = _decode(raw, _Header, where)
+    if header.schema != SCHEMA:
         raise BundleError(
-            f"{where}: schema: this is {schema[:80]!r}, this faultline runs {SCHEMA!r}; install the matching version"
+            f"{where}: schema: this is {header.schema[:80]!r}, this faultline runs {SCHEMA!r}; "
+            "install the matching version"
+        )
+    if not header.detectors:
+        raise BundleError(
+            f"{where}: detectors: there are none, so the bundle has no thresholds; run `faultline tune`, "
+            "then `faultline export`"
         )
     manifest = _decode(raw, Manifest, where)
     for problem in inconsistencies(manifest):
@@ -163,6 +169,7 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: Vector) -> No
 
 class _Header(msgspec.Struct):
     schema: str
+    detectors: object = None
 
 
 def _whole(folder: Path) -> tuple[bytes, Manifest, dict[str, bytes]]:

@@ -37,6 +37,8 @@ def main(argv: list[str]) -> int:
     verify_golden(bundle)
     log = open_log(options.log)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    if log.recording is not None:
+        log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")
     if log.report.lost:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)

@@ -55,8 +55,10 @@ def _summary(bundle: Bundle) -> str:
         first, *more = [brief(detector) for detector in m.detectors if detector.generator == generator.name]
         lines.append(f"{generator.name:<12}{generator.predicts:<10}{first:<26}  {marks}")
         lines += [f"{'':<22}{settings}" for settings in more]
-    if m.claim is not None:
-        lines += ["", m.claim.said]
+    lines += ["", "false alarms: nothing is claimed of them" if m.claim is None else m.claim.said]
+    if m.origin.base is not None:
+        whose = "" if m.claim is None else ", whose claim this is"
+        lines.append(f"adapted to this vehicle from the tuning {m.origin.base[:12]} of others{whose}")
     lines += ["", *(f"{fault.name:<9} {fault.component}: {fault.description}" for fault in m.faults)]
     lines += ["", "equations, near which an unknown fault may be:"]
     disturbing = {each.equation: f"; {each.name}: {each.description}" for each in m.disturbances}

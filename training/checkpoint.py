@@ -32,7 +32,8 @@ def key_of(layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: B
     """What a training depends on: recordings, model and tests, recipe, seed, where it begins, this version of torch."""
     before = [] if begin is None else [value.tolist() for value in begin.weights.values()]
     tests = [dump_model(layout.model), *(test.name for test in layout.tests)]
-    given = [before, samples.digests, tests, asdict(recipe), seed, str(torch.__version__)]
+    seen = [hashlib.sha256(stretch.z.tobytes()).hexdigest() for stretch in samples.stretches]
+    given = [before, seen, tests, asdict(recipe), seed, str(torch.__version__)]
     return hashlib.sha256(msgspec.json.encode(given)).hexdigest()
 
 

@@ -10,13 +10,11 @@ import numpy.typing as npt
 from analysis.calibration.provenance import check_vehicle
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
-from analysis.recordings.observe import open_known, ticks_of
+from analysis.recordings.observe import Blind, open_known, ticks_of
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
-from service.core.generators import Residuals
 from service.core.manifest import Input
 from service.core.observer import Tick
-from service.core.signals import Mask, Vector
 from training.phases import starts
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +44,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Samples:
-    """The stretches of some recordings, with the SHA-256 of their logs; columns are `signals`.
+    """The stretches of some recordings, with the SHA-256 of their drives (`Log.drive`); columns are `signals`.
 
     The `seconds` of the recordings are there once for each start (`training.phases`).
     """
@@ -56,16 +54,6 @@ class Samples:
     digests: tuple[str, ...]
     vehicle: str | None
     seconds: float
-
-
-class _Blind:
-    """Generators that compute nothing: only the samples are wanted."""
-
-    def step(self, z: Vector, usable: Mask) -> Residuals:
-        """Nothing of nothing."""
-        del z, usable
-        none = np.zeros(0)
-        return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
 
 
 def load_samples(
@@ -84,7 +72,7 @@ def load_samples(
     seconds = 0.0
     for path in recordings:
         log = open_known(path, say)
-        if log.sha256 in digests:
+        if log.drive in digests:
             raise InputError(f"{path}: this recording is named twice; name it once")
         if vehicle is not None:
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
@@ -94,13 +82,13 @@ def load_samples(
         count = 0
         for start in starts(log.relative(), table):
             count += 1
-            ticks = ticks_of(model, inputs, start, start.frames(), _Blind())
+            ticks = ticks_of(model, inputs, start, start.frames(), Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept
         say(f"{log.id}: {kept:.0f} s, seen from {count} starts of the vehicle")
         stretches += found
-        digests.append(log.sha256)
+        digests.append(log.drive)
     signals = tuple(channel.signal for channel in inputs)
     samples = Samples(signals, tuple(stretches), tuple(digests), vehicle, seconds)
     _check(samples, recordings)

@@ -97,7 +97,7 @@ class _Data:
         for path in (*fitted, *others):
             progress.say(str(path))
             log = open_known(path, progress.note)
-            if log.sha256 in (other.sha256 for other in self.logs):
+            if log.drive in (other.drive for other in self.logs):
                 raise InputError(f"{path}: this recording is given twice; validate on recordings that are not fitted")
             self.logs.append(log)
             check_vehicle(log, path, self.vehicle, str(fitted[0]))

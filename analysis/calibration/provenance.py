@@ -17,11 +17,11 @@ def entry(logs: Sequence[Log], sections: int) -> dict[str, object]:
     """What a calibration adds to a model's provenance."""
     recording = logs[0].recording
     vehicle = {"vehicle": recording.vehicle} if recording else {}
-    return {"command": COMMAND, "recordings": [log.sha256 for log in logs], "sections": sections, **vehicle}
+    return {"command": COMMAND, "recordings": [log.drive for log in logs], "sections": sections, **vehicle}
 
 
 def recordings_of(model: Model) -> list[str]:
-    """The SHA-256 of the recordings that the model has seen: of calibration and discovery, once each.
+    """The SHA-256 of the drives that the model has seen (`Log.drive`): of calibration and discovery, once each.
 
     A discovery's held-out recordings count: the effects were chosen for describing them.
     """

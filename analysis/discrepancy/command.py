@@ -180,7 +180,7 @@ def _trial(options: argparse.Namespace, data: Data, progress: Progress) -> Trial
     """What the bundles are made and judged with, if that was asked for: what is wrong with it is said at once."""
     if not options.tune:
         return None
-    seen = [*recordings_of(data.model), *(log.sha256 for log in (*data.training, *data.held))]
+    seen = [*recordings_of(data.model), *(log.drive for log in (*data.training, *data.held))]
     truths = options.truth or [None] * len(options.evaluate)
     used = dict.fromkeys(seen, "calibrate the model or to discover its effects")
     return trial(used, options.tune, list(zip(options.evaluate, truths, strict=True)), progress.note, data.vehicle)

@@ -90,16 +90,16 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
     found: list[tuple[Log, list[Section]]] = []
     for path in (*training, *held):
         log = open_known(path, note)
-        if log.sha256 in logs:
+        if log.drive in logs:
             raise InputError(
-                f"{path}: the same recording as {logs[log.sha256]}; evidence needs recordings that the fit has not "
+                f"{path}: the same recording as {logs[log.drive]}; evidence needs recordings that the fit has not "
                 "seen, record another drive"
             )
-        if path in held and log.sha256 in recordings_of(model):
+        if path in held and log.drive in recordings_of(model):
             raise InputError(
                 f"{path}: {model.name} was made from this recording, so it is no evidence; hold another one out"
             )
-        logs[log.sha256] = path
+        logs[log.drive] = path
         first = found[0][0] if found else log
         check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")

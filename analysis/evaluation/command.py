@@ -3,18 +3,20 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import msgspec
 
-from analysis.evaluation.given import Given, given
+from analysis.evaluation.given import Given, check_reportable, given
 from analysis.evaluation.judge import Verdict, apart, judge
 from analysis.evaluation.live import live_events
-from analysis.evaluation.measure.cases import cases_of
-from analysis.evaluation.measure.facts import Facts, facts
+from analysis.evaluation.measure.facts import Facts, facts, labelled
+from analysis.evaluation.report.document import isolating
 from analysis.evaluation.sentence import sentence, summary
 from analysis.evaluation.story import Story, tell
+from analysis.places import check_folder
 from analysis.progress import Progress
 from service.bundle import Bundle, load_bundle
 from service.core.errors import InputError
@@ -32,7 +34,7 @@ read them.
 """
 
 DETAILED = 12
-"""Recordings of which the report shows residuals and CUSUM over time, unless others are chosen."""
+"""Recordings of which the report shows residuals and detectors over time, unless others are chosen."""
 
 
 def main(argv: list[str]) -> int:
@@ -40,24 +42,20 @@ def main(argv: list[str]) -> int:
     options = _options(argv)
     bundle = load_bundle(options.bundle)
     chosen = given(bundle, options.recording, options.truth, options.fault)
-    _check_names(options.require, bundle)
-    if options.report and not any(_free(one) for one in chosen):
-        raise InputError(
-            f"{options.recording[0]}: like the others, faulty from its beginning; a report needs a fault-free part, "
-            "add a recording without a fault"
-        )
-    cases = cases_of([one.truth for one in chosen])
     shown = detailed(options.detail, chosen)
     if options.report:
-        _make(options.report)
+        _check_required(options.require, bundle, chosen)
+        check_folder(options.report, "--report")
+        check_reportable(chosen, bundle)
     judged: list[Facts] = []
     stories: list[Story] = []
     with Progress("evaluating") as progress:
         for one, story, events, verdict in _judged(options, bundle, chosen, progress):
             print(msgspec.json.encode(verdict).decode() if options.json else sentence(verdict), flush=True)
-            judged.append(facts(one, cases[one.recording.id], verdict, events, story))
+            judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
-                stories.append(story)
+                stories.append(replace(story, events=events))  # of a bus, where those are judged
+        judged = labelled(judged)
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
         if options.report:
@@ -99,24 +97,23 @@ def _options(argv: list[str]) -> argparse.Namespace:
     return options
 
 
-def _make(folder: Path) -> None:
-    """The report's folder, before hours of recordings are run for it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
-
-
-def _free(one: Given) -> bool:
-    return all(fault.onset_s > 0.0 for fault in one.truth.fault)
-
-
-def _check_names(required: list[str], bundle: Bundle) -> None:
+def _check_required(required: list[str], bundle: Bundle, chosen: list[Given]) -> None:
+    """Whether what is required may be met: its faults are known and recorded, and some generator tells by structure."""
     known = [fault.name for fault in bundle.manifest.faults]
     for words in required:
         for name in words.split(":"):
             if name not in known:
                 raise InputError(f"--require {words}: {name!r} is no fault of the bundle; those are {', '.join(known)}")
+        fault, other = _pair(words)
+        if not any([each.name for each in one.truth.fault] == [fault] for one in chosen):
+            raise InputError(f"--require {words}: no recording has {fault} alone; add one, or leave it out")
+        sees = [fault in generator.faults for generator in bundle.manifest.generators]
+        clears = [
+            c and other not in g.faults for c, g in zip(isolating(bundle), bundle.manifest.generators, strict=True)
+        ]
+        if not any(s and (other is None or c) for s, c in zip(sees, clears, strict=True)):
+            what = f"isolates {fault} from {other}" if other else f"detects {fault}"
+            raise InputError(f"--require {words}: no generator {what} by structure, in any recording; leave it out")
 
 
 def _pair(words: str) -> tuple[str, str | None]:
@@ -149,7 +146,7 @@ def _size(one: Given) -> float:
 def _judged(
     options: argparse.Namespace, bundle: Bundle, chosen: list[Given], progress: Progress
 ) -> Iterator[tuple[Given, Story, list[Event], Verdict]]:
-    """Each recording run and judged, one at a time."""
+    """Each recording run and judged, one at a time, with the truth of what began before its log ends."""
     tests = list(dict.fromkeys(generator.test for generator in bundle.manifest.generators))
     known = [fault.name for fault in bundle.manifest.faults]
     for number, one in enumerate(chosen, start=1):
@@ -158,8 +155,10 @@ def _judged(
         live = live_events(options.events, bundle, log) if options.events else None
         story = tell(bundle, log)
         events = story.events if live is None else live
-        there = [fault for fault in one.truth.fault if fault.onset_s < story.end_s]  # the log may end before one comes
-        truth = msgspec.structs.replace(one.truth, fault=there)
+        truth = one.truth.until(story.end_s)
+        for fault in one.truth.fault:
+            if fault not in truth.fault:
+                progress.note(f"{one.path}: {fault.name} begins at {fault.onset_s:g} s, the log ends before; left out")
         verdict = judge(truth, events, tests, story.origin_s, story.end_s, known)
         if live is not None:
             off = apart(live, story.events, len(story.t_s) - 1)
@@ -167,7 +166,7 @@ def _judged(
         if options.picture:
             progress.say("drawing")
             _draw(story, live, verdict, options.picture)
-        yield one, story, events, verdict
+        yield one._replace(truth=truth), story, events, verdict
 
 
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:

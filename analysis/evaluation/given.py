@@ -2,14 +2,17 @@
 
 import hashlib
 from collections.abc import Callable, Collection, Sequence
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
+from analysis.evaluation.measure.blocks import BLOCK_S
 from analysis.evaluation.truth import Truth, find_truth
-from analysis.recordings.observe import open_known
+from analysis.recordings.observe import open_known, samples_of
 from service.bundle import Bundle
 from service.core.errors import InputError
 from service.core.manifest import Origin
+from service.core.modes import MAXIMUM
 from service.logs import Log, Recording, load_recording
 
 
@@ -39,19 +42,45 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
             without a truth; or a name in `faults` is no fault of the bundle or of any truth.
     """
     found: list[Given] = []
-    hashes: dict[str, Path] = {}
+    drives: dict[str, Path] = {}
     for path in paths:
         recording = _described(path)
-        _check_sensors(path, recording, bundle)
-        sha256 = hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
-        if sha256 in hashes:
-            raise InputError(f"{path}: the same recording as {hashes[sha256]}; give each once")
+        recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {bundle.where}")
+        own = recording.can.bench_sha256 or hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
+        if own in drives:
+            raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
         if any(other.recording.id == recording.id for other in found):
             raise InputError(f"{path}: id {recording.id!r} is another recording's too; each needs one of its own")
-        _check_unseen(path, sha256, bundle.manifest.origin)
-        hashes[sha256] = path
+        _check_unseen(path, own, bundle.manifest.origin)
+        drives[own] = path
         found.append(Given(path, recording, find_truth(truths, recording.id)))
     return _chosen(found, bundle, faults)
+
+
+def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
+    """Whether recordings make a report, seen from their samples alone: they are read until it is known.
+
+    Raises:
+        InputError: none has a fault-free part that a block fits in, or none a phase of maximum dose.
+    """
+    manifest, free, maximum = bundle.manifest, False, False
+    for one in chosen:
+        ticks = samples_of(manifest, bundle.table, one.open(bundle, lambda _: None).relative())
+        onset = min((fault.onset_s for fault in one.truth.fault), default=inf)
+        free |= round(sum(tick.t_s < onset for tick in ticks) * manifest.period_s / BLOCK_S) > 0
+        maximum |= any(tick.mode == MAXIMUM for tick in ticks)
+        if free and maximum:
+            return
+    like = f"{chosen[0].path}: " + ("like the others, " if len(chosen) > 1 else "")
+    if not free:
+        raise InputError(
+            f"{like}without a fault-free part of {BLOCK_S / 2:.0f} s; a report needs one, "
+            "add a recording without a fault"
+        )
+    raise InputError(
+        f"{like}without a phase of maximum dose, where most faults show best; a report needs one, add a recording that "
+        "has it"
+    )
 
 
 def _described(path: Path) -> Recording:
@@ -65,16 +94,8 @@ def _described(path: Path) -> Recording:
     return opened
 
 
-def _check_sensors(path: Path, recording: Recording, bundle: Bundle) -> None:
-    if (recording.sensor_set, bundle.manifest.sensor_set) == ("production", "instrumented"):
-        raise InputError(
-            f"{path / 'recording.toml'}: sensor_set is 'production', the bundle {bundle.where} needs 'instrumented'; "
-            "give recordings of an instrumented vehicle, or a bundle made for production sensors"
-        )
-
-
-def _check_unseen(path: Path, sha256: str, origin: Origin) -> None:
-    if sha256 in [*origin.calibrate, *origin.train, *origin.tune]:
+def _check_unseen(path: Path, drive: str, origin: Origin) -> None:
+    if drive in [*origin.calibrate, *origin.train, *origin.tune]:
         raise InputError(f"{path}: the bundle was made from this recording; evaluate on one it has not seen")
 
 

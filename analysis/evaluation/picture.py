@@ -39,7 +39,7 @@ def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Pat
     _inputs(rows[-4], story)
     _residuals(rows[-3], story)
     _sums(rows[-2], story)
-    _told(rows[-1], story, live)
+    told(rows[-1], story, story.events if live is None else live, "offline" if live is None else "over the bus")
     for axes in rows:
         axes.grid(visible=True, alpha=0.25)
         axes.margins(x=0)
@@ -142,10 +142,9 @@ def _sums(axes: Axes, story: Story) -> None:
     axes.legend(loc="upper left", ncols=10, fontsize=8, handlelength=1)
 
 
-def _told(axes: Axes, story: Story, live: Sequence[Event] | None) -> None:
+def told(axes: Axes, story: Story, events: Sequence[Event], where: str) -> None:
     """The diagnosis as told: a bar for each fault while it is an explanation, dark where it is ranked first."""
     faults: dict[str, int] = {}
-    events = story.events if live is None else live
     for event, following in zip(events, [*events[1:], None], strict=True):
         start = min(story.origin_s + event.t_s, story.end_s)
         stop = min(story.origin_s + following.t_s, story.end_s) if following else story.end_s
@@ -157,13 +156,12 @@ def _told(axes: Axes, story: Story, live: Sequence[Event] | None) -> None:
                 )
     axes.set_yticks(range(len(faults)), list(faults))
     axes.set_ylim(max(len(faults), 1) - 0.4, -0.6)
-    where = "offline" if live is None else "over the bus"
-    axes.set_ylabel(f"told {where}\n(dark: rank 1)")
+    axes.set_ylabel(f"told {where}".strip() + "\n(dark: rank 1)")
     if not faults:
-        axes.text(0.5, 0.5, f"no alarm was told {where}", transform=axes.transAxes, ha="center", va="center")
+        axes.text(0.5, 0.5, f"no alarm was told {where}".strip(), transform=axes.transAxes, ha="center", va="center")
     ends = [*(min(story.origin_s + event.t_s, story.end_s) for event in events), story.end_s]
     for event, (start, stop) in zip(events, pairwise(ends), strict=True):
         blind = len(event.cannot_tell) / len({generator.test for generator in story.bundle.manifest.generators})
         axes.axvspan(start, stop, color=ONSET, alpha=0.3 * blind, linewidth=0, zorder=0)
     words = "grey: tests that cannot tell, the more the darker"
-    axes.text(0.995, 0.04, words, transform=axes.transAxes, ha="right", fontsize=8, color=ONSET)
+    axes.text(0.005, 0.04, words, transform=axes.transAxes, ha="left", fontsize=8, color=ONSET)  # bars stand at the end

@@ -27,10 +27,18 @@ def summary(of: Sequence[Facts]) -> str:
     detected = sum(one.verdict.detected for one in faulty)
     contained = sum(one.told.rank is not None for one in faulty)
     alone = sum(one.told.alone for one in faulty)
-    false, free = sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of)
+    false, free = sum(one.verdict.false_alarms for one in of), sum(one.free_hours for one in of)
     hours, most = sum(float(one.hours.sum()) for one in of), at_most(false, free)
     bound = f" (95 %: at most {most:.2g} an hour)" if most is not None else ""
     return (
         f"{len(of)} recordings, {hours:.1f} h: {detected} of {len(faulty)} faults detected, the true diagnosis among "
         f"those told of {contained}, first alone of {alone}; {false} false alarms in {free:.1f} h{bound}"
+        f"{never([one.verdict for one in of])}"
     )
+
+
+def never(of: Sequence[Verdict]) -> str:
+    """The tests that could never tell in some of the recordings, as the end of a sentence."""
+    blind = [*dict.fromkeys(test for verdict in of for test in verdict.blind)]
+    count = sum(bool(verdict.blind) for verdict in of)
+    return f"; {', '.join(blind)} could never tell in {count} of {len(of)} recordings" if blind else ""

@@ -30,6 +30,10 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     day: dict[str, float] = {}
     logger: dict[str, float] = {}
 
+    def until(self, end_s: float) -> "Truth":
+        """The truth with the faults that began before `end_s` [s] alone: a log may end before one comes."""
+        return msgspec.structs.replace(self, fault=[fault for fault in self.fault if fault.onset_s < end_s])
+
 
 def load_truth(path: Path, recording: str) -> Truth:
     """The truth about `recording`.

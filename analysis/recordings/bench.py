@@ -1,5 +1,6 @@
 """A bench recording in memory: the controller's samples from the CAN log, and the second logger's."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +33,11 @@ class Ecu:
 
 @dataclass(frozen=True)
 class Bench:
-    """All of a bench recording; `where` names the folder in errors."""
+    """All of a bench recording; `where` names the folder in errors, `sha256` is that of its CAN log."""
 
     where: Path
     recording: Recording
+    sha256: str
     dbc: bytes
     frames: list[Frame]
     log: LogReport
@@ -72,7 +74,8 @@ def read_bench(folder: Path) -> Bench:
     dbc = (folder / recording.can.dbc).read_bytes()
     frames, log = read_log(folder / recording.can.file)
     ecu = _ecu(frames, dbc, folder / recording.can.dbc, folder / recording.can.file)
-    return Bench(folder, recording, dbc, frames, log, ecu, read_external(folder, recording.external))
+    sha256 = hashlib.sha256((folder / recording.can.file).read_bytes()).hexdigest()
+    return Bench(folder, recording, sha256, dbc, frames, log, ecu, read_external(folder, recording.external))
 
 
 def _ecu(frames: list[Frame], dbc: bytes, dbc_path: Path, log_path: Path) -> Ecu:

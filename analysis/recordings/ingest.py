@@ -21,7 +21,6 @@ from analysis.recordings.uniform import uniform
 from analysis.recordings.zero import check_drop, check_level, standstill, zero_error
 from service.core.errors import InputError
 from service.core.signals import Vector
-from service.logs import Recording
 
 SAME_PRESSURE = 0.9
 """Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""
@@ -62,7 +61,7 @@ def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float
     found = report(bench, clock, end, zero, beyond)
     return Ingested(
         {
-            "recording.toml": _toml(bench.recording).encode(),
+            "recording.toml": _toml(bench).encode(),
             "can.log": text.encode(),
             "uds.dbc": bench.dbc,
             "uniform.csv": _uniform(bench, t, pressures).encode(),
@@ -139,7 +138,9 @@ def _uniform(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> str:
     return "\n".join([",".join(["t", *tracks]), *lines, ""])
 
 
-def _toml(recording: Recording) -> str:
+def _toml(bench: Bench) -> str:
+    recording = bench.recording
+
     def quoted(text: str) -> str:
         return msgspec.json.encode(text).decode()  # a JSON string is a TOML string
 
@@ -156,4 +157,5 @@ cycle = {quoted(recording.cycle)}
 file = "can.log"
 dbc = "uds.dbc"
 dbc_sha256 = "{recording.can.dbc_sha256}"
+bench_sha256 = "{bench.sha256}"
 """

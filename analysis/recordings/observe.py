@@ -3,19 +3,32 @@
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from analysis.graph.bank import PERIOD_S, Bank
 from analysis.graph.runnable import Runnable
 from analysis.model import Model
 from analysis.recordings.modes import modes_of
 from service.core.decode import DecodeTable
-from service.core.generators import Generators
-from service.core.manifest import Input
+from service.core.generators import Generators, Residuals
+from service.core.manifest import Input, Manifest
 from service.core.modes import ModeTracker
 from service.core.observer import Decoder, Observer, Tick
 from service.core.sampling import Sampler
+from service.core.signals import Mask, Vector
 from service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0
+
+
+class Blind:
+    """Generators that compute nothing: only the samples are wanted."""
+
+    def step(self, z: Vector, usable: Mask) -> Residuals:
+        """Nothing of nothing."""
+        del z, usable
+        none = np.zeros(0)
+        return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
 
 
 def open_known(path: Path, say: Callable[[str], None]) -> Log:
@@ -42,7 +55,17 @@ def ticks_of(
 ) -> list[Tick]:
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs)
-    observer = Observer(table, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S)
+    return _ticks(Observer(table, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S), frames)
+
+
+def samples_of(manifest: Manifest, table: Decoder, frames: Iterable[Frame]) -> list[Tick]:
+    """Every tick of a log as a bundle takes its samples and modes, without running its generators."""
+    modes = ModeTracker(manifest.modes, manifest.inputs)
+    sampler, period_s, start_within_s = Sampler(manifest.inputs), manifest.period_s, manifest.start_within_s
+    return _ticks(Observer(table, sampler, modes, Blind(), period_s, start_within_s), frames)
+
+
+def _ticks(observer: Observer, frames: Iterable[Frame]) -> list[Tick]:
     ticks: list[Tick] = []
     t_s = None
     for t_s, can_id, is_extended, data in frames:

@@ -22,18 +22,16 @@ from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
 from analysis.tuning.evidence import no_surer
 from analysis.tuning.file import Tuning, load_tuning, model_digest
-from analysis.tuning.thresholds import Seen
+from analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
+from analysis.tuning.thresholds import Seen, more_of
 from analysis.tuning.vehicles import Vehicle, offsets, read
 from service.core.consistency import of_evidence
 from service.core.errors import InputError
 from service.core.manifest import MODES, Detector, Evidence
-from service.core.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
 LEAST_S = 20.0  # in a mode: some visits, or a visit in which the hose has settled
-PLAUSIBLE = 4.0
-"""Standard deviations from zero up to which an offset is a calibration's error."""
 GOLDEN_TICKS = 150
 
 
@@ -115,14 +113,16 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
 
 def _check_length(vehicle: Vehicle, described: Sequence[int]) -> None:
     names = ", ".join(drive.seen.name for drive in vehicle.drives)
-    short = []
+    short, remedies = [], []
     for mode in dict.fromkeys(described):
         ticks = sum(drive.seen.usable[drive.seen.mode == mode].sum(axis=0).min() for drive in vehicle.drives)
         if (seconds := float(ticks) * PERIOD_S) < LEAST_S:
             short.append(f"{MODES[mode]!r} for {seconds:.0f} s")
+            remedies.append(more_of(mode))
     if short:
         raise InputError(
-            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; add a fault-free drive that stays in it"
+            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; "
+            f"add a fault-free drive {' and '.join(dict.fromkeys(remedies))}"
         )
 
 
@@ -131,13 +131,9 @@ def _check_plausible(vehicle: Vehicle, base: Tuning, found: Array, described: Se
     evidence = base.evidence
     names = [generator.name for generator in vehicle.runnable.bank.generators]
     rows = [names.index(name) for name in evidence.generators]
-    for mode in dict.fromkeys(described):
-        if mode == EDGE:  # no decision looks at the level there
-            continue
-        variance = np.array(base.zero)[rows, mode] ** 2 + np.array(evidence.allowance)[mode] ** 2
-        variance += sum((np.array(drift)[mode] ** 2 for drift in evidence.drifts), np.zeros(len(rows)))
-        ticks, visits = _counts(vehicle, mode)
-        variance += np.diag(np.array(evidence.noise)[mode]) / ticks + np.diag(np.array(evidence.visit)[mode]) / visits
+    for mode in steady(described):
+        variance = np.array(base.zero)[rows, mode] ** 2 + of_days(evidence, mode)
+        variance += of_means(evidence, mode, [drive.seen for drive in vehicle.drives])
         far = np.abs(found[rows, mode]) / np.sqrt(variance)
         worst = int(np.argmax(far))
         if far[worst] > PLAUSIBLE:
@@ -147,16 +143,6 @@ def _check_plausible(vehicle: Vehicle, base: Tuning, found: Array, described: Se
                 f"{MODES[mode]!r}, {far[worst]:.1f} standard deviations of what {path} makes plausible "
                 f"({PLAUSIBLE:.0f} are taken): a fault that is there would be adapted away; repair or calibrate anew"
             )
-
-
-def _counts(vehicle: Vehicle, mode: int) -> tuple[int, int]:
-    """Ticks in a mode, and visits to it."""
-    ticks = visits = 0
-    for drive in vehicle.drives:
-        inside = drive.seen.usable.all(axis=1) & (drive.seen.mode == mode)
-        ticks += int(inside.sum())
-        visits += int((np.diff(drive.seen.ticks[inside], prepend=-2) > 1).sum())
-    return max(ticks, 1), max(visits, 1)
 
 
 def _evidence(base: Tuning, detectors: Sequence[Detector], bank: Bank, recordings: Sequence[Seen]) -> Evidence:

@@ -222,12 +222,15 @@ def sentence(claim: Claim) -> str:
     if claim.suspicions.upper is None:
         said = f"false alarms: {of}, none of which the others could do without, so nothing is known of their rate"
     else:
-        whole = "vehicles" if claim.vehicles > 1 else "drives"
         suspicions, diagnoses = claim.suspicions, claim.diagnoses
+        whole = "vehicles" if claim.vehicles > 1 else "drives"
+        resampled = f"resampling {whole}: {suspicions.low:.2g} to {suspicions.high:.2g}"
+        if claim.left_out == 1:
+            resampled = "one drive cannot be resampled"
         said = (
             f"false alarms: {of}, {claim.left_out} left out of tuning in turn, {suspicions.hours:.2f} h: "
             f"{_number(suspicions.count, 'suspicion')}, {suspicions.count / suspicions.hours:.2g} per hour "
-            f"(95 %: at most {suspicions.upper:.2g}; resampling {whole}: {suspicions.low:.2g} to {suspicions.high:.2g})"
+            f"(95 %: at most {suspicions.upper:.2g}; {resampled})"
             f"; {diagnoses.count} confirmed as faults (95 %: at most {diagnoses.upper:.2g} per hour)"
         )
     if claim.target is None:

@@ -14,6 +14,7 @@ from analysis.graph.bank import build_bank
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
+from analysis.places import check_file
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
 from analysis.recordings.observe import START_WITHIN_S
@@ -24,6 +25,7 @@ from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
+from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule
 from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from service.core.errors import InputError
@@ -88,6 +90,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(options: argparse.Namespace) -> None:
+    check_file(options.out, "--out")
     if options.target is not None and not 0.0 < options.target < np.inf:
         raise InputError(f"--target {options.target:g}: a rate is a positive number of suspicions per hour; give one")
     for also in options.also:
@@ -150,7 +153,9 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     if not given.claim:
         return tuning
     manifests = []
-    for of_fold in found.of_folds:
+    for fold, of_fold in zip(left_out, found.of_folds, strict=True):
+        for doubt in doubts(fold, of_fold.evidence, rule.generators, described):
+            progress.note(doubt)
         part = msgspec.structs.replace(tuning, detectors=of_fold.detectors, evidence=of_fold.evidence)
         manifests.append(manifest_of(runnable, part, {}, "none"))
     counts = count(left_out, manifests, to, progress.say)
@@ -216,5 +221,7 @@ def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     if tuning.claim is not None:
         lines.append(tuning.claim.said)
+    elif tuning.base is not None:
+        lines.append("false alarms: nothing is claimed of this vehicle: the base has no claim of several vehicles")
     lines.append(f"wrote {out}, from {len(tuning.recordings)} fault-free recordings")
     return "\n".join(lines)

@@ -198,7 +198,7 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
     """
     R, T = len(means), means.shape[2]
     all_y, all_W = (means / spread)[:, :EDGE], (drifts / spread)[:, :EDGE]
-    y, W = all_y[..., :K].reshape(R, -1), all_W[..., :K].reshape(len(drifts), -1)
+    y, W = all_y[..., :K].reshape(R, -1), all_W[..., :K].reshape(len(drifts), EDGE * K)
     size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), LEAST_OWN)
     x = np.zeros((R, len(W)))
     for _ in range(STEPS):

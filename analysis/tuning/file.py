@@ -15,9 +15,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Detectors and evidence of one calibrated model, and of the networks beside it if there are any.
 
     `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
-    logs used, `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from the beginning of
-    the first of the logs. `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie, root mean
-    square; `base` the SHA-256 of the tuning that this one was adapted from.
+    drives used (`Log.drive`), `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from
+    the beginning of the first of the logs. `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets
+    lie, root mean square; `base` the SHA-256 of the tuning that this one was adapted from.
     """
 
     schema: str

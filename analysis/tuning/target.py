@@ -148,6 +148,8 @@ def _drawn(traces: Sequence[Trace], target: float, bound: bool = True) -> float:
         found = [peak for each in traces for peak in peaks(each.x, u)]
         if len(found) >= PEAKS:
             break
+    if not found:  # nothing ever left zero: the least thresholds will do
+        return 0.0
     N = len(found)
     beta = float(np.mean(found)) - u
     if bound:

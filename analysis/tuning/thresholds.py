@@ -17,6 +17,7 @@ from analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kind, Run, cl
 from service.core.detectors.spread import LARGEST
 from service.core.errors import InputError
 from service.core.manifest import MODES, Detector, kind_of
+from service.core.modes import EDGE
 from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
@@ -60,6 +61,11 @@ class Seen:
     def inside(self, row: int, mode: int) -> npt.NDArray[np.bool_]:
         """The ticks (K,) of a mode at which a generator could tell."""
         return np.asarray(self.usable[:, row] & (self.mode == mode))
+
+
+def more_of(mode: int) -> str:
+    """What a drive does to show more of a mode; nothing stays at an edge."""
+    return "with more steps, such as of the dose" if mode == EDGE else "that stays in it"
 
 
 def seen(name: str, ticks: Sequence[Tick]) -> Seen:
@@ -144,7 +150,7 @@ def describe(
         if len(r) < MINIMUM_TICKS:
             raise InputError(
                 f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[stand_in]!r} "
-                f"for {len(r)} ticks only; add a fault-free recording that stays in it"
+                f"for {len(r)} ticks only; add a fault-free recording {more_of(stand_in)}"
             )
         sigma = np.concatenate([_sigma(s, row)[use] for s, use in zip(recordings, inside, strict=True)])
         centres[mode] = float(np.median(r)) if offset is None else offset[mode]

@@ -16,7 +16,7 @@ from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.progress import Progress
 from analysis.recordings.observe import open_known, ticks_of
-from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, seen
+from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import MODES
@@ -66,8 +66,10 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     drives: list[Drive] = []
     for path in paths:
         log = open_known(path, progress.note)
-        twice = "twice" if log.sha256 in {drive.sha256 for drive in drives} else None
-        if (how := used.get(log.sha256, twice)) is not None:
+        if log.recording is not None:
+            log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
+        twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
+        if (how := used.get(log.drive, twice)) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
         if runnable.networks:
@@ -75,7 +77,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         progress.say(log.id)
         table = compile_dbc(log.dbc, units, str(path))
         ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
-        drives.append(Drive(log.sha256, ticks, seen(log.id, ticks)))
+        drives.append(Drive(log.drive, ticks, seen(log.id, ticks)))
     return Vehicle(runnable, drives)
 
 
@@ -95,7 +97,7 @@ def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
         raise InputError(
             f"tuning data ({', '.join(drive.seen.name for drive in vehicle.drives)}): "
             f"{vehicle.runnable.generators[row].name} saw mode {MODES[mode]!r} for {ticks} ticks only; "
-            "add a fault-free recording that stays in it"
+            f"add a fault-free recording {more_of(mode)}"
         )
 
 

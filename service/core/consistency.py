@@ -111,7 +111,6 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
     followers = [follower.generator for follower in evidence.followers]
     yield from _unknown(followers, names, "evidence.followers", "generator")
-    yield from _repeated([*evidence.generators, *followers], "evidence.generators and followers")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
 
@@ -146,6 +145,8 @@ def of_evidence(evidence: Evidence) -> Iterator[str]:
     for index, drift in enumerate(evidence.drifts):
         yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
     yield from uneven(evidence.visit, K, "evidence.visit", what)
+    followers = [follower.generator for follower in evidence.followers]
+    yield from _repeated([*evidence.generators, *followers], "evidence.generators and followers")
     for index, follower in enumerate(evidence.followers):
         if len(follower.drifts) != len(evidence.drifts):
             yield f"evidence.followers[{index}].drifts: {len(follower.drifts)}, but evidence has {len(evidence.drifts)}"

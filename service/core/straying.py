@@ -83,7 +83,7 @@ class Straying:
         for column, follower in enumerate(evidence.followers):
             moved[..., column] = np.array(follower.drifts).reshape(-1, len(MODES))[:, STEADY]
         following = moved.reshape(len(drifts), C * len(evidence.followers))
-        told = np.linalg.solve(self.unknown.covariance, drifts.T)  # (D, R)
+        told = np.linalg.pinv(self.unknown.covariance, hermitian=True) @ drifts.T  # (D, R)
         self._following = following.T @ told.T  # A (C F, D)
         self._unfollowed = (following**2).sum(axis=0) - ((drifts @ told).T @ following * following).sum(axis=0)
 

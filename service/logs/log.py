@@ -25,6 +25,12 @@ class Log:
     recording: Recording | None = None
 
     @property
+    def drive(self) -> str:
+        """The SHA-256 by which it is known what the drive was used for: of the log, or of the bench's that made it."""
+        ingested = self.recording.can.bench_sha256 if self.recording else None
+        return ingested or self.sha256
+
+    @property
     def dbc(self) -> str:
         """The text of the DBC that the recording was made with.
 

@@ -20,6 +20,7 @@ SCHEMA = 1
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
 """Usable as a folder's name."""
+Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,11 +28,16 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Can(_Part, frozen=True):
-    """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal."""
+    """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal.
+
+    `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
+    another clock, the log is another one, but the drive is the same.
+    """
 
     file: str
     dbc: str
-    dbc_sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+    dbc_sha256: Sha256
+    bench_sha256: Sha256 | None = None
 
 
 class Table(_Part, frozen=True):
@@ -64,6 +70,18 @@ class Recording(_Part, frozen=True, kw_only=True):
     sensor_set: Literal["instrumented", "production"]
     can: Can
     external: External | None = None
+
+    def check_sensors(self, folder: Path, needed: str, what: str) -> None:
+        """Whether this recording in `folder` has the added sensors, where `what`, for the sensor set `needed`, does.
+
+        Raises:
+            LogError: the recording is of fewer sensors.
+        """
+        if (self.sensor_set, needed) == ("production", "instrumented"):
+            raise LogError(
+                f"{folder / FILE}: sensor_set is 'production', {what} needs 'instrumented'; give recordings of an "
+                "instrumented vehicle, or tune and export a model without the added sensors (docs/tuning.md)"
+            )
 
 
 def load_recording(folder: Path) -> Recording:

@@ -165,8 +165,8 @@ def test_the_page_has_every_part() -> None:
     assert "| large: detected | 100 % | 1 of 1, 100.0 % (2.5 to 100.0 %) |" in said
     assert "| fault-free: diagnoses told | none in 500 h over 20 vehicles | 1 in 0.2 h" in said
     assert "| small: detected within 300 s of exciting operation | >= 90 % | 1 of 1" in said
-    assert "| leak: unknown | 100 % | 1 of 1" in said
-    assert "| leak: unknown, near the hose's balance | 100 % | 1 of 1" in said
+    assert "| leak: unknown, near the hose's balance, alone or among others | 100 % | 1 of 1" in said
+    assert "| leak: unknown, near the hose's balance, alone | - | 1 of 1" in said
     assert "| pairs: the true pair in the diagnosis | >= 60 % | 1 of 1" in said
     assert "| fA_p that changes nothing: quiet | 100 % | 1 of 1" in said
     assert "| fA_t + fA_du | 20 | fA_du+fA_t | yes |" in said

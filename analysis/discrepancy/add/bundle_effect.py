@@ -158,9 +158,9 @@ def bundle_effect(before: Model, after: Model, recordings: Trial, progress: Prog
 
 def _unused(path: Path, used: dict[str, str], purpose: str, note: Callable[[str], None]) -> Log:
     log = open_known(path, note)
-    if log.sha256 in used:
-        raise InputError(f"{path}: this recording was used to {used[log.sha256]}; give one of its own to {purpose} on")
-    used[log.sha256] = purpose
+    if log.drive in used:
+        raise InputError(f"{path}: this recording was used to {used[log.drive]}; give one of its own to {purpose} on")
+    used[log.drive] = purpose
     return log
 
 

@@ -42,8 +42,8 @@ def adoption(data: Data, found: Discovery, shown: Shown) -> Adoption:
         return Adoption(None, ())
     facts = {
         "vehicle": data.vehicle,
-        "recordings": [log.sha256 for log in data.training],
-        "held_out": [log.sha256 for log in data.held],
+        "recordings": [log.drive for log in data.training],
+        "held_out": [log.drive for log in data.held],
         "evidence_nats": round(found.verdict.gain, 1),
         "verdict": found.verdict.kind,
         "rivals": [list(names[1:]) for names in found.verdict.sets],

@@ -1,6 +1,10 @@
-"""What is kept of a recording once it was run: counts, not samples, so that memory does not grow with the hours."""
+"""What is kept of a recording once it was run: counts, and a row a minute, but no samples.
 
-from dataclasses import dataclass
+So it is the longest recording that memory grows with, and not all of them: while one is run, its story is all there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +12,7 @@ import numpy.typing as npt
 from analysis.evaluation.given import Given
 from analysis.evaluation.judge import Verdict
 from analysis.evaluation.measure.blocks import Blocks, blocks
-from analysis.evaluation.measure.cases import Case
+from analysis.evaluation.measure.cases import Case, cases_of
 from analysis.evaluation.measure.metrics import Told, told
 from analysis.evaluation.story import Story
 from service.core.events import Event
@@ -56,18 +60,29 @@ class Facts:
         """Of the fault-free part and of the faulty one (2,)."""
         return np.asarray(self.ticks * self.period_s / 3600.0)
 
+    @property
+    def free_hours(self) -> float:
+        """Of the fault-free part, in which some test could tell [h]: the silence of others is no peace."""
+        return self.told.free_ticks * self.period_s / 3600.0
 
-def facts(given: Given, case: Case, verdict: Verdict, events: list[Event], story: Story) -> Facts:
-    """Counts what is in a story, with what the `events` told."""
+
+def labelled(of: Sequence[Facts]) -> list[Facts]:
+    """All recordings with their cases, whose labels say sizes where another recording has another one."""
+    cases = cases_of([one.given.truth for one in of])
+    return [replace(one, case=cases[one.given.recording.id]) for one in of]
+
+
+def facts(given: Given, verdict: Verdict, events: list[Event], story: Story) -> Facts:
+    """Counts what is in a story, with what the `events` told; its case says no size yet (`labelled`)."""
     K, manifest = len(story.t_s), story.bundle.manifest
     onset = K if verdict.onset_s is None else int(np.searchsorted(story.t_s, verdict.onset_s))
     parts, s, rising = (slice(0, onset), slice(onset, K)), story.standardised, _rising(story.fired)
     known = [fault.name for fault in manifest.faults]
     return Facts(
         given=given,
-        case=case,
+        case=Case(tuple(sorted(fault.name for fault in given.truth.fault)), ""),
         verdict=verdict,
-        told=told(events, K, onset, manifest.period_s, verdict.faults, known),
+        told=told(events, np.asarray(story.usable.any(axis=1)), onset, manifest.period_s, verdict.faults, known),
         blocks=blocks(story, onset),
         ticks=np.array([onset, K - onset]),
         modes=np.array([np.bincount(story.mode[part], minlength=len(MODES)) for part in parts]),

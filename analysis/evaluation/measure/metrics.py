@@ -5,7 +5,8 @@ Samples are ticks. What was told last stands until something else is told. *Dete
 DX 2025 challenge (LiU-ICE benchmark, Jung, Frisk and Krysander 2024):
 
     TDR  share of the faulty samples that are detected
-    FAR  share of the fault-free samples that are detected
+    FAR  share of the fault-free samples that are detected, of those in which some test could tell: silence of the
+         blind is no peace
     FIA  mean probability given to the true diagnosis, over the faulty samples that are detected
 
 DAMADICS (Bartys et al., Control Engineering Practice 14, 2006), with times in place of samples:
@@ -37,6 +38,7 @@ PAIR = "another pair"
 class Told(msgspec.Struct, frozen=True, kw_only=True):
     """What was told of a recording, counted in ticks, and what stands at its end.
 
+    `free_ticks` are those without a fault in which some test could tell, `false_ticks` those of them that are detected.
     `isolated`: the true diagnosis is told alone; `mistaken`: others are told, and it is not among them; `weight`: sum
     of the probabilities given to it. `standing` are the weights of what stands at the end by label, `rank`, `p` and
     `size` those of the true diagnosis and the number of diagnoses there; rank and p are None where it is not among
@@ -71,13 +73,14 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def told(
-    events: Sequence[Event], ticks: int, onset: int, period_s: float, faults: Sequence[str], known: Sequence[str]
+    events: Sequence[Event], telling: Mask, onset: int, period_s: float, faults: Sequence[str], known: Sequence[str]
 ) -> Told:
-    """Counts what the `events` told in `ticks` ticks, of which those from `onset` on have the `faults`.
+    """Counts what the `events` told in as many ticks as `telling` (K,) has; those from `onset` on have the `faults`.
 
-    `known` are the faults that the bundle knows: of others, *unknown* is the true diagnosis.
+    `telling`: whether some test could tell. `known` are the faults that the bundle knows: of others, *unknown* is the
+    true diagnosis.
     """
-    true = true_explanation(faults, known)
+    true, ticks = true_explanation(faults, known), len(telling)
     given = np.zeros(ticks)  # probability of the true diagnosis
     detected, alone, without = np.zeros((3, ticks), dtype=np.bool_)
     within = [event for event in events if event.tick < ticks]
@@ -90,8 +93,8 @@ def told(
     last = within[-1].diagnoses if within and onset < ticks else []
     own = next((d for d in last if frozenset(d.faults) == true), None)
     return Told(
-        free_ticks=onset,
-        false_ticks=int(detected[:onset].sum()),
+        free_ticks=int(telling[:onset].sum()),
+        false_ticks=int((detected & telling)[:onset].sum()),
         faulty_ticks=ticks - onset,
         detected_ticks=int(detected[onset:].sum()),
         isolated_ticks=int(alone[onset:].sum()),

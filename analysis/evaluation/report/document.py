@@ -17,9 +17,7 @@ from analysis.evaluation.measure.metrics import Scores, scores
 from analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
 from analysis.evaluation.measure.signature import Cell, cells
 from service.bundle import Bundle
-from service.core.errors import InputError
 from service.core.manifest import MODES
-from service.core.modes import MAXIMUM
 
 SCHEMA: Final = "faultline.evaluation/1"
 SIMULATED = "simulated"
@@ -64,6 +62,8 @@ class Test(msgspec.Struct, frozen=True, kw_only=True):
 class Told(msgspec.Struct, frozen=True, kw_only=True):
     """What was told over all recordings; false alarms are told episodes of the fault-free parts.
 
+    Their hours are those in which some test could tell.
+
     `shared`: where no probability was told, it was shared equally by the diagnoses of rank 1.
     """
 
@@ -93,20 +93,14 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str, str | None]] = ()) -> Evaluation:
-    """The evaluation of a bundle over recordings.
+    """The evaluation of a bundle over recordings, some of which are fault-free (`analysis.evaluation.given`).
 
     Raises:
-        InputError: the recordings have no fault-free part, or no phase of maximum dose; or `required` cannot be met.
+        InputError: `required` cannot be met.
     """
     manifest = bundle.manifest
     known = [fault.name for fault in manifest.faults]
     modes = np.sum([one.modes.sum(axis=0) for one in of], axis=0)
-    if joined([one.blocks for one in of]).faulty.all():
-        raise InputError("no fault-free part in these recordings; add a fault-free one, or one with a later onset")
-    if not modes[MAXIMUM]:
-        raise InputError(
-            "no phase of maximum dose in these recordings, where most faults show best; add a recording that has one"
-        )
     tests = _tests(bundle, of)
     found = cells(of, manifest.generators, known)
     return Evaluation(
@@ -120,7 +114,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         mode_hours={m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(MODES, modes, strict=True)},
         recordings=[_judged(one) for one in of],
         told=Told(
-            false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(float(one.hours[0]) for one in of)),
+            false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(one.free_hours for one in of)),
             scores=scores([one.told for one in of]),
             shared=any(one.told.shared for one in of),
         ),
@@ -202,12 +196,12 @@ def _selection(
         (blocks.alarms & blocks.tells)[~blocks.faulty],
         [names.index(test.equals) for test in tests],
         known,
-        _isolating(bundle),
+        isolating(bundle),
         required,
     )
 
 
-def _isolating(bundle: Bundle) -> list[bool]:
+def isolating(bundle: Bundle) -> list[bool]:
     """Whether each generator's alarm is a conflict: those in a graph that hypotheses are predicted for."""
     generators = bundle.manifest.generators
     graphs = {g.graph for g in generators if g.name in bundle.manifest.evidence.generators}

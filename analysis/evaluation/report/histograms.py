@@ -49,8 +49,8 @@ def _grid(e: Evaluation, of: Sequence[Facts], rows: list[int], faults: Sequence[
     alt = f"Grid of histograms: {', '.join(test.generator for test in tests)} by {named}. {words}."
     caption = (
         "Share of the ticks at each value of the residual in which the generator can tell, as the detector sees it: "
-        "off its fault-free offset, in spreads of its mode. A fault is seen where orange leaves blue; in a white cell "
-        "it should not."
+        "off its fault-free offset, in spreads of its mode; what lies beyond the scale is in its last bin. A fault is "
+        "seen where orange leaves blue; in a white cell it should not."
     )
     return figure, alt, caption
 

@@ -7,6 +7,7 @@ from analysis.evaluation.report.document import Evaluation
 from analysis.evaluation.report.markup import folded, paragraph, section
 from analysis.evaluation.report.pictures import Picture
 from analysis.evaluation.report.wording import LIMITS, TERMS, hourly
+from analysis.evaluation.sentence import never
 
 
 def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:
@@ -45,7 +46,7 @@ def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:
             *shown.get("methods", []),
         ),
         section("Which generators to keep", *_selection(e)),
-        section("Residuals and CUSUM over time", *shown.get("traces", [])),
+        section("Residuals and detectors over time", *shown.get("traces", [])),
         section("What the terms mean", markup.definitions(TERMS)),
         section("What this does not say", "".join(map(paragraph, LIMITS))),
     ]
@@ -58,7 +59,10 @@ def _verdict(e: Evaluation) -> str:
     detected, contained, alone = (
         sum(getattr(case, name).hits for case in cases) for name in ("detected", "contained", "alone")
     )
-    peace = f"{false.events} false alarms in {false.hours:.2f} h without a fault ({hourly(false)} at 95 %)"
+    peace = (
+        f"{false.events} false alarms in {false.hours:.2f} h without a fault in which some test could tell "
+        f"({hourly(false)} at 95 %){never([one.verdict for one in e.recordings])}"
+    )
     if not cases:
         return f"No recording has a fault. {peace}."
     return (

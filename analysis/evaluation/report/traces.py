@@ -1,4 +1,4 @@
-"""Residual and CUSUM over a recording, a row a generator, with the operating mode behind (thesis fig. 6.6, 6.13)."""
+"""Residual and detector over a recording, a row a generator, with the operating mode behind (thesis fig. 6.6, 6.13)."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,9 +7,10 @@ from matplotlib.patches import Patch
 
 from analysis.evaluation.measure.facts import Facts
 from analysis.evaluation.measure.signature import sensitive
+from analysis.evaluation.picture import told
 from analysis.evaluation.report.document import Evaluation
 from analysis.evaluation.story import Array, Story
-from service.core.manifest import MODES
+from service.core.manifest import MODES, kind_of
 from service.core.signals import Mask
 
 SHADES = {"idle": "#dcefe3", "maximum": "#fbe3cf", "edge": "#d3d6da"}
@@ -20,15 +21,21 @@ Drawn = tuple[Figure, str, str]
 
 
 def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
-    """One recording; of generators that are numerically the same signal the first alone."""
+    """One recording, and below what was told of it; of numerically the same signals the first generator alone."""
     rows = [row for row, test in enumerate(e.tests) if test.equals == test.generator]
-    figure = Figure(figsize=(13, 1.0 + 1.35 * len(rows)), layout="constrained")
-    axes = figure.subplots(len(rows), 2, squeeze=False, sharex=True)
+    figure = Figure(figsize=(13, 2.7 + 1.35 * len(rows)), layout="constrained")
+    grid = figure.add_gridspec(len(rows) + 1, 2, height_ratios=[1.0] * len(rows) + [1.2])
+    last = figure.add_subplot(grid[-1, :])
+    told(last, story, story.events, "")
+    last.set_xlim(story.t_s[0], story.t_s[-1])
+    last.tick_params(labelsize=7)
+    last.yaxis.label.set_fontsize(8)
+    axes = [[figure.add_subplot(grid[line, column], sharex=last) for column in (0, 1)] for line in range(len(rows))]
     for line, row in enumerate(rows):
         test, (left, right) = e.tests[row], axes[line]
         by, unit = UNITS.get(test.unit, (1.0, test.unit))
-        told, alarm = story.usable[:, row], story.alarm[:, row]
-        _trace(left, story.t_s, np.where(told, story.r[:, row] / by, np.nan), alarm)
+        tells, alarm = story.usable[:, row], story.alarm[:, row]
+        _trace(left, story.t_s, np.where(tells, story.r[:, row] / by, np.nan), alarm)
         _trace(right, story.t_s, abs(story.sums[:, row]), alarm)
         right.axhline(1.0, color="black", linestyle="--", linewidth=0.9)
         right.set_ylim(0.0, 2.2)
@@ -36,25 +43,36 @@ def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
         sees = bool(sensitive(test, one.case.faults, [*e.faults])) if one.case.faults else False
         for panel in (left, right):
             _behind(panel, story, one.verdict.onset_s)
-            panel.tick_params(labelsize=7)
+            panel.tick_params(labelsize=7, labelbottom=line == len(rows) - 1)
             for spine in panel.spines.values():
                 spine.set_linewidth(2.2 if sees else 0.6)
-    axes[0, 0].set_title("residual", fontsize=9)
-    axes[0, 1].set_title("CUSUM in parts of its threshold", fontsize=9)
-    for panel in axes[-1]:
+    detectors = _detectors(story)
+    axes[0][0].set_title("residual", fontsize=9)
+    axes[0][1].set_title(f"{detectors} in parts of its threshold", fontsize=9)
+    for panel in (*axes[-1], last):
         panel.set_xlabel("log time [s]", fontsize=8)
+    if one.verdict.onset_s is not None:
+        last.axvline(one.verdict.onset_s, color=ONSET, linestyle="--", linewidth=1)
     handles = [Patch(color=shade, label=mode) for mode, shade in SHADES.items()]
     handles.append(Patch(color=ALARM, label="alarm"))
     figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=8, frameon=False)
     name, case = one.verdict.recording, one.case.label
     figure.suptitle(f"{name}: {case}", fontsize=10, fontweight="bold", x=0.01, ha="left")
     alarmed = [e.tests[row].generator for row in rows if story.alarm[:, row].any()]
-    alt = f"Residuals and CUSUM sums of {name}, {case}; alarms of {', '.join(alarmed) or 'no generator'}."
+    alt = f"Residuals and detectors ({detectors}) of {name}, {case}; alarms of {', '.join(alarmed) or 'no generator'}."
+    left_out = ", ".join(f"{test.generator} (as {test.equals})" for test in e.tests if test.equals != test.generator)
     caption = (
         f"{name}, {case}. Dashed: threshold and onset; red: alarm; gaps: cannot tell; behind: operating mode (white: "
-        "partial dose). A thick frame: the test is sensitive to the fault by structure."
+        "partial dose). A thick frame: the test is sensitive to the fault by structure. Below: what was told, dark "
+        "while of rank 1." + (f" Not drawn, being the same signal as another: {left_out}." if left_out else "")
     )
     return figure, alt, caption
+
+
+def _detectors(story: Story) -> str:
+    """The kinds of what tests the levels, in words."""
+    kinds = dict.fromkeys(kind_of(detector) for detector in story.bundle.manifest.detectors[: story.r.shape[1]])
+    return ", ".join("CUSUM" if kind == "cusum" else kind for kind in kinds)
 
 
 def _trace(axes: Axes, t_s: Array, values: Array, alarm: Mask) -> None:

@@ -47,8 +47,8 @@ TERMS = (
     ),
     (
         "True detection rate (TDR), false alarm rate (FAR)",
-        "DX 2025 challenge: shares of the faulty and of the fault-free samples in which some diagnosis stands. "
-        "DAMADICS calls them true and false detection rate.",
+        "DX 2025 challenge: shares of the faulty and of the fault-free samples in which some diagnosis stands; of the "
+        "fault-free ones those alone in which some test could tell. DAMADICS calls them true and false detection rate.",
     ),
     (
         "Fault isolation accuracy (FIA)",
@@ -74,8 +74,9 @@ TERMS = (
     ),
     (
         "False alarms",
-        "Of what is told: episodes that began before the onset. Of a generator: alarms of its detector that began "
-        "before the onset, for each hour in which it could tell, with exact Poisson intervals (Garwood) at 95 %.",
+        "Of what is told: episodes that began before the onset, for each hour in which some test could tell. Of a "
+        "generator: alarms of its detector that began before the onset, for each hour in which it could tell. With "
+        "exact Poisson intervals (Garwood) at 95 %.",
     ),
     (
         "Score, area under the curve (AUC)",

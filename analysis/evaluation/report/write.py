@@ -34,6 +34,7 @@ def write(
         DATA: msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n",
     }
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
             (folder / name).write_bytes(content)
     except OSError as error:

@@ -4,6 +4,8 @@ import contextlib
 import dataclasses
 import hashlib
 import io
+import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from made_drive import DBC, HOLD_S, UDS4, frames, freed, write_recording
+from made_drive import DBC, ECU, HOLD_S, UDS4, frames, freed, write_recording
 
 from analysis.export import main as export
 from analysis.model import Model, dump_model
@@ -24,6 +26,7 @@ from service.core.errors import InputError
 from service.core.manifest import CusumDetector
 from service.core.modes import IDLE
 from service.logs import open_log
+from service.show import main as show
 
 ZERO = {"y_p_ap": 0.0}
 
@@ -126,7 +129,9 @@ def test_every_detector_can_be_asked_for_and_exported(fleet: Fleet, kind: str, c
     assert load_bundle(bundle).manifest.detectors == tuning.detectors
 
 
-def test_adapting_keeps_the_base_and_brings_the_offsets(fleet: Fleet, tmp_path: Path) -> None:
+def test_adapting_keeps_the_base_and_brings_the_offsets(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     base, drive = load_tuning(fleet.base), fleet.drives["b1"]
     adapted = fleet.tune(fleet.b, drive, "--adapt", fleet.base)
     own = fleet.tune(fleet.b, drive)
@@ -150,6 +155,26 @@ def test_adapting_keeps_the_base_and_brings_the_offsets(fleet: Fleet, tmp_path: 
     dbc.write_bytes(DBC)
     assert export([str(fleet.b), "--tuning", str(adapted_file), "--dbc", str(dbc), "--out", str(bundle)]) == 0
     assert load_bundle(bundle).manifest.origin.base == adapted.base
+    assert adapted.base is not None
+    assert show(["show", str(bundle)]) == 0
+    told = capsys.readouterr().out
+    assert "\nfalse alarms: nothing is claimed of them\nadapted to this vehicle from the tuning " in told
+    assert f"{adapted.base[:12]} of others\n" in told
+
+
+def test_what_an_adapted_tuning_claims_is_said(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = load_tuning(fleet.base)
+    assert base.claim is not None
+    several = tmp_path / "several.json"
+    several.write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(base, claim=msgspec.structs.replace(base.claim, vehicles=2)))
+    )
+    for path, said in ((fleet.base, "nothing is claimed of this vehicle: the base has no"), (several, base.claim.said)):
+        given = [fleet.b, fleet.drives["b1"], "--adapt", path, "--out", tmp_path / "out.json"]
+        assert tune([*map(str, given)]) == 0
+        assert said in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("bias", [20_000.0, -20_000.0])
@@ -160,11 +185,34 @@ def test_a_fault_that_is_there_is_not_adapted_away(fleet: Fleet, bias: float, tm
         fleet.tune(fleet.b, biased, "--adapt", fleet.base)
 
 
+def test_a_fault_in_a_drive_to_tune_on_is_told(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is no error: a day may be like that, and only the user knows."""
+    biased = write_recording(tmp_path / "biased", frames(UDS4, {}, 40, zero={"y_p_du": 20_000.0}), "a")
+    fleet.tune(fleet.a, fleet.drives["a1"], fleet.drives["a2"], biased)
+    told = [line for line in capsys.readouterr().err.splitlines() if "standard deviations" in line]
+    assert len(told) == 1
+    assert re.match(
+        r"biased: t\d\d.ode lies [\d.]+ standard deviations from the other drives in mode '\w+' \(4", told[0]
+    )
+
+
 def test_adapting_needs_every_mode_for_long_enough(fleet: Fleet, tmp_path: Path) -> None:
     log = [frame for frame in frames(UDS4, {}, 41, zero=ZERO) if frame.t < 3 * HOLD_S + 15.0]
     short = write_recording(tmp_path / "short", log, "b")
     with pytest.raises(InputError, match=rf"short: saw mode .*'maximum' for \d+ s.*, {LEAST_S:.0f} s are needed; add"):
         fleet.tune(fleet.b, short, "--adapt", fleet.base)
+
+
+def test_nobody_is_told_to_stay_at_an_edge(fleet: Fleet, tmp_path: Path) -> None:
+    """A long drive of few steps: the added sensors are lost until some seconds after each of them."""
+    log = [f for f in frames(UDS4, {}, 42, zero=ZERO) if f.can_id == ECU or f.t % HOLD_S > 8.0 or f.t > 4 * HOLD_S]
+    calm = write_recording(tmp_path / "calm", log, "b")
+    with pytest.raises(InputError) as caught:
+        fleet.tune(fleet.b, calm, "--adapt", fleet.base)
+    assert re.search(r"calm: saw mode .*'edge' for \d+ s, 20 s are needed; add a fault-free drive", str(caught.value))
+    assert str(caught.value).endswith("with more steps, such as of the dose")
 
 
 def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_path: Path) -> None:
@@ -178,6 +226,18 @@ def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_pa
     model.write_text(dump_model(of("b", recordings=(load_tuning(fleet.base).recordings[0],))))
     with pytest.raises(InputError, match=r"base.json: its recording [0-9a-f]{12} has made the model; take a base with"):
         fleet.tune(model, fleet.drives["b1"], "--adapt", fleet.base)
+
+
+def test_a_drive_that_made_the_model_is_refused_when_ingested_again(fleet: Fleet, tmp_path: Path) -> None:
+    """With another clock its log is another one; the drive is known by the bench's own."""
+    again = write_recording(tmp_path / "again", frames(UDS4, {}, 32, zero=ZERO), "b")
+    with (again / "recording.toml").open("a") as described:
+        described.write(f'bench_sha256 = "{"0" * 64}"\n')
+    model = tmp_path / "b.toml"
+    model.write_text(dump_model(of("b", recordings=("0" * 64,))))
+    with pytest.raises(InputError, match=r"again: this recording is used to make the model; tune on"):
+        fleet.tune(model, again)
+    assert fleet.tune(fleet.b, again).recordings == ["0" * 64]
 
 
 def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tmp_path: Path) -> None:
@@ -199,6 +259,27 @@ def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tm
     written(msgspec.structs.replace(base, schema="faultline.tuning/1"))
     with pytest.raises(InputError, match=r"base.json: schema: this is 'faultline.tuning/1', wanted is .*; run `faultl"):
         fleet.tune(*given)
+
+
+@pytest.mark.parametrize("more", [(), ("--adapt",)])
+def test_a_recording_of_too_few_sensors_is_refused(fleet: Fleet, more: tuple[str, ...], tmp_path: Path) -> None:
+    few = Path(shutil.copytree(fleet.drives["b1"], tmp_path / "few"))
+    described = (few / "recording.toml").read_text()
+    (few / "recording.toml").write_text(described.replace('sensor_set = "instrumented"', 'sensor_set = "production"'))
+    message = r"few/recording.toml: sensor_set is 'production', the model uds4 needs 'instrumented'; give recordings of"
+    with pytest.raises(InputError, match=message):
+        fleet.tune(fleet.b, few, *more, *([fleet.base] if more else []))
+
+
+def test_a_place_that_cannot_be_written_is_told_before_any_work(fleet: Fleet, tmp_path: Path) -> None:
+    """Before the model is even looked at."""
+    (tmp_path / "file").touch()
+    for out, words in (
+        (tmp_path, "is a folder; give --out the name"),
+        (tmp_path / "file/x", "file: is no folder; giv"),
+    ):
+        with pytest.raises(InputError, match=words):
+            tune(["no-model.toml", str(fleet.drives["a1"]), "--out", str(out)])
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])

@@ -42,7 +42,7 @@ def runs(found: Discovery) -> Shown:
 
 @pytest.fixture(scope="module")
 def data(found: Discovery) -> Data:
-    logs: list[Any] = [SimpleNamespace(sha256=digit * 64, recording=None) for digit in "12"]
+    logs: list[Any] = [SimpleNamespace(drive=digit * 64, recording=None) for digit in "12"]
     model = found.study.model
     system = system_of(model, model.calibrated)
     return Data(model, system, (logs[0],), (logs[1],), found.study.training, found.study.held)

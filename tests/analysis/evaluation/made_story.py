@@ -8,7 +8,6 @@ import numpy as np
 
 from analysis.evaluation.given import Given
 from analysis.evaluation.judge import judge
-from analysis.evaluation.measure.cases import Case
 from analysis.evaluation.measure.facts import Facts, facts
 from analysis.evaluation.story import Array, Story
 from analysis.evaluation.truth import TrueFault, Truth
@@ -94,4 +93,4 @@ def known(made: Story, faults: Sequence[str] = (), onset_s: float = 60.0, events
     truth = Truth(schema=1, recording="golden", fault=true)
     verdict = judge(truth, events, ["t02", "t08"], made.origin_s, made.end_s)
     given = Given(GOLDEN / "log", load_recording(GOLDEN / "log"), truth)
-    return facts(given, Case(tuple(sorted(faults)), ""), verdict, list(events), made)
+    return facts(given, verdict, list(events), made)

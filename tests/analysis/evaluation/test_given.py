@@ -43,10 +43,14 @@ def refused(made: Made, *recordings: Path, more: tuple[str, ...] = (), bundle: P
     return message
 
 
-def test_a_bundle_without_thresholds_is_refused(made: Made, tmp_path: Path) -> None:
-    bundle = remade(tmp_path, lambda manifest: manifest.update(detectors=[]))
+@pytest.mark.parametrize("change", [lambda m: m.update(detectors=[]), lambda m: m.pop("detectors")])
+def test_a_bundle_without_thresholds_is_refused(
+    made: Made, tmp_path: Path, change: Callable[[dict[str, object]], None]
+) -> None:
+    bundle = remade(tmp_path, change)
     message = refused(made, made.recording("free"), bundle=bundle)
-    assert "detectors: not one for each generator, in the same order; export the bundle again" in message
+    assert "manifest.json: detectors: there are none, so the bundle has no thresholds; run `faultline tune`" in message
+    assert message.endswith("then `faultline export`")
 
 
 def test_a_recording_of_too_few_sensors_is_refused(made: Made) -> None:
@@ -86,6 +90,19 @@ def test_what_the_bundle_was_made_from_is_refused_among_others(made: Made, tmp_p
     assert f"{seen}: the bundle was made from this recording; evaluate on one it has not seen" in refused(
         made, unseen, seen, bundle=bundle
     )
+
+
+def ingested(log: Path, sha256: str) -> Path:
+    """The recording as if it had been ingested from a bench's CAN log of this hash."""
+    return edited(log, r"\Z", f'bench_sha256 = "{sha256}"\n')
+
+
+def test_a_bench_recording_ingested_again_is_the_same_drive(made: Made, tmp_path: Path) -> None:
+    """With another clock its log is another one."""
+    first, second = (ingested(made.recording(name, stop_s=20.0 + k), "0" * 64) for k, name in enumerate("ab"))
+    assert f"{second}: the same recording as {first}; give each once" in refused(made, first, second)
+    bundle = remade(tmp_path, lambda manifest: manifest["origin"]["tune"].append("0" * 64))  # type: ignore[index]
+    assert f"{first}: the bundle was made from this recording; evaluate on one" in refused(made, first, bundle=bundle)
 
 
 def test_a_recording_without_a_truth_is_refused(made: Made) -> None:
@@ -173,26 +190,53 @@ def test_shown_over_time_is_the_largest_of_each_fault(made: Made) -> None:
 def test_a_report_is_a_folder(made: Made, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     message = refused(made, made.recording("a", stop_s=20.0), more=("--report", str(tmp_path / "file")))
-    assert message == f"{tmp_path / 'file'}: File exists; give --report another place"
+    assert message == f"{tmp_path / 'file'}: is no folder; give --report another place"
 
 
-def test_a_report_needs_a_fault_free_part(made: Made, tmp_path: Path) -> None:
-    log = made.recording("faulty", fault=clogged(onset_s=0.0))
-    message = refused(made, log, more=("--report", str(tmp_path / "report")))
-    assert message.endswith("a report needs a fault-free part, add a recording without a fault")
-    assert not (tmp_path / "report").exists()
+def refused_at_once(made: Made, *logs: Path, more: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str:
+    """The message; no verdict was told before it, and no folder is left."""
+    folder = made.truths / "new" / "report"
+    message = refused(made, *logs, more=("--report", str(folder), *more))
+    assert capsys.readouterr().out == ""
+    assert not folder.parent.exists()
+    return message
 
 
-def test_a_report_needs_a_phase_of_maximum_dose(made: Made, tmp_path: Path) -> None:
-    message = refused(made, made.recording("free", stop_s=60.0), more=("--report", str(tmp_path / "report")))
-    assert message.startswith("no phase of maximum dose in these recordings")
-    assert message.endswith("add a recording that has one")
+@pytest.mark.parametrize("onset_s", [0.0, 25.0])
+def test_a_report_needs_a_fault_free_part(onset_s: float, made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    log = made.recording("faulty", fault=clogged(onset_s=onset_s))
+    message = refused_at_once(made, log, more=(), capsys=capsys)
+    assert message.startswith(f"{log}: without a fault-free part of 30 s; a report needs one, add a recording without")
 
 
-def test_what_no_generator_does_cannot_be_required(made: Made, tmp_path: Path) -> None:
+def test_a_report_needs_a_phase_of_maximum_dose(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [made.recording("free", stop_s=60.0), made.recording("too", stop_s=59.0)]
+    message = refused_at_once(made, *logs, more=(), capsys=capsys)
+    assert message.startswith(f"{logs[0]}: like the others, without a phase of maximum dose, where most faults show")
+    assert message.endswith("add a recording that has it")
+
+
+@pytest.mark.parametrize(
+    ("required", "words"),
+    [
+        ("fA_dos:fA_ori", "no generator isolates fA_dos from fA_ori by structure, in any recording; leave it out"),
+        ("fA_t", "no recording has fA_t alone; add one, or leave it out"),
+    ],
+)
+def test_what_cannot_be_required_is_told_at_once(
+    required: str, words: str, made: Made, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = made.recording("dos", fault=clogged(name="fA_dos"))
+    message = refused_at_once(made, log, more=("--require", required), capsys=capsys)
+    assert message == f"--require {required}: {words}"
+
+
+def test_what_no_generator_does_cannot_be_required_and_leaves_no_folder(made: Made, tmp_path: Path) -> None:
+    """Structure allows it, but the fault moves none of those tests so far."""
     log = made.recording("du", fault=clogged())
     more = ("--report", str(tmp_path / "report"), "--require", "fA_du:fy_p_ap")
     assert refused(made, log, more=more).startswith("--require fA_du:fy_p_ap: no generator isolates fA_du from fy_p_ap")
+    assert not (tmp_path / "report").exists()
 
 
 @pytest.mark.parametrize(("size", "words"), [(0.65, "65 %"), (1.0, "100 %"), (5000.0, "50 mbar"), (-0.1, "-10 %")])

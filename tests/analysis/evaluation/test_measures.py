@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from made_story import GOLDEN, known, story
+from made_story import GOLDEN, event, known, story
 
 from analysis.evaluation.measure.blocks import blocks, cut
 from analysis.evaluation.measure.cases import Case, cases_of
@@ -12,6 +12,7 @@ from analysis.evaluation.measure.facts import BINS, EDGES
 from analysis.evaluation.measure.methods import TOGETHER, methods
 from analysis.evaluation.measure.roc import area, curve
 from analysis.evaluation.measure.signature import cells, sensitive
+from analysis.evaluation.sentence import summary
 from analysis.evaluation.story import Array, Story, tell
 from analysis.evaluation.truth import TrueFault, Truth
 from service.bundle import load_bundle
@@ -81,6 +82,7 @@ def test_facts_count_what_is_there() -> None:
     one = known(with_a_fault(), ["fA_du"], 120.0)
     assert one.ticks.tolist() == [600, 600]
     assert one.hours.tolist() == pytest.approx([1 / 30, 1 / 30])
+    assert one.free_hours == pytest.approx(1 / 30)
     assert one.modes[:, PARTIAL].tolist() == [600, 600]
     assert one.episodes.tolist() == [1, 0]
     assert one.delays_s[0] == pytest.approx(10.0)
@@ -112,6 +114,24 @@ def test_what_is_kept_does_not_grow_with_the_ticks() -> None:
 
     assert sizes(2) == sizes(20)
     assert len(known(story(*made(20))).blocks.faulty) == 20
+
+
+def test_hours_in_which_no_test_could_tell_are_no_peaceful_ones() -> None:
+    """Two recordings of 24 minutes: of one nobody could tell in 18, of the other ever."""
+    usable = np.ones((24 * MINUTE, 2), dtype=np.bool_)
+    usable[: 18 * MINUTE] = False
+    usable[: 20 * MINUTE, 1] = False
+    told = [event(0)]
+    some = known(story(*made(24), usable), events=told)
+    assert float(some.hours[0]) == pytest.approx(0.4)
+    assert some.free_hours == pytest.approx(0.1)
+    none = known(story(*made(24), np.zeros_like(usable)))
+    assert none.free_hours == 0.0
+    said = summary([some, none])
+    assert said.startswith("2 recordings, 0.8 h: 0 of 0 faults detected")
+    assert said.endswith(
+        "0 false alarms in 0.1 h (95 %: at most 30 an hour); t02, t08 could never tell in 1 of 2 recordings"
+    )
 
 
 def test_an_alarm_that_stands_while_its_test_cannot_tell_is_one_alarm() -> None:

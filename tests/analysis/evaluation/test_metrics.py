@@ -1,5 +1,6 @@
 """Benchmarks' figures of hand-made events: every tick is counted by hand."""
 
+import numpy as np
 import pytest
 from made_story import event
 
@@ -11,8 +12,10 @@ from service.core.events import Event
 KNOWN = ("fA", "fB", "fC")
 
 
-def of(*events: Event, faults: tuple[str, ...] = ("fA",), onset: int = 40) -> Told:
-    return told(events, ticks=100, onset=onset, period_s=0.2, faults=faults, known=KNOWN)
+def of(*events: Event, faults: tuple[str, ...] = ("fA",), onset: int = 40, blind: slice = slice(0)) -> Told:
+    telling = np.ones(100, dtype=np.bool_)
+    telling[blind] = False
+    return told(events, telling, onset=onset, period_s=0.2, faults=faults, known=KNOWN)
 
 
 def test_a_fault_found_late_shared_and_then_alone() -> None:
@@ -34,6 +37,13 @@ def test_a_false_alarm_counts_before_the_onset_and_a_wrong_name_after_it() -> No
     assert (t.false_ticks, t.detected_ticks, t.mistaken_ticks, t.weight) == (10, 40, 40, 0.0)
     assert (t.rank, t.alone, t.isolation_s) == (2, False, None)
     assert scores([t]).far == 0.25
+
+
+def test_ticks_in_which_no_test_could_tell_are_no_peace_and_no_false_alarm() -> None:
+    t = of(event(10, ("fB", 1)), event(30), blind=slice(5, 20))
+    assert (t.free_ticks, t.false_ticks, t.faulty_ticks) == (25, 10, 60)
+    assert scores([t]).far == 10 / 25
+    assert scores([of(event(0), blind=slice(0, 100))]).far is None
 
 
 def test_probabilities_that_are_told_are_taken_as_told() -> None:

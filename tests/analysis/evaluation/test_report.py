@@ -1,6 +1,7 @@
 """The report of a small set: whole, readable without sight, the same each time, and its data keep their shape."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,13 +10,16 @@ import numpy as np
 import pytest
 from made_set import BUNDLE, Made, clogged
 from made_story import bundle, event, known, story
+from matplotlib.patches import Rectangle
 
 from analysis.evaluation.command import main
+from analysis.evaluation.report import traces
 from analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
 from analysis.evaluation.report.markup import Td, table
 from analysis.evaluation.report.page import page
 from analysis.evaluation.report.pictures import pictures
 from service.core.errors import InputError
+from service.core.manifest import Detector, LowPassDetector
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +131,8 @@ def test_the_data_say_what_was_told(data: Evaluation) -> None:
     assert cells["t02.ode", "fA_du"].alarm.hits == 1
     assert cells["t08.ode", "fA_du"].alarm.hits == 0
     assert (data.told.false_alarms.events, data.simulated) == (0, True)
-    assert data.told.false_alarms.hours == pytest.approx((69 + 70 + 70) / 3600, abs=1 / 3600)
+    warm_up_s = 20.0  # of each recording: no test can tell there, so its silence is no peace
+    assert data.told.false_alarms.hours == pytest.approx((69 + 70 + 70 - 3 * warm_up_s) / 3600, abs=1 / 3600)
     assert {test.generator: test.equals for test in data.tests}["t10.ode"] == "t08.ode"
 
 
@@ -147,15 +152,21 @@ def test_a_report_without_a_fault_leaves_out_what_needs_one(made: Made, tmp_path
     assert "Fault signature matrix" not in text
 
 
-def test_a_short_recording_and_a_fault_that_does_not_come_are_no_obstacle(made: Made, tmp_path: Path) -> None:
-    """Twelve seconds have no block, and of the fault there is not a tick."""
+def test_a_short_recording_and_a_fault_that_does_not_come_are_no_obstacle(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twelve seconds have no block; a fault that begins behind the log's end is in neither verdict nor report."""
     short = made.recording("short", stop_s=12.0)
     late = made.recording("late", stop_s=68.0, fault=clogged(onset_s=500.0, name="fA_t"))
     arguments = [str(BUNDLE), str(short), str(late), "--truth", str(made.truths), "--report", str(tmp_path / "r")]
     assert main(arguments) == 1
     found = msgspec.json.decode((tmp_path / "r" / "report.json").read_bytes(), type=Evaluation)
-    assert {cell.alarm.trials for cell in found.cells} == {0}
-    assert [case.detected.hits for case in found.isolation] == [0]
+    assert [(one.case, one.faulty_hours, one.verdict.faults) for one in found.recordings] == 2 * [("fault-free", 0, [])]
+    assert not found.cells
+    assert not found.isolation
+    told = capsys.readouterr()
+    assert "late: fault-free, 0 false alarms" in told.out
+    assert f"{late}: fA_t begins at 500 s, the log ends before; left out" in told.err
     ElementTree.fromstring((tmp_path / "r" / "report.html").read_text().partition("\n")[2])  # noqa: S314
 
 
@@ -172,8 +183,8 @@ def test_networks_are_shown_beside_equations() -> None:
     r[600:, 0] = 3.0
     sums[650:, 0] = 11.0
     mode = np.repeat([0.0, 2.0, 1.0, 2.0], 300)
-    whole = story(r, sums, mode=mode)
-    one = known(whole, ["fA_du"], 120.0, [event(700, ("", 1), ("fA_du+fA_t", 2))])
+    whole = replace(story(r, sums, mode=mode), events=[event(700, ("", 1), ("fA_du+fA_t", 2))])
+    one = known(whole, ["fA_du"], 120.0, whole.events)
     made = bundle()
     first, second = made.manifest.generators
     network = msgspec.structs.replace(second, test="t02", name="t02.rnn", faults=first.faults)
@@ -186,6 +197,27 @@ def test_networks_are_shown_beside_equations() -> None:
     text = page(found, drawn)
     ElementTree.fromstring(text.partition("\n")[2])  # noqa: S314
     assert "Equations and networks side by side" in text
+
+
+def test_traces_say_what_tests_what_is_not_drawn_and_what_was_told() -> None:
+    """Made: two generators with the same residual and low-pass detectors; one diagnosis, from 140 s on."""
+    r, sums = np.full((1200, 2), 3.0), np.zeros((1200, 2))
+    made = bundle()
+    detectors: list[Detector] = [
+        LowPassDetector(generator=d.generator, offset=d.offset, scale=d.scale, J=1.0, hold_ticks=5, time_ticks=5.0)
+        for d in made.manifest.detectors
+    ]
+    made = made._replace(manifest=msgspec.structs.replace(made.manifest, detectors=detectors))
+    whole = replace(story(r, sums), bundle=made, events=[event(0), event(700, ("fA_du", 1), ("fA_t", 2))])
+    one = known(whole, ["fA_du"], 120.0, whole.events)
+    figure, alt, caption = traces.draw(evaluation(made, [one]), whole, one)
+    told, *panels = figure.axes
+    assert [panel.get_title() for panel in panels] == ["residual", "low-pass in parts of its threshold"]
+    assert "detectors (low-pass)" in alt
+    assert caption.endswith("Not drawn, being the same signal as another: t08.ode (as t02.ode).")
+    assert [label.get_text() for label in told.get_yticklabels()] == ["fA_du", "fA_t"]
+    bars = [bar for bar in told.patches if isinstance(bar, Rectangle) and bar.get_height() == 0.7]
+    assert {bar.get_x() for bar in bars} == {140.0}
 
 
 def test_what_a_cell_holds_is_text_and_no_markup() -> None:

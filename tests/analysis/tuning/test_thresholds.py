@@ -155,7 +155,9 @@ def test_a_missing_mode_is_refused_by_name(mode: int) -> None:
         usable = run.usable.copy()
         usable[visited[kept:], 1] = False
         with pytest.raises(
-            InputError, match=rf"tuning data \(made-1\): tb.ode saw mode '{MODES[mode]}' for {kept} ticks only; add a"
+            InputError,
+            match=rf"tuning data \(made-1\): tb.ode saw mode '{MODES[mode]}' for {kept} ticks only; add a .*"
+            + ("with more steps, such as of the dose$" if mode == EDGE else "that stays in it$"),
         ):
             tune_detectors(NAMES, [replaced(run, usable=usable)], FLOOR)
 

@@ -117,7 +117,7 @@ TOGETHER: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 5, but there are 4"),
     (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 3, but there are 4"),
     (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 3, but there are 4"),
-    (lambda m: m["evidence"].update(graph=None), r"evidence\.graph: None for 41 hypotheses"),
+    (lambda m: m["evidence"].update(graph=None), r"evidence\.graph: None for 45 hypotheses"),
     (lambda m: m["evidence"].update(hypotheses=[]), r"evidence\.graph: 'faults\.onnx' for 0 hypotheses"),
     (lambda m: m["evidence"].update(graph="x.onnx"), r"evidence\.graph: 'x\.onnx' is not in files"),
     (lambda m: m["generators"][3]["equations"].append("e99"), r"generators\[3\]\.equations: unknown equation 'e99'"),

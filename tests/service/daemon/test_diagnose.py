@@ -82,6 +82,15 @@ def test_tests_that_never_could_tell_are_named(tmp_path: Path, capsys: pytest.Ca
     assert "no-box.log: t02 t06 t08 t09 t10 t12 t13 t19 t20 could never tell, so no alarm is no all-clear" in err
 
 
+def test_a_recording_of_too_few_sensors_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = Path(shutil.copytree(LOG, tmp_path / "log"))
+    described = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(described.replace('"instrumented"\n\n', '"production"\n\n'))
+    err = refused([str(folder), "--bundle", str(BUNDLE)], capsys)
+    assert f"{folder / 'recording.toml'}: sensor_set is 'production', the bundle {BUNDLE} needs 'instrumented'; " in err
+    assert "give recordings of an instrumented vehicle, or tune and export a model without the added sensors" in err
+
+
 def test_a_log_cut_in_mid_line_is_used_as_far_as_it_goes_and_the_loss_is_said(
     tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
