@@ -1,5 +1,6 @@
 """Model files: what is read, and one clear line for everything that is wrong with one."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,6 +93,24 @@ def test_modes_and_warm_up_are_optional_and_survive_being_written(gone: str) -> 
     assert bare.modes is None
     assert parse_model(dump_model(bare), "m") == bare
     assert parse_model(GOOD.replace("warm_up_s = 30\n", ""), "m").warm_up_s == 20.0
+
+
+def test_a_disturbance_enters_like_a_fault_and_is_none() -> None:
+    written = 'disturbance = {name = "q", description = "leak", enters = "dh -> dh + q", sizes = [0.1]}\n'
+    text = GOOD.replace('name = "e1"\n', 'name = "e1"\n' + written, 1)
+    model = parse_model(text, "m")
+    q, dh, k, h, fk = sp.symbols("q dh k h fk")
+    assert ([*model.faults], [*model.disturbances], [*model.assumable]) == (["fk", "fy"], ["q"], ["fk", "fy", "q"])
+    assert sp.expand(model.expression("e1", with_fault=True) - (dh + q + k * (1 + fk) * h)) == 0
+    assert model.expression("e1", with_fault=False) == dh + k * h
+    assert parse_model(dump_model(model), "m") == model
+    for old, new, told in (
+        ("dh -> dh + q", "k -> k + q", "m: equation[0].disturbance.enters: k is what its fault replaces"),
+        (written, written.replace('"q"', '"fk"').replace("dh + q", "dh + fk"), "m: fault fk is in two equations"),
+        ("dh -> dh + q", "y -> y + q", "m: equation[0].disturbance.enters: y is not in"),
+    ):
+        with pytest.raises(ModelError, match=re.escape(told)):
+            parse_model(text.replace(old, new), "m")
 
 
 def test_the_file_s_order_is_kept() -> None:
