@@ -45,7 +45,8 @@ def _summary(bundle: Bundle) -> str:
     faults = [fault.name for fault in m.faults]
     lines = [
         f"{m.name}, {m.schema}, id {bundle.id}",
-        f"sensor set {m.sensor_set}, a tick every {m.period_s:g} s, model {m.origin.model_sha256[:12]}",
+        f"sensor set {m.sensor_set}, a tick every {m.period_s:g} s, model {m.origin.model_sha256[:12]}, "
+        f"vehicle {m.origin.vehicle or 'unknown'}",
         "inputs: " + ", ".join(f"{i.signal} [{i.unit}]" for i in m.inputs),
         "",
         f"{'generator':<12}{'predicts':<10}{'detector, nu, J':<26}  " + " ".join(f"{name:>8}" for name in faults),

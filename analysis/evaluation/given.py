@@ -24,13 +24,16 @@ class Given(NamedTuple):
     truth: Truth
 
     def open(self, bundle: Bundle, say: Callable[[str], None]) -> Log:
-        """Its log, made with the bundle's DBC; loss in it is said.
+        """Its log, made with the bundle's DBC; loss in it is said, and whether the bundle is another vehicle's.
 
         Raises:
             LogError: it cannot be read, or names another DBC.
         """
         log = open_known(self.path, say)
         log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+        made_for = bundle.manifest.origin.vehicle
+        if made_for not in (None, self.recording.vehicle):
+            say(f"{self.path}: of vehicle {self.recording.vehicle!r}, the bundle was made for {made_for!r}")
         return log
 
 

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 
-from analysis.calibration.provenance import recordings_of
+from analysis.calibration.provenance import recordings_of, vehicle_of
 from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.tuning.file import Tuning
@@ -32,6 +32,7 @@ def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], 
             train=runnable.trained_on,
             tune=tuning.recordings,
             base=tuning.base,
+            vehicle=vehicle_of(bank.model),
         ),
         inputs=list(bank.inputs),
         generators=list(runnable.generators),

@@ -44,7 +44,7 @@ class File(_Part, frozen=True):
 
 
 class Origin(_Part, frozen=True):
-    """What the bundle was made from: data sets by the SHA-256 of their logs.
+    """What the bundle was made from, and for which vehicle; data sets by the SHA-256 of the drive's first log.
 
     Those of tuning are none that the model was calibrated or the networks were trained with. `base` is the tuning of
     other vehicles that was adapted to this one.
@@ -56,6 +56,7 @@ class Origin(_Part, frozen=True):
     train: list[Sha256]
     tune: NotEmpty[Sha256]
     base: Sha256 | None = None
+    vehicle: Text | None = None
 
 
 class Input(_Part, frozen=True):

@@ -79,6 +79,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     bundle: str
     bundle_id: str
     sensor_set: str
+    made_for: str | None
     model: str
     simulated: bool
     faults: dict[str, str]
@@ -108,6 +109,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         bundle=manifest.name,
         bundle_id=bundle.id,
         sensor_set=manifest.sensor_set,
+        made_for=manifest.origin.vehicle,
         model=manifest.origin.model,
         simulated=all(one.given.recording.source.startswith(SIMULATED) for one in of),
         faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},

@@ -77,8 +77,9 @@ def _origin(e: Evaluation) -> str:
     hours = sum(one.fault_free_hours + one.faulty_hours for one in e.recordings)
     modes = ", ".join(f"{mode} {60 * value:.0f} min" for mode, value in e.mode_hours.items())
     said = "All data are simulated; no figure is of a real vehicle. " if e.simulated else ""
+    made_for = f"made for vehicle {e.made_for}, " if e.made_for else ""
     return (
-        f"{said}Judged: bundle {e.bundle_id[:12]} (model {e.model}, sensors {e.sensor_set}, {len(e.tests)} "
+        f"{said}Judged: bundle {e.bundle_id[:12]} ({made_for}model {e.model}, sensors {e.sensor_set}, {len(e.tests)} "
         f"generators) on {len(e.recordings)} recordings of {hours:.2f} h ({modes}), vehicle {vehicles}; source: "
         f"{sources}. The bundle names none of them as used for calibration, training or tuning."
     )

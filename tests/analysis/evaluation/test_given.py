@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_set import BUNDLE, Made, clogged, edited
@@ -24,7 +25,7 @@ def evaluate(made: Made, *recordings: Path, more: tuple[str, ...] = (), bundle: 
     return main([str(bundle), *map(str, recordings), "--truth", str(made.truths), *more])
 
 
-def remade(folder: Path, change: Callable[[dict[str, object]], None]) -> Path:
+def remade(folder: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     """The golden bundle with another manifest, sealed."""
     bundle = Path(shutil.copytree(BUNDLE, folder / "bundle"))
     manifest = json.loads((bundle / "manifest.json").read_text())
@@ -45,7 +46,7 @@ def refused(made: Made, *recordings: Path, more: tuple[str, ...] = (), bundle: P
 
 @pytest.mark.parametrize("change", [lambda m: m.update(detectors=[]), lambda m: m.pop("detectors")])
 def test_a_bundle_without_thresholds_is_refused(
-    made: Made, tmp_path: Path, change: Callable[[dict[str, object]], None]
+    made: Made, tmp_path: Path, change: Callable[[dict[str, Any]], None]
 ) -> None:
     bundle = remade(tmp_path, change)
     message = refused(made, made.recording("free"), bundle=bundle)
@@ -58,6 +59,17 @@ def test_a_recording_of_too_few_sensors_is_refused(made: Made) -> None:
     message = refused(made, log)
     assert message.startswith(f"{log / 'recording.toml'}: sensor_set is 'production', the bundle ")
     assert "needs 'instrumented'; give recordings of an instrumented vehicle" in message
+
+
+def test_a_bundle_that_was_made_for_another_vehicle_is_said(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def other(manifest: dict[str, Any]) -> None:
+        manifest["origin"]["vehicle"] = "truck-9"
+
+    log = made.recording("free", stop_s=66.0)
+    assert evaluate(made, log, bundle=remade(tmp_path, other)) == 0
+    assert f"{log}: of vehicle 'bench', the bundle was made for 'truck-9'" in capsys.readouterr().err
 
 
 def test_a_bundle_for_few_sensors_takes_recordings_of_more(made: Made, tmp_path: Path) -> None:
@@ -101,7 +113,7 @@ def test_a_bench_recording_ingested_again_is_the_same_drive(made: Made, tmp_path
     """With another clock its log is another one."""
     first, second = (ingested(made.recording(name, stop_s=20.0 + k), "0" * 64) for k, name in enumerate("ab"))
     assert f"{second}: the same recording as {first}; give each once" in refused(made, first, second)
-    bundle = remade(tmp_path, lambda manifest: manifest["origin"]["tune"].append("0" * 64))  # type: ignore[index]
+    bundle = remade(tmp_path, lambda manifest: manifest["origin"]["tune"].append("0" * 64))
     assert f"{first}: the bundle was made from this recording; evaluate on one" in refused(made, first, bundle=bundle)
 
 
