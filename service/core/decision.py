@@ -184,7 +184,7 @@ class Decision:
             self._window.keep()
             return
         self._intermittence.judge(self._window, self._unlike.day)
-        if self._intermittence.gone >= GONE_BLOCKS:
+        if self._intermittence.gone == GONE_BLOCKS:
             self._unlike.rest()
 
     def _doubt(self, tick: int) -> None:
@@ -242,8 +242,8 @@ class Decision:
 
     @property
     def intermittent(self) -> bool:
-        """Whether the fault comes and goes. Who it is is not ranked then, as neither its sizes nor modes are sure."""
-        return self._intermittence.found
+        """Whether a confirmed fault comes and goes: neither its size nor its modes are sure, so nothing is ranked."""
+        return self.confirmed and self._intermittence.found
 
     @property
     def diagnoses(self) -> list[Diagnosis]:

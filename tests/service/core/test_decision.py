@@ -345,10 +345,14 @@ def test_a_fault_from_the_start_that_is_repaired_is_over_in_minutes() -> None:
     for mode in (IDLE, PARTIAL, MAXIMUM):
         vehicle.drive(600, mode, {"fA_du": 0.9})
     assert vehicle.named == [("fA_du", 1)]
+    gone = []
     for _ in range(4):
         for mode in (PARTIAL, MAXIMUM, IDLE):
             vehicle.drive(300, mode)
+            gone.append(vehicle.decision.intermittent)
     assert vehicle.named == []
+    assert gone[0]  # who went by itself may come again
+    assert not gone[-1]
 
 
 def test_what_is_taken_for_the_day_is_not_suspected_any_longer() -> None:
