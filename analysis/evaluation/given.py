@@ -49,12 +49,13 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
     for path in paths:
         recording = _described(path)
         recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {bundle.where}")
-        own = recording.can.bench_sha256 or hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
+        log = hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
+        own = recording.can.bench_sha256 or log
         if own in drives:
             raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
         if any(other.recording.id == recording.id for other in found):
             raise InputError(f"{path}: id {recording.id!r} is another recording's too; each needs one of its own")
-        _check_unseen(path, own, bundle.manifest.origin)
+        _check_unseen(path, {own, log}, bundle.manifest.origin)
         drives[own] = path
         found.append(Given(path, recording, find_truth(truths, recording.id)))
     return _chosen(found, bundle, faults)
@@ -97,8 +98,8 @@ def _described(path: Path) -> Recording:
     return opened
 
 
-def _check_unseen(path: Path, drive: str, origin: Origin) -> None:
-    if drive in [*origin.calibrate, *origin.train, *origin.tune]:
+def _check_unseen(path: Path, known_by: Collection[str], origin: Origin) -> None:
+    if not {*origin.calibrate, *origin.train, *origin.tune}.isdisjoint(known_by):
         raise InputError(f"{path}: the bundle was made from this recording; evaluate on one it has not seen")
 
 

@@ -69,7 +69,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         if log.recording is not None:
             log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
         twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
-        if (how := used.get(log.drive, twice)) is not None:
+        if (how := used.get(log.drive, used.get(log.sha256, twice))) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
         if runnable.networks:

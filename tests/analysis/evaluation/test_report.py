@@ -104,7 +104,7 @@ def test_the_data_keep_their_shape(report: Path) -> None:
     """A field that is renamed or taken away needs another schema."""
     raw = json.loads((report / "report.json").read_text())
     assert raw["schema"] == SCHEMA == "faultline.evaluation/1"
-    plain = "schema bundle bundle_id sensor_set model simulated faults mode_hours methods"
+    plain = "schema bundle bundle_id sensor_set made_for model simulated faults mode_hours methods"
     assert sorted(raw) == sorted([*plain.split(), *FIELDS])
     found = {name: raw[name][0] if isinstance(raw[name], list) else raw[name] for name in FIELDS}
     assert {name: " ".join(entry) for name, entry in found.items()} == FIELDS
