@@ -70,7 +70,7 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
     assert [verdict["isolated"] for verdict in orifice] == [["fA_ori"], ["fA_ori"]]
     assert [verdict["first"] for verdict in pump] == [["fA_p", "unknown", "fq_pump"]] * 2
     assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([44.0, 14.0], abs=1.0)
-    assert [verdict["delay_s"] for verdict in pump] == pytest.approx([11.0, 5.0], abs=1.0)
+    assert [verdict["delay_s"] for verdict in pump] == pytest.approx([8.0, 5.0], abs=1.0)
 
 
 @pytest.mark.long
