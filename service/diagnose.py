@@ -9,7 +9,7 @@ from service.core.errors import InputError
 from service.core.events import encode
 from service.core.monitor import Monitor
 from service.logs import open_log
-from service.watch import describe
+from service.watch import describe, meanings
 
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle
@@ -42,8 +42,7 @@ def main(argv: list[str]) -> int:
     if log.report.lost:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
-    faults = {fault.name: fault for fault in bundle.manifest.faults}
-    equations = {equation.name: equation for equation in bundle.manifest.equations}
+    faults, equations = meanings(bundle.manifest)
     found = False
     blind = {generator.test for generator in bundle.manifest.generators}
     for event in monitor.log(log.relative()):
@@ -64,5 +63,10 @@ def main(argv: list[str]) -> int:
     if monitor.decision.suspected and not found:
         raise InputError(
             f"{options.log}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
+        )
+    if monitor.decision.alarm and not found:
+        raise InputError(
+            f"{options.log}: ends while {' '.join(monitor.decision.alarm)} alarms, which is taken for what this day is "
+            "like: no fault was confirmed, and none is ruled out; record another drive"
         )
     return 1 if found else 0

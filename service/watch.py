@@ -11,7 +11,7 @@ import msgspec
 
 from service.core.errors import InputError
 from service.core.events import Diagnosis, Event, decode
-from service.core.manifest import Equation, Fault
+from service.core.manifest import Equation, Fault, Manifest
 
 EXAMPLE = """example:
   faultline watch --socket /run/faultline/events.sock --after 0
@@ -103,7 +103,11 @@ def _event(line: bytes, path: Path) -> Event:
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
     from service.bundle import load_bundle  # brings in the inference library, which watching does without
 
-    manifest = load_bundle(folder).manifest
+    return meanings(load_bundle(folder).manifest)
+
+
+def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]:
+    """What the names of faults and equations mean, by name; of a disturbed equation, what may disturb it too."""
     equations = {one.name: one for one in manifest.equations}
     for each in manifest.disturbances:
         was = equations[each.equation]
@@ -133,7 +137,9 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
 def _nothing(event: Event) -> str:
     """No candidate is not the same as no fault."""
     if event.transition == "dismissed":
-        return "no test alarms any more, and nothing was confirmed"
+        if event.alarm:
+            return "nothing was confirmed: it is taken for what this day is like, though a test alarms"
+        return "nothing is suspected any more, and nothing was confirmed"
     if event.alarm or event.suspected:
         why = "" if event.alarm else "no test alarms, but this is unlike the drive so far, or unlike any: "
         return f"{why}not confirmed yet: what is seen now decides"

@@ -126,6 +126,20 @@ TOGETHER: list[tuple[Change, str]] = [
         lambda m: m["evidence"]["hypotheses"][7].update(fault="fX"),
         r"evidence\.hypotheses\[7\]\.fault: unknown fault 'fX'",
     ),
+    (lambda m: m["disturbances"][0].update(equation="e99"), r"disturbances\[0\]\.equation: unknown equation 'e99'"),
+    (lambda m: m["disturbances"][0].update(name="fA_t"), r"faults and disturbances\[9\]: 'fA_t' is there twice"),
+    (
+        lambda m: m["evidence"]["followers"][0].update(generator="t99.ode"),
+        r"evidence\.followers: unknown generator 't99\.ode'",
+    ),
+    (
+        lambda m: m["evidence"]["followers"][1].update(generator="t02.ode"),
+        r"evidence\.generators and followers\[5\]: 't02\.ode' is there twice",
+    ),
+    (
+        lambda m: m["evidence"]["followers"][2]["drifts"].pop(),
+        r"evidence\.followers\[2\]\.drifts: \d, but evidence has",
+    ),
 ]
 
 

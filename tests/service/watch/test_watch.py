@@ -8,10 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from service.bundle import load_bundle
 from service.core.errors import InputError
 from service.core.events import SCHEMA, Diagnosis, Event, encode
 from service.core.manifest import Equation, Fault
-from service.watch import describe, main
+from service.watch import describe, main, meanings
 
 QUIET = Event(
     schema=SCHEMA,
@@ -93,6 +94,20 @@ def test_a_dismissed_suspicion_does_not_read_as_all_clear_while_tests_cannot_tel
     event = msgspec.structs.replace(QUIET, transition="dismissed", cannot_tell=["t02"])
     assert "nothing was confirmed" in describe(event, {})
     assert "no fault" not in describe(event, {})
+    standing = msgspec.structs.replace(event, alarm=["t20"])
+    assert "taken for what this day is like, though a test alarms" in describe(standing, {})
+
+
+def test_a_fault_that_comes_and_goes_is_said_to() -> None:
+    assert ", comes and goes" in describe(msgspec.structs.replace(FAULT, intermittent=True), {}).splitlines()[0]
+    assert "comes and goes" not in describe(FAULT, {})
+
+
+def test_what_may_disturb_an_equation_is_said_with_its_probability() -> None:
+    manifest = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
+    leak = msgspec.structs.replace(FAULT, diagnoses=[Diagnosis(faults=[], rank=1, p=0.49, near=["e10"])])
+    said = describe(leak, *meanings(manifest))
+    assert "near e10 (balance after the pump (4.15): leak between pump and dosing unit?), p = 0.490" in said
 
 
 @pytest.mark.parametrize("transition", ["started", "occurred", "refined", "healed", "cannot_tell"])
