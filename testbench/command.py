@@ -70,7 +70,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_run(make)
     add_logger(make)
-    make.add_argument("--kind", default="bench", choices=get_args(Kind), help="instrumented: everything on CAN (bench)")
+    make.add_argument(
+        "--kind",
+        default="bench",
+        choices=get_args(Kind),
+        help="instrumented: everything on CAN; production: without the added sensors (default: bench)",
+    )
     make.add_argument("--out", type=Path, required=True, help="folder of the recordings")
     make.add_argument("--truth", type=Path, required=True, help="another folder, of the truths")
     make.add_argument("--format", default="log", choices=FORMATS, help="of the CAN log (default: log, candump's text)")

@@ -1,7 +1,7 @@
 """The files of a recording, and its truth in another folder.
 
     OUT/<id>/recording.toml  can.log  external.csv  uds.dbc          what a bench would hand over (or can.blf ...)
-    OUT/<id>/recording.toml  can.log  uds.dbc                        and an instrumented vehicle, with all on CAN
+    OUT/<id>/recording.toml  can.log  uds.dbc                        and a vehicle, with all that it has on CAN
     TRUTH/<id>.toml                                                  what only the rig knows
 
 Equal requests give equal bytes, but for the head of ASC and TRC logs, where python-can writes the time of writing.
@@ -90,15 +90,15 @@ def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> 
 
 
 def _recording_toml(request: Request, dbc: Dbc) -> str:
-    external = "" if request.kind == "instrumented" else _external_toml(request.vehicle)
+    external = _external_toml(request.vehicle) if request.kind == "bench" else ""
     return f"""schema = 1
 id = {json.dumps(request.name)}
-kind = "{request.kind}"
+kind = "{"bench" if request.kind == "bench" else "instrumented"}"
 source = "simulated by the faultline rig"
 vehicle = {json.dumps(request.vehicle.name)}
 cycle = {json.dumps(request.cycle.name)}
 start = {START_TEXT}
-sensor_set = "instrumented"
+sensor_set = "{"production" if request.kind == "production" else "instrumented"}"
 
 [can]
 file = "can.{request.format}"

@@ -12,8 +12,8 @@ from testbench.faults import Fault
 from testbench.second_logger import SecondLogger
 from testbench.vehicles import Vehicle
 
-Kind = Literal["bench", "instrumented"]
-"""A bench has the added sensors on a second logger, an instrumented vehicle has them on the bus."""
+Kind = Literal["bench", "instrumented", "production"]
+"""A bench has the added sensors on a second logger, an instrumented vehicle on the bus, a production one nowhere."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Request:
     day: Day = CALM
 
     def __post_init__(self) -> None:
-        if self.kind == "instrumented" and self.logger != SecondLogger():
-            raise RigError("an instrumented vehicle has no second logger to set; use --kind bench")
+        if self.kind != "bench" and self.logger != SecondLogger():
+            raise RigError(f"a vehicle of kind {self.kind} has no second logger to set; use --kind bench")
         check_duration(self.duration)
         checked(self.effects)
         names = [fault.name for fault in self.faults]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from analysis.calibration.provenance import check_vehicle
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
-from analysis.recordings.observe import Blind, open_known, ticks_of
+from analysis.recordings.observe import Blind, open_for, ticks_of
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import Input
@@ -71,7 +71,7 @@ def load_samples(
     vehicle: str | None = None
     seconds = 0.0
     for path in recordings:
-        log = open_known(path, say)
+        log = open_for(model, path, say)
         if log.drive in digests:
             raise InputError(f"{path}: this recording is named twice; name it once")
         if vehicle is not None:

@@ -17,7 +17,7 @@ from analysis.calibration.sections import Section, sections
 from analysis.calibration.validate import Validation, validate
 from analysis.model import Model, dump_model
 from analysis.progress import Progress
-from analysis.recordings.observe import open_known
+from analysis.recordings.observe import open_for
 from analysis.simulation import system_of
 from analysis.structure.lint import sound_model
 from service.core.decode import compile_dbc
@@ -96,7 +96,7 @@ class _Data:
         self._found: dict[str, list[Section]] = {}
         for path in (*fitted, *others):
             progress.say(str(path))
-            log = open_known(path, progress.note)
+            log = open_for(model, path, progress.note)
             if log.drive in (other.drive for other in self.logs):
                 raise InputError(f"{path}: this recording is given twice; validate on recordings that are not fitted")
             self.logs.append(log)

@@ -29,6 +29,11 @@ def recordings_of(model: Model) -> list[str]:
     return list(dict.fromkeys(str(sha) for found in lists if isinstance(found, (list, tuple)) for sha in found))
 
 
+def is_fitted(model: Model) -> bool:
+    """Whether the model was ever calibrated, or had an effect added, on recordings."""
+    return any(entry.get("command") in USED for entry in model.provenance)
+
+
 def vehicle_of(model: Model) -> str | None:
     """The vehicle that the model was last calibrated for, or its effects were last discovered on, if it says so."""
     named = [entry["vehicle"] for entry in model.provenance if entry.get("command") in USED and "vehicle" in entry]

@@ -11,7 +11,7 @@ from analysis.calibration.provenance import check_vehicle, recordings_of, vehicl
 from analysis.calibration.sections import Section, sections
 from analysis.discrepancy.effects.compiled import system_with
 from analysis.model import Model, dump_model
-from analysis.recordings.observe import open_known
+from analysis.recordings.observe import open_for
 from analysis.simulation import System
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -89,7 +89,7 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
     logs: dict[str, Path] = {}
     found: list[tuple[Log, list[Section]]] = []
     for path in (*training, *held):
-        log = open_known(path, note)
+        log = open_for(model, path, note)
         if log.drive in logs:
             raise InputError(
                 f"{path}: the same recording as {logs[log.drive]}; evidence needs recordings that the fit has not "

@@ -28,7 +28,8 @@ EXAMPLE = """example:
   faultline evaluate out/demo/bundle out/demo/logs/validation-* --truth out/demo/truth --report out/report
 
 Times are log time after the first frame, as in the truth; an event's own count from the first tick, some seconds later.
-It exits with 1 where a true fault is not in the isolated set, something alarmed before, or a test could never tell.
+It exits with 1 where a true fault is not in the isolated set, something alarmed before, a test could never tell, or no
+generator does what --require asks for.
 --json prints a verdict a line. --report writes DIR/report.html and DIR/report.json; docs/evaluation.md says how to
 read them.
 """
@@ -58,10 +59,13 @@ def main(argv: list[str]) -> int:
         judged = labelled(judged)
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
+        unmet: list[str] = []
         if options.report:
             progress.say("drawing the report")
-            _report(options.report, bundle, judged, stories, [*map(_pair, options.require)])
-    return 0 if all(one.verdict.good for one in judged) else 1
+            unmet = _report(options.report, bundle, judged, stories, [*map(_pair, options.require)])
+            for what in unmet:
+                progress.note(f"--require: {what}: by no generator in these recordings; the report chooses without it")
+    return 0 if all(one.verdict.good for one in judged) and not unmet else 1
 
 
 def _options(argv: list[str]) -> argparse.Namespace:
@@ -177,7 +181,9 @@ def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) 
 
 def _report(
     folder: Path, bundle: Bundle, judged: list[Facts], stories: list[Story], required: list[tuple[str, str | None]]
-) -> None:
+) -> list[str]:
+    """Writes the report; returns what is required and no generator does."""
     from analysis.evaluation.report.write import write  # matplotlib takes a second to import
 
-    write(folder, bundle, judged, stories, required)
+    chosen = write(folder, bundle, judged, stories, required).selection
+    return chosen.unmet if chosen else []

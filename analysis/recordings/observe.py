@@ -45,6 +45,18 @@ def open_known(path: Path, say: Callable[[str], None]) -> Log:
     return log
 
 
+def open_for(model: Model, path: Path, say: Callable[[str], None]) -> Log:
+    """The same of a log that has the sensors which the model needs.
+
+    Raises:
+        LogError: it has not.
+    """
+    log = open_known(path, say)
+    if log.recording is not None:
+        log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
+    return log
+
+
 def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:
     """Every tick of a log, up to its last frame."""
     return ticks_of(bank.model, bank.inputs, table, frames, Runnable(bank).fresh())

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.provenance import recordings_of, vehicle_of
+from analysis.calibration.provenance import is_fitted, recordings_of, vehicle_of
 from analysis.graph.bank import build_bank
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
@@ -45,11 +45,17 @@ def main(argv: list[str]) -> int:
     options = _parser().parse_args(argv)
     _check(options)
     runnable = _runnable(options.model, options.networks)
+    also = [(_runnable(model, None), [Path(path) for path in paths]) for model, *paths in options.also]
     with Progress(f"tuning {runnable.bank.model.name}") as progress:
+        for path in (options.model, *(path for path, *_ in options.also)):
+            if not is_fitted(sound_model(path)):
+                progress.note(
+                    f"{path}: calibrated on no recording: its residuals are off by as much as its parameters; give "
+                    "the model that `faultline calibrate` wrote"
+                )
         if options.adapt is not None:
             tuning = adapt(runnable, options.recording, options.adapt, progress)
         else:
-            also = [(_runnable(model, None), [Path(path) for path in paths]) for model, *paths in options.also]
             kinds: tuple[Kind, ...] = (options.detector, "spread") if options.spread else (options.detector,)
             given = Given(also=also, target=options.target, kinds=kinds, claim=True)
             tuning = tune(runnable, options.recording, progress, given)

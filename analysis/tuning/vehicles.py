@@ -15,7 +15,7 @@ from analysis.calibration.provenance import check_vehicle, vehicle_of
 from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.progress import Progress
-from analysis.recordings.observe import open_known, ticks_of
+from analysis.recordings.observe import open_for, ticks_of
 from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
 from service.core.decode import compile_dbc
 from service.core.errors import InputError
@@ -65,9 +65,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     units = {channel.signal: channel.unit for channel in runnable.bank.inputs}
     drives: list[Drive] = []
     for path in paths:
-        log = open_known(path, progress.note)
-        if log.recording is not None:
-            log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
+        log = open_for(model, path, progress.note)
         twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
         if (how := used.get(log.drive, used.get(log.sha256, twice))) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")

@@ -58,6 +58,15 @@ def test_the_service_loads_it(recording: Path) -> None:
     assert "logger" not in tomllib.loads((recording.parents[1] / "truth" / "r.toml").read_text())
 
 
+def test_a_production_vehicle_has_all_but_the_added_sensors(recording: Path, tmp_path: Path) -> None:
+    folder = made(tmp_path, kind="production")
+    loaded = load_recording(folder)
+    assert (loaded.kind, loaded.sensor_set, loaded.external) == ("instrumented", "production", None)
+    ids = [{frame.can_id for frame in open_log(each).frames} for each in (recording, folder)]
+    assert ids[0] - ids[1] == {load_dbc().sensor_box.message.frame_id}
+    assert not ids[1] - ids[0]
+
+
 def test_sensor_frames_come_at_ten_hertz_with_jitter(recording: Path) -> None:
     gaps = np.diff(sensors(recording)[:, 0])
     assert gaps.mean() == pytest.approx(0.1, rel=0.01)

@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from service.core.errors import InputError
 from service.core.signals import Mask
 
 REACHED = 0.5
@@ -38,7 +37,8 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
     """The generators to keep, of those there are, with what they cost.
 
     `false_blocks` of `free_blocks` fault-free blocks have an alarm of one of them; `all_false_blocks` of any generator.
-    `cost` is one for each generator and for each of its states; `alternatives` are other sets that do as well.
+    `cost` is one for each generator and for each of its states; `alternatives` are other sets that do as well. `unmet`
+    are requirements that no generator meets in these recordings: the choice is made without them.
     """
 
     keep: list[str]
@@ -50,6 +50,7 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
     cost: int
     all_cost: int
     requirements: list[Requirement]
+    unmet: list[str]
 
 
 class Reach(msgspec.Struct, frozen=True):
@@ -78,12 +79,9 @@ def select(
     faults, `isolating` whether an alarm of each is a conflict over its faults and not only a suspicion. `required` are
     faults with another one that they must be isolated from, or with None where they must be detected, in every case
     that some generator reaches; without it, all that the generators do together is required.
-
-    Raises:
-        InputError: something is required that no generator does.
     """
     assert len(names) <= EXACT, "more sets than can be looked at"
-    clauses = _wanted(requirements(names, sensitive, reached, known, isolating), reached, required)
+    clauses, unmet = _wanted(requirements(names, sensitive, reached, known, isolating), reached, required)
     together = once(false_alarms, equal)
     sets = np.arange(1 << len(names))
     meets = np.ones(len(sets), dtype=np.bool_)
@@ -105,6 +103,7 @@ def select(
         cost=int(cost[best[0]]),
         all_cost=int(cost[-1]),
         requirements=clauses,
+        unmet=unmet,
     )
 
 
@@ -131,18 +130,18 @@ def requirements(
 
 def _wanted(
     found: list[Requirement], reached: Sequence[Reach], required: Sequence[tuple[str, str | None]]
-) -> list[Requirement]:
+) -> tuple[list[Requirement], list[str]]:
+    """Those of `found` that are required, and what is required and not among them, in words."""
     if not required:
-        return found
+        return found, []
     faults = {reach.case: reach.faults for reach in reached}
-    for fault, other in required:
-        if not any(faults[one.case] == (fault,) and one.other == other for one in found):
-            what = f"isolates {fault} from {other}" if other else f"detects {fault}"
-            raise InputError(
-                f"--require {fault}{':' + other if other else ''}: no generator {what} in these recordings; "
-                "leave it out, or give recordings with a larger fault"
-            )
-    return [one for one in found for wanted in required if (faults[one.case], one.other) == ((wanted[0],), wanted[1])]
+    of = [((faults[one.case], one.other), one) for one in found]
+    unmet = [
+        f"{fault} isolated from {other}" if other else f"{fault} detected"
+        for fault, other in required
+        if ((fault,), other) not in [what for what, _ in of]
+    ]
+    return [one for what, one in of for fault, other in required if what == ((fault,), other)], unmet
 
 
 def once(alarms: Mask, equal: Sequence[int]) -> Mask:

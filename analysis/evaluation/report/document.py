@@ -94,11 +94,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str, str | None]] = ()) -> Evaluation:
-    """The evaluation of a bundle over recordings, some of which are fault-free (`analysis.evaluation.given`).
-
-    Raises:
-        InputError: `required` cannot be met.
-    """
+    """The evaluation of a bundle over recordings, some of which are fault-free (`analysis.evaluation.given`)."""
     manifest = bundle.manifest
     known = [fault.name for fault in manifest.faults]
     modes = np.sum([one.modes.sum(axis=0) for one in of], axis=0)

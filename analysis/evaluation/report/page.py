@@ -98,8 +98,10 @@ def _selection(e: Evaluation) -> list[str]:
     s = e.selection
     if s is None:
         return [paragraph(f"{len(e.tests)} generators are more than can be searched exactly; give a smaller bundle.")]
+    unmet = [paragraph(f"Required, and done by no generator in these recordings: {what}.") for what in s.unmet]
     if not s.requirements:
-        return [paragraph("No generator reaches a fault of these recordings: there is nothing to choose by.")]
+        none = "what is required" if s.unmet else "a fault of these recordings"
+        return [*unmet, paragraph(f"No generator reaches {none}: there is nothing to choose by.")]
     said = (
         f"Keep {', '.join(s.keep)}. They meet all {len(s.requirements)} requirements with an alarm in "
         f"{s.false_blocks} of {s.free_blocks} fault-free blocks and a cost of {s.cost} (one for each generator and "
@@ -108,6 +110,7 @@ def _selection(e: Evaluation) -> list[str]:
     equal = [f"{test.generator} is numerically {test.equals}" for test in e.tests if test.equals != test.generator]
     also = [" or ".join(", ".join(names) for names in s.alternatives)] if s.alternatives else []
     return [
+        *unmet,
         paragraph(said),
         *(paragraph(f"As good: {words}.") for words in also),
         paragraph(f"Counted once, as the same signal: {'; '.join(equal)}.") if equal else "",

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.report.document import evaluation
+from analysis.evaluation.report.document import Evaluation, evaluation
 from analysis.evaluation.report.page import page
 from analysis.evaluation.report.pictures import pictures
 from analysis.evaluation.story import Story
@@ -22,11 +22,11 @@ def write(
     judged: Sequence[Facts],
     stories: Sequence[Story],
     required: Sequence[tuple[str, str | None]] = (),
-) -> None:
+) -> Evaluation:
     """Writes `report.html` and `report.json`; `stories` are those of the recordings shown over time.
 
     Raises:
-        InputError: the recordings do not make a report (`report.document.evaluation`), or the folder cannot be written.
+        InputError: the folder cannot be written.
     """
     document = evaluation(bundle, judged, required)
     files = {
@@ -39,3 +39,4 @@ def write(
             (folder / name).write_bytes(content)
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
+    return document

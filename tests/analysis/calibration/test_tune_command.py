@@ -271,6 +271,17 @@ def test_a_recording_of_too_few_sensors_is_refused(fleet: Fleet, more: tuple[str
         fleet.tune(fleet.b, few, *more, *([fleet.base] if more else []))
 
 
+def test_a_model_that_was_never_calibrated_is_tuned_and_that_is_said(
+    fleet: Fleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = tmp_path / "raw.toml"
+    raw.write_text(dump_model(dataclasses.replace(freed(UDS4, ()), provenance=())))
+    fleet.tune(fleet.a, fleet.drives["a1"], fleet.drives["a2"])
+    assert "calibrated on no recording" not in capsys.readouterr().err
+    fleet.tune(raw, fleet.drives["a1"], fleet.drives["a2"])
+    assert f"{raw}: calibrated on no recording: its residuals are off by as much as its" in capsys.readouterr().err
+
+
 def test_a_place_that_cannot_be_written_is_told_before_any_work(fleet: Fleet, tmp_path: Path) -> None:
     """Before the model is even looked at."""
     (tmp_path / "file").touch()

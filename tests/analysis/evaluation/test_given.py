@@ -243,12 +243,14 @@ def test_what_cannot_be_required_is_told_at_once(
     assert message == f"--require {required}: {words}"
 
 
-def test_what_no_generator_does_cannot_be_required_and_leaves_no_folder(made: Made, tmp_path: Path) -> None:
+def test_what_no_generator_does_is_said_and_the_work_is_kept(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Structure allows it, but the fault moves none of those tests so far."""
-    log = made.recording("du", fault=clogged())
-    more = ("--report", str(tmp_path / "report"), "--require", "fA_du:fy_p_ap")
-    assert refused(made, log, more=more).startswith("--require fA_du:fy_p_ap: no generator isolates fA_du from fy_p_ap")
-    assert not (tmp_path / "report").exists()
+    log, report = made.recording("du", fault=clogged()), tmp_path / "report"
+    assert evaluate(made, log, more=("--report", str(report), "--require", "fA_du:fy_p_ap")) == 1
+    assert "--require: fA_du isolated from fy_p_ap: by no generator in these recordings" in capsys.readouterr().err
+    assert "Required, and done by no generator in these recordings: fA_du isol" in (report / "report.html").read_text()
 
 
 @pytest.mark.parametrize(("size", "words"), [(0.65, "65 %"), (1.0, "100 %"), (5000.0, "50 mbar"), (-0.1, "-10 %")])

@@ -96,7 +96,7 @@ FIELDS = {
     "cells": "generator case sensitive alarm recordings standing delays_s median_delay_s cannot_tell auc",
     "isolation": "case true recordings detected delays_s median_delay_s contained alone ranks p sizes told scores",
     "told": "false_alarms scores shared",
-    "selection": "keep drop alternatives false_blocks all_false_blocks free_blocks cost all_cost requirements",
+    "selection": "keep drop alternatives false_blocks all_false_blocks free_blocks cost all_cost requirements unmet",
 }
 
 
