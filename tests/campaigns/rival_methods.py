@@ -1,4 +1,4 @@
-"""Three rivals of faultline's decision, on the same residuals or signals.
+"""Rivals of faultline's decision, on the same residuals or signals.
 
 Each is made from some vehicles' recordings and gives, for another recording, a score by tick (an alarm is a score above
 a limit, which is set apart from them) and what it would name.
@@ -10,9 +10,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 from rival_series import Array, Series
+from scipy.signal import lfilter
 from sklearn.decomposition import PCA
 from sklearn.ensemble import RandomForestClassifier
 
+from service.core.detectors.spread import LARGEST
 from service.core.isolation import diagnoses
 from service.core.modes import EDGE
 
@@ -25,6 +27,7 @@ SMOOTH = 75  # ticks: 15 s
 TREES, LEAF = 200, 5
 VARIANCE = 0.9
 """The share that the principal components keep: with five signals, four of them or fewer."""
+MEMORY = 150.0  # ticks: 30 s
 HALF = 0.5
 """A forest names what is at least half as likely as its likeliest."""
 
@@ -177,6 +180,45 @@ class Components:
         kernel = np.ones(SMOOTH) / SMOOTH
         both = np.stack([np.convolve(value, kernel)[: len(value)] for value in (T2, Q)], axis=1)
         return np.asarray(both / self._usual)
+
+
+class Variance:
+    """faultline's own test of the variance (`service.core.detectors.spread`), which `tune --spread` adds; detects only.
+
+    For the pump filter: the p_tp residuals get quieter under its clog (thesis ch. 7.4).
+    """
+
+    def fit(self, made_from: Sequence[Series]) -> None:
+        """Levels and spreads of differences by mode, and the largest |ln v| of each test, from fault-free drives."""
+        shape = made_from[0].r.shape[1], EDGE + 1
+        self._level, self._sd = np.zeros(shape), np.ones(shape)
+        for j, mode in np.ndindex(shape):
+            inside = [s.usable[:, j] & (s.mode == mode) for s in made_from]
+            r = [s.r[there, j].astype(np.float64) for s, there in zip(made_from, inside, strict=True)]
+            if sum(map(len, r)) > 1:
+                self._level[j, mode] = np.median(np.concatenate(r))
+                self._sd[j, mode] = max(np.sqrt(np.mean(np.concatenate([*map(np.diff, r)]) ** 2) / 2.0), 1e-9)
+        self._J = np.max([self._logs(s).max(axis=0) for s in made_from], axis=0)
+
+    def score(self, s: Series) -> Array:
+        """The largest |ln v| in parts of its J."""
+        return np.asarray((self._logs(s) / self._J).max(axis=1))
+
+    def names(self, s: Series, t: float, limit: float) -> list[str] | None:
+        """Nothing."""
+        del s, t, limit
+        return None
+
+    def _logs(self, s: Series) -> Array:
+        """|ln v| (K, T), held where a test cannot tell."""
+        logs = np.zeros(s.r.shape)
+        for j in range(s.r.shape[1]):
+            level = (s.r[:, j] - self._level[j, s.mode]) / self._sd[j, s.mode]
+            steps = s.usable[:, j] & np.concatenate([[False], s.usable[:-1, j]])  # over a gap there is none
+            square = np.minimum(np.diff(level, prepend=0.0)[steps] ** 2 / 2.0, LARGEST)
+            v, _ = lfilter([1.0 / MEMORY], [1.0, 1.0 / MEMORY - 1.0], square, zi=[1.0 - 1.0 / MEMORY])
+            logs[:, j] = np.abs(np.log(np.concatenate([[1.0], v])))[np.cumsum(steps)]
+        return logs
 
 
 def _dosable(s: Series) -> tuple[npt.NDArray[np.bool_], Array]:
