@@ -29,7 +29,7 @@ from service.bundle import (
     verify_golden,
 )
 from service.core.consistency import FILE_NAME
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 
 EXAMPLE = """example:
@@ -134,6 +134,9 @@ def _check_networks(tuning: Tuning, runnable: Runnable, where: Path) -> None:
 
 
 def _check_golden(tuning: Tuning, bank: Bank, where: Path) -> None:
+    own = [msgspec.structs.replace(channel, frozen_s=None, largest_step=None) for channel in tuning.inputs]
+    if own != list(bank.inputs):
+        raise InputError(f"{where}: inputs: not the model's signals; tune again")
     if not tuning.golden_z or any(len(z) != len(bank.inputs) for z in tuning.golden_z):
         raise InputError(f"{where}: golden_z: not samples of the model's {len(bank.inputs)} signals; tune again")
 

@@ -19,7 +19,8 @@ import onnxruntime as ort
 from onnxruntime.capi import onnxruntime_pybind11_state
 
 from service.core.consistency import inconsistencies, uneven
-from service.core.decode import DecodeTable, compile_dbc
+from service.core.dbc import compile_dbc
+from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank, Residuals
 from service.core.manifest import SCHEMA, File, Generator, Manifest

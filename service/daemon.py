@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
     bundle = load_bundle(options.bundle)
     verify_golden(bundle)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, options.source, bundle.id)
-    with open_bus(options.bus, bundle.table.identifiers) as bus, EventSocket(options.socket) as subscribers:
+    with open_bus(options.bus, bundle.table.wanted) as bus, EventSocket(options.socket) as subscribers:
         _say(
             f"ready, bundle {bundle.manifest.name} {bundle.id[:12]}, bus {options.bus}, "
             f"events on {options.socket}" + (f", {options.speed:g}x" if options.speed != 1 else "")

@@ -11,7 +11,7 @@ from analysis.calibration.provenance import check_vehicle
 from analysis.graph.bank import PERIOD_S
 from analysis.model import Model
 from analysis.recordings.observe import Blind, open_for, ticks_of
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import Input
 from service.core.observer import Tick

@@ -20,7 +20,7 @@ from analysis.progress import Progress
 from analysis.recordings.observe import open_for
 from analysis.simulation import system_of
 from analysis.structure.lint import sound_model
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.logs import Log
 

@@ -8,7 +8,7 @@ from analysis.recordings.observe import observe
 from analysis.recordings.pulse import estimate_pulse
 from analysis.recordings.pulse_input import InputChoice, choose_input
 from analysis.recordings.track import tracks_of
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.logs import Log
 

@@ -13,7 +13,7 @@ from analysis.discrepancy.effects.compiled import system_with
 from analysis.model import Model, dump_model
 from analysis.recordings.observe import open_for
 from analysis.simulation import System
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.core.manifest import MODES
 from service.core.modes import EDGE

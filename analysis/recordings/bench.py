@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.recordings.external import Samples, read_external
 from analysis.recordings.track import Track, known_part
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.core.signals import Quality, Vector
 from service.logs import Frame, LogReport, Recording, load_recording, read_log

@@ -22,6 +22,7 @@ from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
 from analysis.tuning.evidence import no_surer
 from analysis.tuning.file import Tuning, load_tuning, model_digest
+from analysis.tuning.numbers import widest
 from analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
 from analysis.tuning.thresholds import Seen, more_of
 from analysis.tuning.vehicles import Vehicle, offsets, read
@@ -67,6 +68,7 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
         calibrated=[*base.calibrated, *calibrated],
         detectors=detectors,
         evidence=_evidence(base, detectors[: len(names)], bank, [drive.seen for drive in vehicle.drives]),
+        inputs=widest([base.inputs, *(drive.inputs for drive in vehicle.drives)]),
         golden_z=golden(vehicle.drives[0].seen),
         base=hashlib.sha256(path.read_bytes()).hexdigest(),
         claim=base.claim if base.claim is not None and base.claim.vehicles > 1 else None,  # of drives it was else
@@ -107,6 +109,8 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
         problems.append("its evidence or its offsets are not of these tests")
     if problems:
         raise InputError(f"{path}: damaged: {problems[0]}; run `faultline tune` for it again")
+    if [channel.signal for channel in base.inputs] != [channel.signal for channel in runnable.bank.inputs]:
+        raise InputError(f"{path}: its signals are not the model's; adapt a base of the same model")
     if base.modes != modes_of(runnable.bank.model):
         raise InputError(f"{path}: its operating modes are not the model's; adapt a base of the same model")
 

@@ -25,6 +25,7 @@ from analysis.tuning.evidence import gather
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from analysis.tuning.kinds import LEVEL_KINDS, Kind
 from analysis.tuning.manifest import manifest_of
+from analysis.tuning.numbers import widest
 from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule
 from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
@@ -211,6 +212,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
         start_within_s=START_WITHIN_S,
         detectors=found.detectors,
         evidence=found.evidence,
+        inputs=widest([drive.inputs for vehicle in vehicles for drive in vehicle.drives]),
         zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
         golden_z=golden(vehicles[0].drives[0].seen),

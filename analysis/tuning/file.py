@@ -6,9 +6,9 @@ from pathlib import Path
 import msgspec
 
 from service.core.errors import InputError
-from service.core.manifest import Claim, Detector, Evidence, Modes, PerMode
+from service.core.manifest import Claim, Detector, Evidence, Input, Modes, PerMode
 
-SCHEMA = "faultline.tuning/4"
+SCHEMA = "faultline.tuning/5"
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -16,8 +16,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
     drives used (`Log.drive`), `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from
-    the beginning of the first of the logs. `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets
-    lie, root mean square; `base` the SHA-256 of the tuning that this one was adapted from.
+    the beginning of the first of the logs. `inputs` have the limits of what is believed of a sensor
+    (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie, root mean
+    square; `base` the SHA-256 of the tuning that this one was adapted from.
     """
 
     schema: str
@@ -28,6 +29,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     start_within_s: float
     detectors: list[Detector]
     evidence: Evidence
+    inputs: list[Input]
     golden_z: list[list[float]]
     zero: list[PerMode[float]]
     networks_sha256: str | None = None

@@ -16,10 +16,11 @@ from analysis.graph.bank import PERIOD_S
 from analysis.graph.runnable import Runnable
 from analysis.progress import Progress
 from analysis.recordings.observe import open_for, ticks_of
+from analysis.tuning.numbers import limited
 from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
-from service.core.manifest import MODES
+from service.core.manifest import MODES, Input
 from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
@@ -27,11 +28,15 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Drive:
-    """A fault-free recording through the generators of its vehicle; `ticks` are all, `seen` what tuning looks at."""
+    """A fault-free recording through the generators of its vehicle; `ticks` are all, `seen` what tuning looks at.
+
+    `inputs` have the limits that its numbers keep (`analysis.tuning.numbers`).
+    """
 
     sha256: str
     ticks: Sequence[Tick]
     seen: Seen
+    inputs: Sequence[Input]
 
     @property
     def hours(self) -> float:
@@ -75,7 +80,8 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         progress.say(log.id)
         table = compile_dbc(log.dbc, units, str(path))
         ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
-        drives.append(Drive(log.drive, ticks, seen(log.id, ticks)))
+        inputs = limited(runnable.bank.inputs, table, log.relative())
+        drives.append(Drive(log.drive, ticks, seen(log.id, ticks), inputs))
     return Vehicle(runnable, drives)
 
 

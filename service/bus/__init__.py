@@ -5,15 +5,17 @@ from collections.abc import Iterable
 from ipaddress import AddressValueError, IPv4Address
 
 from service.bus.base import Bus, BusError
+from service.core.decode import Wanted
 
 __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 
 
-def open_bus(spec: str, identifiers: Iterable[int] = ()) -> Bus:
+def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = False, required: bool = True) -> Bus:
     """The bus that `spec` names: `socketcan:NAME` or `udp_multicast:GROUP:PORT`.
 
-    `identifiers` are those of `DecodeTable.identifiers`: 29-bit ones without priority, an 11-bit one n as -1 - n. If
-    there are any, SocketCAN takes no other frames from the kernel.
+    Of SocketCAN the kernel gives the `wanted` frames only, if there are any (`DecodeTable.wanted`). What processes of
+    this machine send over a real interface is taken only with `believe_local`; an interface that is not `required` may
+    come later.
 
     Raises:
         BusError: the spec is neither, or the bus is not there.
@@ -21,9 +23,9 @@ def open_bus(spec: str, identifiers: Iterable[int] = ()) -> Bus:
     kind, _, rest = spec.partition(":")
     group, _, port = rest.partition(":")
     if kind == "socketcan" and re.fullmatch(r"[^\s/:]{1,15}", rest):
-        from service.bus.socketcan import SocketCan, can_socket  # only the kind that is asked for is loaded
+        from service.bus.socketcan import SocketCan  # only the kind that is asked for is loaded
 
-        return SocketCan(can_socket(rest, identifiers), rest)
+        return SocketCan(rest, wanted, believe_local=believe_local, required=required)
     if kind == "udp_multicast" and _is_group(group) and port.isdecimal() and 0 < int(port) < 65_536:
         from service.bus.udp import UdpMulticast
 

@@ -8,7 +8,9 @@ import socket
 import struct
 import time
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from types import TracebackType
+from typing import Literal
 
 from service.core.errors import InputError
 from service.logs import Frame
@@ -25,24 +27,45 @@ SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
 
 
+Trouble = Literal["down", "removed", "bus-off", "error-passive"]
+"""Why a bus is silent, or about to be: the interface is down, or not there; its controller left the bus, or only
+listens on it (ISO 11898-1: 256 errors, 128 errors)."""
+
+
 class BusError(InputError):
     """A bus that is not there, or that does not take frames."""
 
 
-class Bus(ABC):
-    """Receives without blocking, and sends.
+@dataclass
+class Counts:
+    """What came over a bus since it was opened, data frames and what is none, and what happened to the bus."""
 
-    `skipped` counts what came but is no data frame, `link_downs` how often the interface went down.
-    """
+    frames: int = 0
+    remote: int = 0  # remote frames: they ask for data and have none
+    malformed: int = 0  # of a length that no frame has, or no frame at all
+    local: int = 0  # sent by a process of this machine, where only the vehicle is believed
+    errors: int = 0  # error frames of the controller
+    bus_offs: int = 0
+    link_downs: int = 0
+    removals: int = 0
+
+    @property
+    def left_alone(self) -> int:
+        """What came and was not taken as data."""
+        return self.remote + self.malformed + self.local
+
+
+class Bus(ABC):
+    """Receives without blocking, and sends. `trouble` is None while it is well."""
 
     def __init__(self) -> None:
-        self.skipped = 0
-        self.link_downs = 0
+        self.counts = Counts()
+        self.trouble: Trouble | None = None
         self._last = 0.0  # time of the newest frame; frames never go back
 
     @abstractmethod
     def fileno(self) -> int:
-        """Readable when frames wait."""
+        """Readable when frames wait; -1 while there is nothing to wait for, and another one after that."""
 
     @property
     @abstractmethod
@@ -51,7 +74,10 @@ class Bus(ABC):
 
     @abstractmethod
     def receive(self) -> list[Frame]:
-        """At most `BATCH` of the frames that wait, `t` in `time.monotonic()`; none if none waits."""
+        """At most `BATCH` of the frames that wait, `t` in `time.monotonic()`; none if none waits.
+
+        Is called every second or so even if nothing waits: a bus that is lost is looked for here.
+        """
 
     @abstractmethod
     def send(self, frame: Frame) -> None:

@@ -8,20 +8,26 @@ import errno
 import socket
 import struct
 import time
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 from service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
+from service.bus.error_frame import read_error
+from service.bus.interface import Interface, interface
+from service.core.decode import Wanted
 from service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
 SO_RXQ_OVFL = 40
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 ERROR_CLASSES = 0x1FFF_FFFF & ~0x80  # all but bus errors, which may come as fast as the bus runs
-PRIORITY_MASK = 0x03FF_FFFF  # J1939: parameter group and source address
-IFF_UP = 1
 
 PATIENCE_S = 1.0  # how long a full sending queue may stay full
+LOOK_S = 1.0  # how often the interface is looked at: what was removed while it was down says nothing
+RETRY_S, LONGEST_RETRY_S = 0.2, 5.0  # a lost interface is tried again after that, twice as long each time
+
+_SHORTAGE = (errno.ENOBUFS, errno.ENOMEM)
+"""The kernel had no room for a frame or for us; the socket is as good as before."""
 
 _REMEDIES = {
     errno.ENETDOWN: "ip link set {name} up",
@@ -34,53 +40,172 @@ _REMEDIES = {
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _FD_FLAG = 0x04
+_FD_FLAGS = 0x07  # FD itself, the higher bit rate, and the sender's state of error
 _FD_SIZES = frozenset([*range(9), 12, 16, 20, 24, 32, 48, 64])
 _DROPS = struct.Struct("@I")
 
 
-class SocketCan(Bus):
-    """A raw CAN socket. It works again once an interface that went down is up."""
+class Content(NamedTuple):
+    """A frame of whatever kind: the identifier with the kernel's flags, and the data."""
 
-    def __init__(self, sock: socket.socket, name: str) -> None:
+    identifier: int
+    data: bytes
+
+
+class SocketCan(Bus):
+    """A raw CAN socket that outlives its interface.
+
+    An interface that goes down and up again goes on by itself. A socket whose device was removed never receives again,
+    though it can be bound to the next one of that name (seen on Linux 6.1): so it is closed, and a new one made once
+    there is a device.
+
+    What a process of this machine sends is believed on a virtual interface, which has nothing else, and elsewhere only
+    with `believe_local`. Without `required` an interface need not be there yet.
+
+    Raises:
+        BusError: this kernel has no CAN, or the interface is `required` and not there or not up.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        wanted: Iterable[Wanted] = (),
+        *,
+        believe_local: bool = False,
+        required: bool = True,
+        make: "Callable[[str, Iterable[Wanted]], socket.socket] | None" = None,
+        look: Callable[[str], Interface | None] = interface,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         super().__init__()
-        sock.setblocking(False)
-        self._socket = sock
         self._name = name
-        self._dropped = 0
+        self._wanted = tuple(wanted)
+        self._believe_local = believe_local
+        self._make, self._look, self._clock = make or can_socket, look, clock
+        self._socket: socket.socket | None = None
+        self._at: Interface | None = None  # what the socket is bound to
+        self._dropped = self._dropped_before = 0  # by this socket and by those before it
+        self._wait, self._due = RETRY_S, clock() + RETRY_S
+        try:
+            self._open()
+        except BusError:
+            if required:
+                raise
+            self._absent()
 
     @property
     def dropped(self) -> int:
         """As of the last frame received: the kernel tells with the next frame it accepts."""
-        return self._dropped
+        return self._dropped_before + self._dropped
 
     def fileno(self) -> int:
         """Of the socket."""
-        return self._socket.fileno()
+        return -1 if self._socket is None else self._socket.fileno()
 
     def receive(self) -> list[Frame]:
-        """At most `BATCH` frames; raises `BusError` where none will ever come again."""
+        """At most `BATCH` frames."""
+        self._check()
         frames: list[Frame] = []
         for _ in range(BATCH):
+            if self._socket is None:
+                break
             try:
-                content, extras, _flags, _address = self._socket.recvmsg(_FD.size, 256)
+                content, extras, flags, _address = self._socket.recvmsg(_FD.size, 256)
             except BlockingIOError:
                 break
             except OSError as error:
-                self._lost(error)
-                continue  # it is told ahead of the frames that came before it
+                if not self._goes_on(error):
+                    break
+                continue  # that it is down is told ahead of the frames that came before that
             self._count_drops(extras)
-            frame = unpack(content, self._arrival(wall_stamp(extras)))
-            if frame is None:
-                self.skipped += 1
-            else:
+            frame = self._frame(content, extras, bool(flags & socket.MSG_DONTROUTE))
+            if frame is not None:
                 frames.append(frame)
+        self.counts.frames += len(frames)
         return frames
 
-    def _lost(self, error: OSError) -> None:
-        """ENETDOWN comes once and heals by itself; a socket whose device was removed never receives again."""
-        if error.errno != errno.ENETDOWN:
-            raise BusError(f"{self._name}: lost: {error.strerror}; start again once it is back") from error
-        self.link_downs += 1
+    def _frame(self, raw: bytes, extras: list[tuple[int, int, bytes]], local: bool) -> Frame | None:
+        """The data frame; anything else is counted."""
+        content = unpack(raw)
+        if content is None:
+            self.counts.malformed += 1
+        elif local and not (self._believe_local or (self._at is not None and self._at.virtual)):
+            self.counts.local += 1
+        elif content.identifier & ERR_FLAG:
+            self._error(content)
+        elif content.identifier & RTR_FLAG:
+            self.counts.remote += 1
+        else:
+            if self.trouble in ("down", "bus-off"):
+                self.trouble = None
+            t, extended = self._arrival(wall_stamp(extras)), bool(content.identifier & EFF_FLAG)
+            return Frame(t, content.identifier & 0x1FFF_FFFF, extended, content.data)
+        return None
+
+    def _error(self, content: Content) -> None:
+        self.counts.errors += 1
+        news = read_error(content.identifier & 0x1FFF_FFFF, content.data)
+        self._dropped_before += news.overflow  # one at least: the controller does not count them
+        if news.changed:
+            self.counts.bus_offs += news.trouble == "bus-off" != self.trouble
+            self.trouble = news.trouble
+
+    def _goes_on(self, error: OSError) -> bool:
+        """Whether there may be frames behind the error."""
+        if error.errno == errno.ENETDOWN:  # comes once, and heals by itself
+            self.counts.link_downs += 1
+            self.trouble = "down"
+            return True
+        if error.errno in _SHORTAGE:
+            self._dropped_before += 1
+        else:
+            self._lose()
+        return False
+
+    def _check(self) -> None:
+        """Looks for the interface where that is due."""
+        now = self._clock()
+        if now < self._due:
+            return
+        self._due = now + LOOK_S
+        if self._socket is None:
+            self._try_again(now)
+            return
+        there = self._look(self._name)
+        if there is None or self._at is None or there.number != self._at.number:
+            self._lose()
+        elif not there.is_up:
+            self.trouble = "down"
+        elif self.trouble == "down":
+            self.trouble = None
+
+    def _try_again(self, now: float) -> None:
+        try:
+            self._open()
+        except BusError:
+            self._absent()
+            self._wait = min(2.0 * self._wait, LONGEST_RETRY_S)
+            self._due = now + self._wait
+
+    def _absent(self) -> None:
+        self.trouble = "removed" if self._look(self._name) is None else "down"
+
+    def _open(self) -> None:
+        self._socket = self._make(self._name, self._wanted)
+        self._socket.setblocking(False)
+        self._at = self._look(self._name)
+        self._wait, self.trouble = RETRY_S, None
+        self._due = self._clock() + LOOK_S
+
+    def _lose(self) -> None:
+        """The socket is of no more use."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+        self._dropped_before, self._dropped = self.dropped, 0
+        self.counts.removals += 1
+        self.trouble = "removed"
+        self._due = self._clock() + self._wait
 
     def _count_drops(self, extras: list[tuple[int, int, bytes]]) -> None:
         """The kernel's counter is cumulative."""
@@ -97,6 +222,8 @@ class SocketCan(Bus):
             if size <= 8
             else _FD.pack(identifier, size, _FD_FLAG, frame.data)
         )
+        if self._socket is None:
+            raise BusError(f"{self._name}: is not there; {_REMEDIES[errno.ENODEV]}")
         end = time.monotonic() + PATIENCE_S
         while True:
             try:
@@ -112,11 +239,12 @@ class SocketCan(Bus):
 
     def close(self) -> None:
         """Closes the socket."""
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
 
 
-def can_socket(name: str, identifiers: Iterable[int]) -> socket.socket:
-    """A raw socket on the interface, which is up; `identifiers` as for `service.bus.open_bus`.
+def can_socket(name: str, wanted: Iterable[Wanted]) -> socket.socket:
+    """A raw socket on the interface, which is up; `wanted` as for `service.bus.open_bus`.
 
     Raises:
         BusError: no such interface, it is down, or this kernel has no CAN.
@@ -126,24 +254,24 @@ def can_socket(name: str, identifiers: Iterable[int]) -> socket.socket:
     except OSError as error:
         raise BusError(f"socketcan:{name}: this kernel has no CAN ({error.strerror}); use udp_multicast") from error
     try:
-        _configure(sock, identifiers)
+        _configure(sock, wanted)
         sock.bind((name,))
-        flags = Path(f"/sys/class/net/{name}/flags").read_text()
     except OSError as error:
         sock.close()
         raise BusError(
             f"socketcan:{name}: {error.strerror or error}; ip link add {name} type vcan && ip link set {name} up, "
             "or name an interface that is there"
         ) from error
-    if not int(flags, 16) & IFF_UP:
+    there = interface(name)
+    if there is None or not there.is_up:
         sock.close()
         raise BusError(f"socketcan:{name}: is down; ip link set {name} up")
     return sock
 
 
-def _configure(sock: socket.socket, identifiers: Iterable[int]) -> None:
+def _configure(sock: socket.socket, wanted: Iterable[Wanted]) -> None:
     """Before binding, so that no frame comes unfiltered or unstamped."""
-    filters = can_filters(identifiers)
+    filters = can_filters(wanted)
     if filters:
         sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, filters)
     sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, struct.pack("=I", ERROR_CLASSES))
@@ -154,28 +282,23 @@ def _configure(sock: socket.socket, identifiers: Iterable[int]) -> None:
     sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
 
-def can_filters(identifiers: Iterable[int]) -> bytes:
+def can_filters(wanted: Iterable[Wanted]) -> bytes:
     """The kernel's filter list, of `struct can_filter`: identifier and mask.
 
     Both flags are masked, so that an 11-bit frame never passes for a 29-bit one, nor a remote frame for a data frame.
     """
-    rows = [
-        (EFF_FLAG | n, EFF_FLAG | RTR_FLAG | PRIORITY_MASK) if n >= 0 else (-1 - n, EFF_FLAG | RTR_FLAG | 0x7FF)
-        for n in identifiers
-    ]
+    rows = [(n | EFF_FLAG * extended, mask | EFF_FLAG | RTR_FLAG) for n, mask, extended in wanted]
     return b"".join(struct.pack("=II", *row) for row in rows)
 
 
-def unpack(content: bytes, t: float) -> Frame | None:
-    """The data frame in 16 or 72 bytes as the kernel gives them (`struct can_frame`, `canfd_frame`); None if none."""
+def unpack(content: bytes) -> Content | None:
+    """The frame in 16 or 72 bytes as the kernel gives them (`struct can_frame`, `canfd_frame`); None if it is none."""
     if len(content) == _CLASSIC.size:
         identifier, size, data = _CLASSIC.unpack(content)
         valid = size <= 8
     elif len(content) == _FD.size:
-        identifier, size, _flags, data = _FD.unpack(content)
-        valid = size in _FD_SIZES
+        identifier, size, flags, data = _FD.unpack(content)
+        valid = size in _FD_SIZES and not flags & ~_FD_FLAGS
     else:
         return None
-    if not valid or identifier & (RTR_FLAG | ERR_FLAG):
-        return None
-    return Frame(t, identifier & 0x1FFF_FFFF, bool(identifier & EFF_FLAG), data[:size])
+    return Content(identifier, data[:size]) if valid else None

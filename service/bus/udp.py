@@ -81,9 +81,10 @@ class UdpMulticast(Bus):
                 raise BusError(f"{self._name}: lost: {error.strerror}") from error
             frame = unpack(content, self._arrival(wall_stamp(extras)))
             if frame is None:
-                self.skipped += 1
+                self.counts.malformed += 1
             else:
                 frames.append(frame)
+        self.counts.frames += len(frames)
         return frames
 
     def send(self, frame: Frame) -> None:

@@ -1,154 +1,166 @@
-"""Frames to signals: a table compiled once from a DBC, in the units of the bundle.
+"""Frames to signals, in the units of the bundle, by a table that was compiled from a DBC (`service.core.dbc`).
 
 A frame gives all its signals or none. J1939 frames are matched on parameter group and source address (the priority may
-differ), so that a second sender of the same group is another key and never overwrites a value.
+differ), so that a second sender of the same group never overwrites a value; it is counted.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import NamedTuple
 
-from cantools.database import load_string
-from cantools.database.can import Database, Message
-from cantools.database.can import Signal as DbcSignal
-from cantools.database.errors import Error as DatabaseError
-
-from service.core.errors import InputError
 from service.core.signals import Quality, j1939_quality
 
 PRIORITY_MASK = 0x03FF_FFFF
 """Bits of a 29-bit identifier below the priority: data page, PGN and source address."""
+GROUP_MASK = 0x03FF_FF00
+"""The same without the source address."""
+STANDARD = 0x7FF
 
-CONVERSIONS: Mapping[tuple[str, str], float] = {
-    ("kPa", "Pa"): 1e3,
-    ("bar", "Pa"): 1e5,
-    ("%", "1"): 1e-2,
-    ("rpm", "1/s"): 1 / 60,
-}
-"""Factor from a DBC's unit to a bundle's unit; equal units need none."""
+_FLOATS = {16: struct.Struct(">e"), 32: struct.Struct(">f"), 64: struct.Struct(">d")}
+
+
+class Wanted(NamedTuple):
+    """Frames to be let through by a bus: those whose identifier equals `identifier` in the bits of `mask`."""
+
+    identifier: int
+    mask: int
+    is_extended: bool
 
 
 @dataclass(frozen=True, slots=True)
-class _Field:
-    """How to cut one signal out of a frame read as one integer: value = raw * scale + offset, in the bundle's unit."""
+class Cut:
+    """Where a signal's bits are in a frame that is read as one integer."""
+
+    shift: int  # bits to the right
+    length: int  # bits
+    big_endian: bool
+
+    def raw(self, little: int, big: int) -> int:
+        """The bits, of the frame read from either end."""
+        return ((big if self.big_endian else little) >> self.shift) & ((1 << self.length) - 1)
+
+
+Only = tuple[tuple[Cut, frozenset[int]], ...]
+"""Multiplexed: there only where each of these has one of its values, the outermost first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selector:
+    """A multiplexer with all values that it may have."""
+
+    cut: Cut
+    known: frozenset[int]
+    only: Only
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One signal: value = raw * scale + offset in the bundle's unit, valid from `low` to `high` [bundle's unit]."""
 
     name: str
-    shift: int  # bits to the right in the frame's integer
-    length: int  # bits
+    cut: Cut
     signed: bool
-    big_endian: bool
+    is_float: bool
     scale: float
     offset: float
+    low: float
+    high: float
+    only: Only = ()
+
+    def read(self, little: int, big: int, j1939: bool) -> tuple[str, float, Quality]:
+        """Name, value and quality."""
+        raw = self.cut.raw(little, big)
+        if self.is_float:
+            (number,) = _FLOATS[self.cut.length].unpack(raw.to_bytes(self.cut.length // 8, "big"))
+            quality = Quality.GOOD if isfinite(number) else Quality.ERROR
+        else:
+            quality = j1939_quality(raw, self.cut.length) if j1939 else Quality.GOOD
+            number = raw - (1 << self.cut.length) if self.signed and raw >> (self.cut.length - 1) else raw
+        value = number * self.scale + self.offset
+        if quality is Quality.GOOD and not self.low <= value <= self.high:
+            quality = Quality.OUT_OF_RANGE
+        return self.name, value, quality
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
-    """The fields of one frame and what it must look like to be read."""
+class Layout:
+    """One message: name, size [bytes], whether J1939 says what is no number, period [s] if known, and its fields."""
 
-    size: int  # bytes
+    name: str
+    size: int
     j1939: bool
-    fields: tuple[_Field, ...]
+    period_s: float | None
+    fields: tuple[Field, ...]
+    selectors: tuple[Selector, ...] = ()
+
+
+@dataclass
+class Rejected:
+    """Frames that matched and were not taken, by message."""
+
+    short: dict[str, int] = field(default_factory=dict)  # shorter than in the DBC: none of their signals was taken
+    other_source: dict[str, int] = field(default_factory=dict)  # the same parameter group of another sender
+    unknown_selector: dict[str, int] = field(default_factory=dict)  # multiplexed by a value that the DBC does not know
+
+    @property
+    def total(self) -> int:
+        """Of all reasons and messages."""
+        return sum(sum(counts.values()) for counts in (self.short, self.other_source, self.unknown_selector))
 
 
 class DecodeTable:
-    """Decodes the wanted signals of a bus; everything else is ignored, what is malformed is counted.
+    """Decodes the wanted signals of a bus; everything else is ignored, what is malformed is counted in `rejected`."""
 
-    `short_frames` counts frames that matched but were shorter than their DBC message: none of their signals were taken.
-    """
-
-    def __init__(self, layouts: Mapping[int, _Layout]) -> None:
-        self._layouts = layouts
-        self.short_frames = 0
+    def __init__(self, layouts: Mapping[tuple[int, bool], Layout]) -> None:
+        """`layouts` by identifier, a 29-bit one without priority, and whether it has 29 bits."""
+        self._extended = {identifier: layout for (identifier, extended), layout in layouts.items() if extended}
+        self._standard = {identifier: layout for (identifier, extended), layout in layouts.items() if not extended}
+        self._groups = {
+            identifier & GROUP_MASK: layout for identifier, layout in self._extended.items() if layout.j1939
+        }
+        self.rejected = Rejected()
 
     @property
-    def identifiers(self) -> tuple[int, ...]:
-        """29-bit identifiers without priority (11-bit ones as negative keys) that carry wanted signals."""
-        return tuple(self._layouts)
+    def layouts(self) -> tuple[Layout, ...]:
+        """Of every message that carries wanted signals."""
+        return (*self._extended.values(), *self._standard.values())
+
+    @property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
+        groups = {
+            Wanted(n & (GROUP_MASK if each.j1939 else PRIORITY_MASK), GROUP_MASK if each.j1939 else PRIORITY_MASK, True)
+            for n, each in self._extended.items()
+        }
+        return tuple(sorted(groups | {Wanted(n, STANDARD, False) for n in self._standard}))
 
     def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
         """Name, value and quality of every wanted signal in the frame; empty where it carries none or is too short."""
-        layout = self._layouts.get(_key(can_id, is_extended))
+        layout = self._extended.get(can_id & PRIORITY_MASK) if is_extended else self._standard.get(can_id)
         if layout is None:
+            if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
+                _count(self.rejected.other_source, group.name)
             return []
         if len(data) < layout.size:
-            self.short_frames += 1
+            _count(self.rejected.short, layout.name)
             return []
-        little = int.from_bytes(data[: layout.size], "little")
-        big = int.from_bytes(data[: layout.size], "big")
-        signals = []
-        for field in layout.fields:
-            raw = ((big if field.big_endian else little) >> field.shift) & ((1 << field.length) - 1)
-            quality = j1939_quality(raw, field.length) if layout.j1939 else Quality.GOOD
-            if field.signed and raw >> (field.length - 1):
-                raw -= 1 << field.length
-            signals.append((field.name, raw * field.scale + field.offset, quality))
-        return signals
+        content = data[: layout.size]
+        little, big = int.from_bytes(content, "little"), int.from_bytes(content, "big")
+        for selector in layout.selectors:
+            if _there(selector.only, little, big) and selector.cut.raw(little, big) not in selector.known:
+                _count(self.rejected.unknown_selector, layout.name)
+        return [
+            signal.read(little, big, layout.j1939)
+            for signal in layout.fields
+            if not signal.only or _there(signal.only, little, big)
+        ]
 
 
-def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
-    """The table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
-
-    Raises:
-        InputError: the text is no valid DBC, or a wanted signal is absent, ambiguous, multiplexed, a float, or in a
-            unit that cannot be converted to the one wanted.
-    """
-    try:
-        database = load_string(text, "dbc", strict=True)
-    except DatabaseError as error:
-        raise InputError(f"{where}: not a valid DBC file: {' '.join(str(error).split())}") from error
-    assert isinstance(database, Database)
-    layouts: dict[int, _Layout] = {}
-    carriers: dict[str, list[str]] = {name: [] for name in units}
-    for message in database.messages:
-        wanted = [signal for signal in message.signals if signal.name in units]
-        for signal in wanted:
-            carriers[signal.name].append(message.name)
-        if wanted:
-            layouts[_key(message.frame_id, message.is_extended_frame)] = _layout(message, wanted, units, where)
-    _check_carriers(carriers, where)
-    return DecodeTable(layouts)
+def _there(only: Only, little: int, big: int) -> bool:
+    return all(cut.raw(little, big) in values for cut, values in only)
 
 
-def _key(can_id: int, is_extended: bool) -> int:
-    return can_id & PRIORITY_MASK if is_extended else -1 - can_id
-
-
-def _layout(message: Message, wanted: Iterable[DbcSignal], units: Mapping[str, str], where: str) -> _Layout:
-    fields = tuple(_field(message, signal, units[signal.name], where) for signal in wanted)
-    return _Layout(message.length, message.protocol == "j1939", fields)
-
-
-def _field(message: Message, signal: DbcSignal, unit: str, where: str) -> _Field:
-    place = f"{where}: {message.name}.{signal.name}"
-    if signal.is_float or signal.multiplexer_ids:
-        raise InputError(
-            f"{place}: multiplexed and floating-point signals cannot be bundle inputs; use an integer signal"
-        )
-    given = signal.unit or ""
-    factor = 1.0 if given == unit else CONVERSIONS.get((given, unit))
-    if factor is None:
-        raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs")
-    big_endian = signal.byte_order == "big_endian"
-    shift = signal.start
-    if big_endian:  # the DBC numbers the bits of each byte from the right, bytes from the left
-        first = 8 * (signal.start // 8) + 7 - signal.start % 8
-        shift = 8 * message.length - first - signal.length
-    return _Field(
-        name=signal.name,
-        shift=shift,
-        length=signal.length,
-        signed=signal.is_signed,
-        big_endian=big_endian,
-        scale=signal.scale * factor,
-        offset=signal.offset * factor,
-    )
-
-
-def _check_carriers(carriers: Mapping[str, list[str]], where: str) -> None:
-    absent = [name for name, messages in carriers.items() if not messages]
-    if absent:
-        raise InputError(f"{where}: no message carries {', '.join(absent)}; use the DBC that the bundle was made for")
-    for name, messages in carriers.items():
-        if len(messages) > 1:
-            raise InputError(
-                f"{where}: signal {name} is in several messages ({', '.join(messages)}); rename all but one"
-            )
+def _count(counts: dict[str, int], name: str) -> None:
+    counts[name] = counts.get(name, 0) + 1

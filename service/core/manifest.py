@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-SCHEMA: Final = "faultline.bundle/4"
+SCHEMA: Final = "faultline.bundle/5"
 
 MODES = ("idle", "partial", "maximum", "edge")
 """Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
@@ -60,13 +60,19 @@ class Origin(_Part, frozen=True):
 
 
 class Input(_Part, frozen=True):
-    """A column of `z`: a signal of the DBC in the bundle's unit; `lower` and `upper` bound the operating region."""
+    """A column of `z`: a signal of the DBC in the bundle's unit; `lower` and `upper` bound the operating region.
+
+    A value that has not changed for `frozen_s` within the operating region, or that lies by more than `largest_step`
+    [unit] from the last one, is not believed; without them any value is.
+    """
 
     signal: Name
     unit: Text
     maximum_age_s: Positive
     lower: float
     upper: float
+    frozen_s: Positive | None = None
+    largest_step: Positive | None = None
 
 
 class GraphFile(_Part, frozen=True):
@@ -291,7 +297,7 @@ class Manifest(_Part, frozen=True):
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
     """
 
-    schema: Literal["faultline.bundle/4"]
+    schema: Literal["faultline.bundle/5"]
     name: Text
     sensor_set: Literal["production", "instrumented"]
     period_s: Period

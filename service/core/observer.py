@@ -12,7 +12,7 @@ import numpy as np
 from service.core.generators import Generators, Residuals
 from service.core.modes import ModeTracker
 from service.core.sampling import Sampler
-from service.core.signals import Mask, Quality, Vector
+from service.core.signals import Mask, Qualities, Quality, Vector
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
@@ -20,14 +20,19 @@ every 100 ms. On the grid, a bus's jitter would decide at every tick whether its
 
 
 class Tick(NamedTuple):
-    """One tick: number, log time [s], samples (nz,), whether each is usable (nz,), mode (of `MODES`), residuals."""
+    """One tick: number, log time [s], samples (nz,), what each is worth (nz,), mode (of `MODES`), residuals."""
 
     number: int
     t_s: float
     z: Vector
-    usable: Mask
+    quality: Qualities
     mode: int
     residuals: Residuals
+
+    @property
+    def usable(self) -> Mask:
+        """Whether each sample may be used (nz,)."""
+        return np.asarray(self.quality == Quality.GOOD)
 
 
 class Decoder(Protocol):
@@ -95,8 +100,9 @@ class Observer:
         while (due := self.next_tick_s) is not None and (due < t or (including and due == t)):
             if self._origin is None:
                 self._origin = due
-            z, usable = self._sampler.sample(due)
+            z, quality = self._sampler.sample(due)
+            usable = quality == Quality.GOOD
             mode = self._modes.update(z, usable)
-            ticks.append(Tick(self._number, due, z, usable, mode, self._bank.step(z, usable)))
+            ticks.append(Tick(self._number, due, z, quality, mode, self._bank.step(z, usable)))
             self._number += 1
         return ticks

@@ -1,7 +1,7 @@
 """The one causal sampler: what was known of every signal at a tick.
 
-A sample is the last value received at or before the tick, with its age and quality. The same object feeds tuning,
-training, evaluation and the vehicle.
+A sample is the last value received at or before the tick, with its quality. The same object feeds tuning, training,
+evaluation and the vehicle.
 """
 
 from collections.abc import Sequence
@@ -9,21 +9,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.core.manifest import Input
-from service.core.signals import Mask, Quality, Vector
+from service.core.signals import Qualities, Quality, Vector
 
 
 class Sampler:
     """Holds the latest value of every input; `sample(t)` reads them all at a tick.
 
-    State: one value, one time and one quality per input: constant memory.
+    State: two values, two times and one quality per input: constant memory.
     """
 
     def __init__(self, inputs: Sequence[Input]) -> None:
         self._column = {channel.signal: column for column, channel in enumerate(inputs)}
+        self._inputs = tuple(inputs)
         self._maximum_age = np.array([channel.maximum_age_s for channel in inputs])
-        self._value = np.full(len(inputs), np.nan)
+        self._value = np.full(len(inputs), np.nan)  # the last one that was good
         self._time = np.full(len(inputs), -np.inf)
         self._quality = np.full(len(inputs), Quality.MISSING, dtype=np.int8)
+        self._heard = [np.nan] * len(inputs)  # the last number, believed or not
+        self._changed = [-np.inf] * len(inputs)  # when it became another one, or came into the operating region
 
     @property
     def complete(self) -> bool:
@@ -33,15 +36,35 @@ class Sampler:
     def receive(self, signal: str, t: float, value: float, quality: Quality) -> None:
         """Takes a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
         column = self._column[signal]
+        if quality is Quality.GOOD:
+            quality = self._plausible(column, t, value)
         self._time[column] = t
         self._quality[column] = quality
         if quality is Quality.GOOD:
             self._value[column] = value
 
-    def sample(self, t: float) -> tuple[Vector, Mask]:
-        """Values (nz,) [bundle units] and whether each may be used (nz,) at log time `t` [s].
+    def sample(self, t: float) -> tuple[Vector, Qualities]:
+        """Values (nz,) [bundle units] and what each is worth (nz,) at log time `t` [s].
 
-        A value that may not be used is the last good one, or NaN where there never was one.
+        A value that is not good is the last good one, or NaN where there never was one.
         """
-        fresh = t - self._time <= self._maximum_age
-        return self._value.copy(), fresh & (self._quality == Quality.GOOD)
+        late = (t - self._time > self._maximum_age) & (self._quality != Quality.MISSING)
+        return self._value.copy(), np.where(late, np.int8(Quality.LATE), self._quality)
+
+    def _plausible(self, column: int, t: float, value: float) -> Quality:
+        """Whether a sensor gives such a number after those before it.
+
+        One that jumps is not believed until a second one is near it: a spike is none of the sensor's values, a step is.
+        """
+        channel, before = self._inputs[column], self._heard[column]
+        self._heard[column] = value
+        if value != before or not channel.lower < value < channel.upper:
+            self._changed[column] = t
+        if channel.frozen_s is not None and t - self._changed[column] > channel.frozen_s:
+            return Quality.FROZEN
+        step, gap = channel.largest_step, t - self._time[column]
+        if step is not None and gap <= channel.maximum_age_s and self._quality[column] != Quality.MISSING:
+            near = min(abs(value - before), abs(value - float(self._value[column])))
+            if near > step:
+                return Quality.JUMP
+        return Quality.GOOD

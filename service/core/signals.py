@@ -7,14 +7,17 @@ import numpy.typing as npt
 
 Vector = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Qualities = npt.NDArray[np.int8]
 Indices = npt.NDArray[np.intp]
 
 
 class Quality(IntEnum):
     """Why a value may or may not be used. Only `GOOD` is a number to compute with.
 
-    `NOT_AVAILABLE`, `ERROR` and `RESERVED` are the sender's own words (SAE J1939-71 value ranges); `MISSING` has never
-    been received. How old a value is, is another question.
+    `NOT_AVAILABLE`, `ERROR` and `RESERVED` are the sender's own words (SAE J1939-71 value ranges), `ERROR` also for a
+    floating-point number that is none; `OUT_OF_RANGE` is beyond what the DBC allows. `MISSING` has never been received,
+    `LATE` not for longer than is useful. `FROZEN` and `JUMP` are numbers that no sensor of the kind gives: one that has
+    not changed for longer, or is further from those before, than was ever seen without a fault.
     """
 
     GOOD = 0
@@ -22,6 +25,10 @@ class Quality(IntEnum):
     NOT_AVAILABLE = 2
     ERROR = 3
     RESERVED = 4
+    OUT_OF_RANGE = 5
+    LATE = 6
+    FROZEN = 7
+    JUMP = 8
 
 
 def j1939_quality(raw: int, length: int) -> Quality:

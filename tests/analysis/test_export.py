@@ -50,6 +50,7 @@ def made(tmp_path: Path) -> Made:
         zero=[d.offset for d in golden.manifest.detectors],
         detectors=golden.manifest.detectors,
         evidence=golden.manifest.evidence,
+        inputs=golden.manifest.inputs,
         golden_z=golden.golden.z[:40],
     )
     made = Made(tmp_path / "calibrated.toml", tmp_path / "tuning.json")
@@ -251,7 +252,7 @@ def test_a_dbc_that_is_no_text_is_refused(made: Made, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/4'"),
+        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/5'"),
         ({"extra": 1}, "not a tuning file: Object contains unknown field `extra`"),
         ({"detectors": None}, "not a tuning file: Expected `array`, got `null`"),
     ],

@@ -26,7 +26,7 @@ from analysis.calibration.validate import STEADY, Agreement, validate
 from analysis.model import Model, load_model
 from analysis.recordings.ingest import ingest
 from analysis.simulation import System, system_of
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.logs import open_log
 from testbench.bus import load_dbc
 from testbench.cycles import CYCLES

@@ -27,7 +27,7 @@ from analysis.graph.networks import Networks
 from analysis.graph.runnable import Runnable
 from analysis.model import Model, load_model
 from analysis.recordings.observe import ticks_of
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.logs import open_log
 from testbench import ecu
 from testbench.command import main as rig

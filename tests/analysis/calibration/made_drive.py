@@ -15,7 +15,7 @@ from analysis.calibration.fit import Fit, fit
 from analysis.calibration.sections import Section, sections
 from analysis.model import Model, load_model
 from analysis.simulation import Drive, System, run, system_of
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.logs import Frame
 
 Array = npt.NDArray[np.float64]

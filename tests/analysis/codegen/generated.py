@@ -15,7 +15,7 @@ from analysis.codegen import Program, c99_sources, class_name, python_source
 from analysis.graph.bank import build_bank
 from analysis.model import load_model
 from analysis.recordings.observe import observe, open_known
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import pytest
 from cantools.database.can import Database
 
 from analysis.recordings.command import main
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.errors import InputError
 from service.core.signals import Quality, Vector
 from service.logs import Log, load_recording, open_log

@@ -11,7 +11,8 @@ from analysis.recordings.observe import observe
 from analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
 from analysis.recordings.pulse_input import _choice, choose_input
 from analysis.recordings.track import Track, tracks_of
-from service.core.decode import DecodeTable, compile_dbc
+from service.core.dbc import compile_dbc
+from service.core.decode import DecodeTable
 from service.logs import Frame, open_log
 from testbench.bus import load_dbc
 from testbench.cycles import CYCLES

@@ -41,10 +41,10 @@ def drive(seed: int, offset: float = 0.0, ticks: int = 4000, without: Sequence[i
     sigma = np.full((ticks, 2), 50.0)
     seen = Seen(f"made-{seed}", np.zeros((ticks, 5)), r, usable, mode, sigma)
     told = [
-        Tick(k, 0.2 * k, np.zeros(5), np.ones(5, np.bool_), int(mode[k]), Residuals(r[k], r[k], sigma[k], usable[k]))
+        Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), int(mode[k]), Residuals(r[k], r[k], sigma[k], usable[k]))
         for k in range(ticks)
     ]
-    return Drive(f"{seed:064d}", told, seen)
+    return Drive(f"{seed:064d}", told, seen, [])
 
 
 def vehicle(*drives: Drive) -> Vehicle:
@@ -168,7 +168,7 @@ def test_every_kind_is_tuned_quiet_and_sees_a_large_shift(kind: Kind) -> None:
         t._replace(residuals=t.residuals._replace(r=t.residuals.r + far[:, t.mode] * (t.number > 2000)))
         for t in fresh.ticks
     ]
-    assert suspected(level, Drive(fresh.sha256, ticks, fresh.seen)) >= 1
+    assert suspected(level, Drive(fresh.sha256, ticks, fresh.seen, [])) >= 1
     assert suspected(level, fresh) == 0
 
 
@@ -177,7 +177,7 @@ def test_a_louder_residual_is_seen_by_the_spread_alone() -> None:
     detectors = tune_detectors(NAMES, [d.seen for d in one.drives], FLOOR, OWN, ("cusum", "spread"))
     loud = drive(4)
     ticks = [t._replace(residuals=t.residuals._replace(r=0.2 * t.residuals.r)) for t in loud.ticks]
-    quiet = Drive(loud.sha256, ticks, loud.seen)
+    quiet = Drive(loud.sha256, ticks, loud.seen, [])
     assert suspected(detectors[2:], quiet) == 1
     assert suspected([*detectors[:2]], quiet) == 0
 

@@ -116,12 +116,12 @@ def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest
 @pytest.mark.parametrize("schema", ["faultline.bundle/3", "faultline.bundle/5", "other/1"])
 def test_an_unknown_version_is_refused_before_anything_else(bundle: Path, schema: str) -> None:
     edit(bundle, lambda manifest: manifest.update(schema=schema, something_new=1))
-    refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/4'")
+    refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/5'")
 
 
 @pytest.mark.parametrize(
     "raw",
-    [b"", b'{"schema": "faultline.bundle/4", ', b'{"a": ' + b"[" * 100_000, b'{"schema": "\\ud800"}', b"\xff\xfe{"],
+    [b"", b'{"schema": "faultline.bundle/5", ', b'{"a": ' + b"[" * 100_000, b'{"schema": "\\ud800"}', b"\xff\xfe{"],
 )
 def test_a_manifest_that_is_not_json_is_refused(bundle: Path, raw: bytes) -> None:
     write(bundle, raw)
@@ -219,4 +219,4 @@ def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "t21.ode" in out
     assert "fA_du" in out
     assert show.main(["show", "--json", str(bundle)]) == 0
-    assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/4"
+    assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/5"

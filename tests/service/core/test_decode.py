@@ -1,5 +1,6 @@
 """Frames to signals: agreement with cantools, J1939's words for no value, all signals of a frame or none."""
 
+import struct
 from importlib import resources
 
 import cantools.database
@@ -8,7 +9,8 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
+from service.core.decode import Wanted
 from service.core.errors import InputError
 from service.core.signals import Quality, j1939_quality
 
@@ -70,7 +72,7 @@ def test_every_8_bit_raw_has_its_quality() -> None:
 def test_a_short_frame_gives_none_of_its_signals_and_is_counted() -> None:
     table = compile_dbc(DBC, UNITS, "uds.dbc")
     assert table.decode(ECU, True, bytes(5)) == []
-    assert table.short_frames == 1
+    assert table.rejected.short == {"UDS_ECU": 1}
 
 
 def test_priority_may_differ_but_source_address_may_not() -> None:
@@ -78,6 +80,79 @@ def test_priority_may_differ_but_source_address_may_not() -> None:
     assert table.decode(ECU ^ (3 << 26), True, bytes(8))
     assert table.decode(ECU ^ 1, True, bytes(8)) == []
     assert table.decode(ECU, False, bytes(8)) == []
+    assert (table.rejected.other_source, table.rejected.total) == ({"UDS_ECU": 1}, 1)
+
+
+def test_a_bus_lets_every_sender_of_a_group_through_so_that_a_second_one_is_seen() -> None:
+    table = compile_dbc(DBC, {"n_p": "1/s"}, "uds.dbc")
+    assert table.wanted == (Wanted(0x00FF1000, 0x03FFFF00, True),)
+    assert compile_dbc(BIG_ENDIAN, {"up": "Pa"}, "m.dbc").wanted == (Wanted(256, 0x7FF, False),)
+
+
+@pytest.mark.parametrize("length", range(65))
+def test_a_frame_of_any_length_gives_all_signals_or_none(length: int) -> None:
+    table = compile_dbc(DBC, UNITS, "uds.dbc")
+    found = table.decode(ECU, True, bytes(length))
+    assert len(found) == (3 if length >= 8 else 0)
+    assert table.rejected.short == ({} if length >= 8 else {"UDS_ECU": 1})
+
+
+def test_what_the_dbc_does_not_allow_is_out_of_range() -> None:
+    narrow = DBC.replace("[0|160.6375]", "[0|100]")
+    assert narrow != DBC
+    table = compile_dbc(narrow, UNITS, "uds.dbc")
+    for raw, quality in ((40000, Quality.GOOD), (40001, Quality.OUT_OF_RANGE), (0xFFFF, Quality.NOT_AVAILABLE)):
+        data = bytes(4) + raw.to_bytes(2, "little") + bytes(2)
+        assert {n: q for n, _, q in table.decode(ECU, True, data)}["dc_dose"] is quality
+
+
+MULTIPLEXED = """VERSION ""
+BS_:
+BU_: A
+BO_ 256 M: 8 A
+ SG_ which M : 0|4@1+ (1,0) [0|0] "" A
+ SG_ always : 8|8@1+ (1,0) [0|0] "Pa" A
+ SG_ first m0 : 16|16@1+ (1,0) [0|0] "Pa" A
+ SG_ second m3M : 16|8@1+ (1,0) [0|0] "" A
+ SG_ deep m7 : 24|8@1+ (1,0) [0|0] "Pa" A
+ SG_ real m5 : 32|32@1- (1,0) [0|0] "Pa" A
+
+SIG_VALTYPE_ 256 real : 1;
+SG_MUL_VAL_ 256 first which 0-1;
+SG_MUL_VAL_ 256 second which 3-3;
+SG_MUL_VAL_ 256 deep second 7-7;
+SG_MUL_VAL_ 256 real which 5-5;
+"""
+
+
+@pytest.mark.parametrize("selector", range(16))
+def test_multiplexed_signals_are_read_only_where_they_are(selector: int) -> None:
+    """Against cantools, which refuses what the DBC does not know: that is counted, and the other signals kept."""
+    database = cantools.database.load_string(MULTIPLEXED, "dbc")
+    assert isinstance(database, Database)
+    names = ("always", "first", "deep", "real")
+    table = compile_dbc(MULTIPLEXED, dict.fromkeys(names, "Pa"), "m.dbc")
+    data = bytes([selector, 9, 7, 5]) + struct.pack("<f", 2.5)
+    found = {name: value for name, value, _ in table.decode(256, False, data)}
+    known = selector in (0, 1, 3, 5)
+    assert table.rejected.unknown_selector == ({} if known else {"M": 1})
+    expected = database.decode_message(256, data) if known else {"always": 9}
+    assert isinstance(expected, dict)
+    assert found == {name: value for name, value in expected.items() if name in names}
+
+
+def test_an_inner_multiplexer_counts_only_where_it_is() -> None:
+    table = compile_dbc(MULTIPLEXED, {"always": "Pa", "deep": "Pa"}, "m.dbc")
+    for selector, unknown in ((0, {}), (3, {"M": 1})):
+        assert [name for name, _, _ in table.decode(256, False, bytes([selector, 9, 8, 5, 0, 0, 0, 0]))] == ["always"]
+        assert table.rejected.unknown_selector == unknown
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf"), 1.5])
+def test_a_floating_point_number_that_is_none_is_an_error(number: float) -> None:
+    table = compile_dbc(MULTIPLEXED, {"real": "Pa"}, "m.dbc")
+    [(_, _, quality)] = table.decode(256, False, b"\x05\0\0\0" + struct.pack("<f", number))
+    assert quality is (Quality.GOOD if number == 1.5 else Quality.ERROR)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +161,6 @@ def test_priority_may_differ_but_source_address_may_not() -> None:
         ("hello", UNITS, "uds.dbc: not a valid DBC file"),
         (DBC, {"y_p_xx": "Pa"}, "uds.dbc: no message carries y_p_xx"),
         (DBC, {"n_p": "Pa"}, "uds.dbc: UDS_ECU.n_p: unit '1/s' cannot be converted to 'Pa'"),
-        (BIG_ENDIAN.replace("down", "up2").replace("SG_ up2", "SG_ up m0"), {"up": "Pa"}, "uds.dbc"),
     ],
 )
 def test_a_dbc_that_does_not_fit_is_refused_with_the_place(text: str, units: dict[str, str], message: str) -> None:

@@ -1,5 +1,6 @@
 """The causal sampler: the last value at or before the tick, with age and quality."""
 
+import msgspec
 import numpy as np
 
 from service.core.manifest import Input
@@ -13,9 +14,9 @@ def test_a_value_is_usable_until_its_maximum_age() -> None:
     sampler = Sampler(INPUTS)
     sampler.receive("a", 5.0, 3.0, Quality.GOOD)
     for t, usable in ((5.0, True), (6.0, True), (6.01, False)):
-        values, mask = sampler.sample(t)
+        values, quality = sampler.sample(t)
         assert values[0] == 3.0
-        assert mask.tolist() == [usable, False]
+        assert quality.tolist() == [Quality.GOOD if usable else Quality.LATE, Quality.MISSING]
     assert np.isnan(sampler.sample(5.0)[0][1])
 
 
@@ -23,11 +24,11 @@ def test_not_available_is_never_a_number_and_does_not_erase_the_last_one() -> No
     sampler = Sampler(INPUTS)
     sampler.receive("a", 0.0, 3.0, Quality.GOOD)
     sampler.receive("a", 0.1, 65535.0, Quality.NOT_AVAILABLE)
-    values, usable = sampler.sample(0.1)
+    values, quality = sampler.sample(0.1)
     assert values[0] == 3.0
-    assert not usable[0]
+    assert quality[0] == Quality.NOT_AVAILABLE
     sampler.receive("a", 0.2, 4.0, Quality.GOOD)
-    assert sampler.sample(0.2)[1][0]
+    assert sampler.sample(0.2)[1][0] == Quality.GOOD
 
 
 def test_complete_when_every_input_had_a_number_once() -> None:
@@ -42,9 +43,9 @@ def test_complete_when_every_input_had_a_number_once() -> None:
 def test_zero_is_a_number() -> None:
     sampler = Sampler(INPUTS)
     sampler.receive("a", 0.0, 0.0, Quality.GOOD)
-    values, usable = sampler.sample(0.0)
+    values, quality = sampler.sample(0.0)
     assert values[0] == 0.0
-    assert usable[0]
+    assert quality[0] == Quality.GOOD
 
 
 def test_the_sample_is_a_copy() -> None:
@@ -52,3 +53,44 @@ def test_the_sample_is_a_copy() -> None:
     sampler.receive("a", 0.0, 1.0, Quality.GOOD)
     sampler.sample(0.0)[0][0] = 99.0
     assert sampler.sample(0.0)[0][0] == 1.0
+
+
+STRICT = [msgspec.structs.replace(INPUTS[0], frozen_s=2.0, largest_step=1.0)]
+
+
+def heard(*received: tuple[float, float]) -> list[str]:
+    """What becomes of values received at times [s]."""
+    sampler, found = Sampler(STRICT), []
+    for t, value in received:
+        sampler.receive("a", t, value, Quality.GOOD)
+        found.append(Quality(int(sampler.sample(t)[1][0])).name)
+    return found
+
+
+def test_a_value_that_does_not_change_for_too_long_is_frozen_until_it_does() -> None:
+    times = [(0.5 * k, 3.0) for k in range(7)]
+    assert heard(*times) == ["GOOD"] * 5 + ["FROZEN"] * 2
+    assert heard(*times, (3.5, 3.1), (4.0, 3.1)) == ["GOOD"] * 5 + ["FROZEN"] * 2 + ["GOOD"] * 2
+
+
+def test_what_rests_outside_the_operating_region_is_not_frozen() -> None:
+    rests = [(0.5 * k, 0.0) for k in range(20)]
+    assert set(heard(*rests)) == {"GOOD"}
+    assert heard(*rests, *((10.0 + 0.5 * k, 1.0) for k in range(6)))[20:] == ["GOOD"] * 5 + ["FROZEN"]
+
+
+def test_a_spike_is_not_believed_and_a_step_is_once_it_lasts() -> None:
+    assert heard((0.0, 3.0), (0.1, 5.0), (0.2, 3.1)) == ["GOOD", "JUMP", "GOOD"]
+    assert heard((0.0, 3.0), (0.1, 5.0), (0.2, 5.1), (0.3, 5.0)) == ["GOOD", "JUMP", "GOOD", "GOOD"]
+    assert heard((0.0, 3.0), (0.1, 9.0), (0.2, 5.0), (0.3, 1.0)) == ["GOOD", "JUMP", "JUMP", "JUMP"]
+
+
+def test_after_a_gap_any_value_may_come() -> None:
+    assert heard((0.0, 3.0), (1.1, 9.0)) == ["GOOD", "GOOD"]
+
+
+def test_a_jump_keeps_the_last_good_value() -> None:
+    sampler = Sampler(STRICT)
+    sampler.receive("a", 0.0, 3.0, Quality.GOOD)
+    sampler.receive("a", 0.1, 9.0, Quality.GOOD)
+    assert sampler.sample(0.1)[0][0] == 3.0

@@ -10,8 +10,9 @@ from typing import cast
 import pytest
 
 from service.bus import Bus, BusError
+from service.bus.base import Counts
 from service.bus.losses import Losses
-from service.core.decode import DecodeTable
+from service.core.decode import DecodeTable, Rejected
 from service.core.events import Event
 from service.core.monitor import Monitor
 from service.daemon import LAG_S, LOSSES_S, Daemon, main
@@ -140,7 +141,7 @@ def test_losses_are_told_once_a_minute_where_there_are_new_ones_and_at_the_end(
     minute = LOSSES_S
     serve(lose(2, minute / 2), lose(1, minute), lose(0, minute), lose(4, 1.0), lose(0, 1.0))
     assert said == [0, 0, 1, 0, 0]
-    assert "frames dropped by the kernel 7, " in capsys.readouterr().err
+    assert "frames dropped by the kernel 7\n" in capsys.readouterr().err
 
 
 def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,15 +150,17 @@ def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[s
 
 
 def test_every_kind_of_loss_is_told() -> None:
-    bus = SimpleNamespace(dropped=1, skipped=2, link_downs=4)
-    losses = Losses(cast(Bus, bus), cast(DecodeTable, SimpleNamespace(short_frames=3)))
+    bus = SimpleNamespace(dropped=1, counts=Counts(9, 2, 3, 4, 5, 6, 7, 8))
+    table = SimpleNamespace(rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}))
+    losses = Losses(cast(Bus, bus), cast(DecodeTable, table))
     assert losses.news() == (
-        "since the start: frames dropped by the kernel 1, no data frames 2, shorter than in the DBC 3; "
-        "times the interface went down 4"
+        "since the start: frames dropped by the kernel 1, remote frames 2, no frames 3, sent by this machine 4, "
+        "error frames 5, shorter than in the DBC 10, of another sender 11, multiplexed by an unknown value 12, "
+        "times bus-off 6, times the interface went down 7, times it was removed 8"
     )
     assert losses.news() is None
-    bus.link_downs = 5
-    assert "went down 5" in (losses.news() or "")
+    bus.counts.link_downs += 1
+    assert "went down 8" in (losses.news() or "")
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])

@@ -9,7 +9,7 @@ import pytest
 from service import diagnose
 from service.bundle import SEAL, load_bundle, seal
 from service.cli import main
-from service.core.decode import compile_dbc
+from service.core.dbc import compile_dbc
 from service.core.events import Event, decode, encode
 from service.core.monitor import Monitor
 from service.logs import Frame, open_log
@@ -122,7 +122,7 @@ def test_a_bundle_with_a_changed_byte_is_refused(tmp_path: Path, capsys: pytest.
 def test_an_unknown_bundle_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = Path(shutil.copytree(BUNDLE, tmp_path / "bundle"))
     manifest = folder / "manifest.json"
-    raw = manifest.read_bytes().replace(b"faultline.bundle/4", b"faultline.bundle/9")
+    raw = manifest.read_bytes().replace(b"faultline.bundle/5", b"faultline.bundle/9")
     manifest.write_bytes(raw)
     (folder / SEAL).write_bytes(seal(raw))
     assert "schema: this is 'faultline.bundle/9'" in refused([str(LOG), "--bundle", str(folder)], capsys)
@@ -199,4 +199,4 @@ def test_an_empty_log_has_no_events() -> None:
 def test_the_decode_table_of_the_bundle_is_that_of_its_dbc() -> None:
     bundle = load_bundle(BUNDLE)
     units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
-    assert bundle.table.identifiers == compile_dbc((BUNDLE / "uds.dbc").read_text(), units, "x").identifiers
+    assert bundle.table.wanted == compile_dbc((BUNDLE / "uds.dbc").read_text(), units, "x").wanted

@@ -1,0 +1,29 @@
+"""A network interface as the kernel shows it to anybody, without a socket: /sys/class/net."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+SYS = Path("/sys/class/net")
+IFF_UP = 1
+_CAN_TYPE = 280  # ARPHRD_CAN
+
+
+class Interface(NamedTuple):
+    """`number` is new each time that one of this name is made; `virtual`: it leads to no wire (vcan, vxcan)."""
+
+    number: int
+    is_can: bool
+    is_up: bool
+    virtual: bool
+
+
+def interface(name: str) -> Interface | None:
+    """The interface of this name as it is now; None where there is none."""
+    folder = SYS / name
+    try:
+        number, kind, flags = ((folder / file).read_text() for file in ("ifindex", "type", "flags"))
+        return Interface(
+            int(number), int(kind) == _CAN_TYPE, bool(int(flags, 16) & IFF_UP), not (folder / "device").exists()
+        )
+    except OSError:  # not there, or removed between two reads
+        return None

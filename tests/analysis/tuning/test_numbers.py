@@ -1,0 +1,58 @@
+"""What numbers of sensors are like without a fault, by hand."""
+
+from collections.abc import Sequence
+
+import msgspec
+import pytest
+
+from analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
+from service.core.decode import DecodeTable
+from service.core.manifest import Input
+from service.core.signals import Quality
+from service.logs import Frame
+
+
+class Said(DecodeTable):
+    """Frames that hold the numbers of `a`, or nothing."""
+
+    def __init__(self) -> None:
+        super().__init__({})
+
+    def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
+        return [("a", float(data), Quality.GOOD)] if data else [("a", 99.0, Quality.ERROR)]
+
+
+A = Input(signal="a", unit="Pa", maximum_age_s=1.0, lower=0.0, upper=10.0)
+
+
+def of(*numbers: tuple[float, float | None]) -> Input:
+    frames = [Frame(t, 1, True, b"" if number is None else str(number).encode()) for t, number in numbers]
+    [found] = limited([A], Said(), frames)
+    return found
+
+
+def test_the_longest_rest_and_the_largest_step_set_the_limits() -> None:
+    found = of((0.0, 3.0), (0.5, 3.0), (1.0, 3.0), (1.5, 3.5), (2.0, 3.4), (6.0, 3.4))
+    assert found.largest_step == pytest.approx(STEPS * 0.5)
+    assert found.frozen_s == max(RESTS * 4.0, LEAST_REST_S)
+
+
+def test_a_step_over_a_gap_and_what_is_no_number_are_none() -> None:
+    found = of((0.0, 3.0), (1.5, 9.0), (1.6, None), (1.7, 9.1))
+    assert found.largest_step == pytest.approx(STEPS * 0.1)
+
+
+def test_what_may_rest_is_never_frozen() -> None:
+    resting = [(0.5 * k, 3.0) for k in range(round(2 * RESTLESS_S) + 1)]
+    assert of(*resting).frozen_s is None
+    assert of(*((t, 0.0) for t, _ in resting)).frozen_s == LEAST_REST_S  # outside the operating region it may
+    assert of(*resting).largest_step is None
+
+
+@pytest.mark.parametrize(
+    ("rests", "kept"), [([3.0, 5.0], 5.0), ([3.0, None], None), ([None, 3.0], None), ([None, None], None)]
+)
+def test_limits_are_those_that_all_recordings_keep(rests: Sequence[float | None], kept: float | None) -> None:
+    each = [[msgspec.structs.replace(A, frozen_s=rest, largest_step=rest)] for rest in rests]
+    [found] = widest(each)
+    assert (found.frozen_s, found.largest_step) == (kept, kept)
