@@ -47,8 +47,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--networks", type=Path, metavar="DIR", help="the networks that were tuned with the model")
     parser.add_argument("--dbc", type=Path, required=True, help="the vehicle's DBC")
     parser.add_argument("--out", type=Path, required=True, help="the bundle folder to write")
+    parser.add_argument(
+        "--version", type=int, default=0, metavar="N", help="counts up; a vehicle takes none older than one it had (0)"
+    )
     parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
     options = parser.parse_args(argv)
+    if options.version < 0:
+        raise InputError(f"--version {options.version}: counts up from 0")
     tuning = load_tuning(options.tuning)
     bank = build_bank(sound_model(options.model))
     runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
@@ -61,7 +66,7 @@ def main(argv: list[str]) -> int:
     _check_room(options.out, options.force)
     _check_golden(tuning, bank, options.tuning)
     try:
-        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out))
+        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     bundle = _put(files, options.out)
@@ -70,7 +75,9 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, where: str) -> dict[str, bytes]:
+def bundle_files(
+    runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, where: str, version: int = 0
+) -> dict[str, bytes]:
     """The files of the bundle by name; the same model, tuning and DBC give the same bytes.
 
     Raises:
@@ -78,7 +85,7 @@ def bundle_files(runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, 
     """
     graphs = runnable.graphs | runnable.of_hypotheses(tuning.evidence)
     files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, dbc_name)
+    manifest = manifest_of(runnable, tuning, files, dbc_name, version)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}

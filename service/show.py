@@ -44,7 +44,7 @@ def _summary(bundle: Bundle) -> str:
     m = bundle.manifest
     faults = [fault.name for fault in m.faults]
     lines = [
-        f"{m.name}, {m.schema}, id {bundle.id}",
+        f"{m.name}, version {m.version}, {m.schema}, id {bundle.id}",
         f"sensor set {m.sensor_set}, a tick every {m.period_s:g} s, model {m.origin.model_sha256[:12]}, "
         f"vehicle {m.origin.vehicle or 'unknown'}",
         "inputs: " + ", ".join(f"{i.signal} [{i.unit}]" for i in m.inputs),

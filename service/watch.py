@@ -10,7 +10,9 @@ from pathlib import Path
 import msgspec
 
 from service.core.errors import InputError
-from service.core.events import Diagnosis, Event, decode
+from service.core.events import Diagnosis, Event, decode, schema_of
+from service.core.health import MEANINGS, Health, decode_health
+from service.core.health import SCHEMA as HEALTH
 from service.core.manifest import Equation, Fault, Manifest
 
 EXAMPLE = """example:
@@ -50,7 +52,7 @@ def main(argv: list[str]) -> int:
         if options.json:
             sys.stdout.buffer.write(line)
         else:
-            print(describe(_event(line, options.socket), faults, equations))
+            print(_described(line, options.socket, faults, equations))
         sys.stdout.flush()
         if options.once:
             return 0
@@ -93,9 +95,11 @@ def _connect(path: Path, wait_s: float) -> socket.socket:
             return sock
 
 
-def _event(line: bytes, path: Path) -> Event:
+def _described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
     try:
-        return decode(line)
+        if schema_of(line) == HEALTH:
+            return describe_health(decode_health(line))
+        return describe(decode(line), faults, equations)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
         raise InputError(f"{path}: sent no event: {line[:80]!r} ({error})") from error
 
@@ -132,6 +136,14 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
     if event.cannot_tell:
         lines.append(f"cannot tell: {' '.join(event.cannot_tell)}")
     return "\n             ".join(lines)
+
+
+def describe_health(health: Health) -> str:
+    """What stands, for a person."""
+    if not health.conditions:
+        return f"{'':9}    all is well with buses and signals"
+    lines = [f"{each.of} {MEANINGS[each.kind]}, since {each.since}" for each in health.conditions]
+    return "\n             ".join([f"{'':9}    buses and signals:", *lines])
 
 
 def _nothing(event: Event) -> str:

@@ -6,7 +6,8 @@ import msgspec
 
 from service.bundle import Bundle
 from service.core.errors import InputError
-from service.core.events import Event, decode
+from service.core.events import Event, decode, schema_of
+from service.core.health import SCHEMA as HEALTH
 from service.logs import Log
 
 
@@ -21,6 +22,8 @@ def live_events(path: Path, bundle: Bundle, log: Log) -> list[Event]:
     events = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
         try:
+            if schema_of(line) == HEALTH:
+                continue  # of buses and signals
             events.append(decode(line))
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise InputError(f"{path}: line {number}: not an event: {error}") from error

@@ -12,12 +12,15 @@ from service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Ma
 GOLDEN = "golden.json"
 
 
-def manifest_of(runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], dbc_name: str) -> Manifest:
+def manifest_of(
+    runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], dbc_name: str, version: int = 0
+) -> Manifest:
     """The manifest; `files` are the others of the bundle by name."""
     bank = runnable.bank
     return Manifest(
         schema=SCHEMA,
         name=bank.model.name,
+        version=version,
         sensor_set=bank.model.sensor_set,
         period_s=PERIOD_S,
         start_within_s=tuning.start_within_s,

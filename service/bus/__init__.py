@@ -29,7 +29,7 @@ def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = 
     if kind == "udp_multicast" and _is_group(group) and port.isdecimal() and 0 < int(port) < 65_536:
         from service.bus.udp import UdpMulticast
 
-        return UdpMulticast(group, int(port))
+        return UdpMulticast(group, int(port))  # there as long as this machine is
     raise BusError(f"no bus {spec!r}; give socketcan:NAME (as socketcan:can0) or udp_multicast:239.74.163.2:43113")
 
 

@@ -22,9 +22,10 @@ QUEUE = 4 * 1024 * 1024
 """Bytes of receive queue asked of the kernel, which grants at most net.core.rmem_max."""
 
 OLDEST_S = 5.0  # a longer wait than the queue can hold is a clock that was set
+NEWEST_S = 1.0  # frames come while the queue is emptied; a stamp further ahead is one of a clock that was set
 
 SO_TIMESTAMPNS = 35  # asm-generic/socket.h
-_TIMESPEC = struct.Struct("@ll")
+TIMESPEC = struct.Struct("@ll")
 
 
 Trouble = Literal["down", "removed", "bus-off", "error-passive"]
@@ -105,7 +106,7 @@ class Bus(ABC):
 def wall_stamp(extras: list[tuple[int, int, bytes]]) -> float:
     """The kernel's time stamp [s, wall clock] in a datagram's control messages; 0 where there is none."""
     for level, kind, data in extras:
-        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
-            seconds, nanoseconds = _TIMESPEC.unpack(data)
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == TIMESPEC.size:
+            seconds, nanoseconds = TIMESPEC.unpack(data)
             return float(seconds + nanoseconds * 1e-9)
     return 0.0

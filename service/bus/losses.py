@@ -1,29 +1,30 @@
 """What did not reach the diagnosis: frames lost, left alone or not as in the DBC, and an interface that went away."""
 
+from collections.abc import Sequence
+
 from service.bus.base import Bus
-from service.core.decode import DecodeTable
+from service.core.decode import DecodeTable, Rejected
 
 
 class Losses:
-    """Counts of one bus and the table that decodes its frames, in words."""
+    """Counts of one bus and of the tables that decode its frames, in words."""
 
-    def __init__(self, bus: Bus, table: DecodeTable) -> None:
-        self._bus = bus
-        self._table = table
+    def __init__(self, bus: Bus, tables: Sequence[DecodeTable]) -> None:
+        self._bus, self._tables = bus, tables
         self._told: dict[str, int] = {}
 
     def news(self) -> str | None:
         """All that was lost since the start, where that is more than when it was last asked for."""
-        counts, rejected = self._bus.counts, self._table.rejected
+        counts, rejected = self._bus.counts, [table.rejected for table in self._tables]
         now = {
             "frames dropped by the kernel": self._bus.dropped,
             "remote frames": counts.remote,
             "no frames": counts.malformed,
             "sent by this machine": counts.local,
             "error frames": counts.errors,
-            "shorter than in the DBC": sum(rejected.short.values()),
-            "of another sender": sum(rejected.other_source.values()),
-            "multiplexed by an unknown value": sum(rejected.unknown_selector.values()),
+            "shorter than in the DBC": _all(rejected, "short"),
+            "of another sender": _all(rejected, "other_source"),
+            "multiplexed by an unknown value": _all(rejected, "unknown_selector"),
             "times bus-off": counts.bus_offs,
             "times the interface went down": counts.link_downs,
             "times it was removed": counts.removals,
@@ -33,3 +34,7 @@ class Losses:
             return None
         self._told = now
         return "since the start: " + ", ".join(f"{what} {count}" for what, count in now.items())
+
+
+def _all(rejected: Sequence[Rejected], what: str) -> int:
+    return sum(sum(getattr(each, what).values()) for each in rejected)

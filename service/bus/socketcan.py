@@ -9,16 +9,15 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
 
-from service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
+from service.bus.base import BATCH, NEWEST_S, OLDEST_S, QUEUE, Bus, BusError
 from service.bus.error_frame import read_error
 from service.bus.interface import Interface, interface
+from service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
 from service.core.decode import Wanted
 from service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
-SO_RXQ_OVFL = 40
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 ERROR_CLASSES = 0x1FFF_FFFF & ~0x80  # all but bus errors, which may come as fast as the bus runs
 
@@ -37,19 +36,10 @@ _REMEDIES = {
 }
 """What helps where sending failed at once."""
 
-_CLASSIC = struct.Struct("=IB3x8s")
-_FD = struct.Struct("=IBB2x64s")
+_NO_DATA = RTR_FLAG | ERR_FLAG
+_frame = tuple.__new__  # a frame without the named tuple's own check of its arguments, which takes as long as the rest
+
 _FD_FLAG = 0x04
-_FD_FLAGS = 0x07  # FD itself, the higher bit rate, and the sender's state of error
-_FD_SIZES = frozenset([*range(9), 12, 16, 20, 24, 32, 48, 64])
-_DROPS = struct.Struct("@I")
-
-
-class Content(NamedTuple):
-    """A frame of whatever kind: the identifier with the kernel's flags, and the data."""
-
-    identifier: int
-    data: bytes
 
 
 class SocketCan(Bus):
@@ -83,7 +73,9 @@ class SocketCan(Bus):
         self._believe_local = believe_local
         self._make, self._look, self._clock = make or can_socket, look, clock
         self._socket: socket.socket | None = None
+        self._read: Reader | None = None
         self._at: Interface | None = None  # what the socket is bound to
+        self._local = believe_local  # whether what processes of this machine send is taken
         self._dropped = self._dropped_before = 0  # by this socket and by those before it
         self._wait, self._due = RETRY_S, clock() + RETRY_S
         try:
@@ -105,46 +97,57 @@ class SocketCan(Bus):
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames."""
         self._check()
+        messages = self._messages()
         frames: list[Frame] = []
-        for _ in range(BATCH):
-            if self._socket is None:
-                break
-            try:
-                content, extras, flags, _address = self._socket.recvmsg(_FD.size, 256)
-            except BlockingIOError:
-                break
-            except OSError as error:
-                if not self._goes_on(error):
-                    break
-                continue  # that it is down is told ahead of the frames that came before that
-            self._count_drops(extras)
-            frame = self._frame(content, extras, bool(flags & socket.MSG_DONTROUTE))
-            if frame is not None:
-                frames.append(frame)
+        now = time.monotonic()
+        apart, last = now - time.time(), self._last
+        earliest, latest = now - OLDEST_S, now + NEWEST_S
+        for identifier, data, is_local, stamp, drops in messages:
+            if drops is not None:
+                self._dropped = drops  # cumulative
+            if data is None or identifier & _NO_DATA or (is_local and not self._local):
+                self._no_frame(identifier, data, is_local)
+                continue
+            t = stamp + apart
+            if not earliest < t < latest:
+                t = now
+            if t > last:
+                last = t
+            frames.append(_frame(Frame, (last, identifier & 0x1FFF_FFFF, identifier >= EFF_FLAG, data)))
+            if self.trouble is not None:
+                self._heard()
+        self._last = last
         self.counts.frames += len(frames)
         return frames
 
-    def _frame(self, raw: bytes, extras: list[tuple[int, int, bytes]], local: bool) -> Frame | None:
-        """The data frame; anything else is counted."""
-        content = unpack(raw)
-        if content is None:
-            self.counts.malformed += 1
-        elif local and not (self._believe_local or (self._at is not None and self._at.virtual)):
-            self.counts.local += 1
-        elif content.identifier & ERR_FLAG:
-            self._error(content)
-        elif content.identifier & RTR_FLAG:
-            self.counts.remote += 1
-        else:
-            if self.trouble in ("down", "bus-off"):
-                self.trouble = None
-            t, extended = self._arrival(wall_stamp(extras)), bool(content.identifier & EFF_FLAG)
-            return Frame(t, content.identifier & 0x1FFF_FFFF, extended, content.data)
-        return None
+    def _messages(self) -> list[Message]:
+        """What waits at the socket."""
+        if self._read is None:
+            return []
+        try:
+            return self._read(BATCH)
+        except OSError as error:
+            if not self._goes_on(error):
+                return []
+            return self._read(BATCH)  # that it is down is told ahead of the frames that came before that
 
-    def _error(self, content: Content) -> None:
+    def _heard(self) -> None:
+        if self.trouble in ("down", "bus-off"):
+            self.trouble = None
+
+    def _no_frame(self, identifier: int, data: bytes | None, is_local: bool) -> None:
+        if data is None:
+            self.counts.malformed += 1
+        elif is_local and not self._local:
+            self.counts.local += 1
+        elif identifier & ERR_FLAG:
+            self._error(identifier & 0x1FFF_FFFF, data)
+        else:
+            self.counts.remote += 1
+
+    def _error(self, identifier: int, data: bytes) -> None:
         self.counts.errors += 1
-        news = read_error(content.identifier & 0x1FFF_FFFF, content.data)
+        news = read_error(identifier, data)
         self._dropped_before += news.overflow  # one at least: the controller does not count them
         if news.changed:
             self.counts.bus_offs += news.trouble == "bus-off" != self.trouble
@@ -193,7 +196,9 @@ class SocketCan(Bus):
     def _open(self) -> None:
         self._socket = self._make(self._name, self._wanted)
         self._socket.setblocking(False)
+        self._read = reader_of(self._socket)
         self._at = self._look(self._name)
+        self._local = self._believe_local or (self._at is not None and self._at.virtual)
         self._wait, self.trouble = RETRY_S, None
         self._due = self._clock() + LOOK_S
 
@@ -201,26 +206,18 @@ class SocketCan(Bus):
         """The socket is of no more use."""
         if self._socket is not None:
             self._socket.close()
-        self._socket = None
+        self._socket = self._read = None
         self._dropped_before, self._dropped = self.dropped, 0
         self.counts.removals += 1
         self.trouble = "removed"
         self._due = self._clock() + self._wait
-
-    def _count_drops(self, extras: list[tuple[int, int, bytes]]) -> None:
-        """The kernel's counter is cumulative."""
-        for level, kind, data in extras:
-            if level == socket.SOL_SOCKET and kind == SO_RXQ_OVFL and len(data) == _DROPS.size:
-                (self._dropped,) = _DROPS.unpack(data)
 
     def send(self, frame: Frame) -> None:
         """Sends; waits up to a second for room in a full queue."""
         identifier = frame.can_id | (EFF_FLAG if frame.is_extended else 0)
         size = len(frame.data)
         content = (
-            _CLASSIC.pack(identifier, size, frame.data)
-            if size <= 8
-            else _FD.pack(identifier, size, _FD_FLAG, frame.data)
+            CLASSIC.pack(identifier, size, frame.data) if size <= 8 else FD.pack(identifier, size, _FD_FLAG, frame.data)
         )
         if self._socket is None:
             raise BusError(f"{self._name}: is not there; {_REMEDIES[errno.ENODEV]}")
@@ -289,16 +286,3 @@ def can_filters(wanted: Iterable[Wanted]) -> bytes:
     """
     rows = [(n | EFF_FLAG * extended, mask | EFF_FLAG | RTR_FLAG) for n, mask, extended in wanted]
     return b"".join(struct.pack("=II", *row) for row in rows)
-
-
-def unpack(content: bytes) -> Content | None:
-    """The frame in 16 or 72 bytes as the kernel gives them (`struct can_frame`, `canfd_frame`); None if it is none."""
-    if len(content) == _CLASSIC.size:
-        identifier, size, data = _CLASSIC.unpack(content)
-        valid = size <= 8
-    elif len(content) == _FD.size:
-        identifier, size, flags, data = _FD.unpack(content)
-        valid = size in _FD_SIZES and not flags & ~_FD_FLAGS
-    else:
-        return None
-    return Content(identifier, data[:size]) if valid else None

@@ -40,12 +40,14 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
             carriers[signal.name].append(message.name)
         if wanted:
             identifier = message.frame_id & PRIORITY_MASK if message.is_extended_frame else message.frame_id
-            layouts[identifier, message.is_extended_frame] = _layout(message, wanted, units, where)
+            layouts[identifier, message.is_extended_frame] = _layout(message, identifier, wanted, units, where)
     _check_carriers(carriers, where)
     return DecodeTable(layouts)
 
 
-def _layout(message: Message, wanted: Collection[DbcSignal], units: Mapping[str, str], where: str) -> Layout:
+def _layout(
+    message: Message, identifier: int, wanted: Collection[DbcSignal], units: Mapping[str, str], where: str
+) -> Layout:
     fields = tuple(_field(message, signal, units[signal.name], where) for signal in wanted)
     used = {cut for field in fields for cut, _ in field.only}
     selectors = [
@@ -55,6 +57,7 @@ def _layout(message: Message, wanted: Collection[DbcSignal], units: Mapping[str,
     ]
     return Layout(
         name=message.name,
+        identifier=identifier,
         size=message.length,
         j1939=message.protocol == "j1939",
         period_s=message.cycle_time / 1000.0 if message.cycle_time else None,

@@ -5,9 +5,9 @@ differ), so that a second sender of the same group never overwrites a value; it 
 """
 
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import isfinite
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import InitVar, dataclass, field
+from math import ceil, floor, inf, isfinite
 from typing import NamedTuple
 
 from service.core.signals import Quality, j1939_quality
@@ -18,6 +18,7 @@ GROUP_MASK = 0x03FF_FF00
 """The same without the source address."""
 STANDARD = 0x7FF
 
+_GOOD = Quality.GOOD
 _FLOATS = {16: struct.Struct(">e"), 32: struct.Struct(">f"), 64: struct.Struct(">d")}
 
 
@@ -69,6 +70,21 @@ class Field:
     high: float
     only: Only = ()
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is an unsigned integer of the little end that is in every frame."""
+        return not (self.signed or self.is_float or self.cut.big_endian or self.only) and self.scale > 0.0
+
+    def plain(self, j1939: bool) -> "Plain":
+        """How a good value of a plain field is read: raw values from `least` to below `beyond` are good."""
+        top = 1 << self.cut.length
+        if j1939:
+            words = (top - 2, top - 1) if self.cut.length < 8 else (0xFB << (self.cut.length - 8),)
+            top = next((raw for raw in words if j1939_quality(raw, self.cut.length) is not _GOOD), top)
+        least = 0 if self.low == -inf else max(0, ceil((self.low - self.offset) / self.scale))
+        beyond = top if self.high == inf else min(top, floor((self.high - self.offset) / self.scale) + 1)
+        return self.name, self.cut.shift, (1 << self.cut.length) - 1, least, beyond, self.scale, self.offset, self
+
     def read(self, little: int, big: int, j1939: bool) -> tuple[str, float, Quality]:
         """Name, value and quality."""
         raw = self.cut.raw(little, big)
@@ -84,16 +100,35 @@ class Field:
         return self.name, value, quality
 
 
-@dataclass(frozen=True, slots=True)
+Plain = tuple[str, int, int, int, int, float, float, Field]
+"""Name, shift, mask, the least good raw value and the one beyond the last, scale and offset; and the field, for others.
+"""
+
+
+@dataclass(frozen=True)
 class Layout:
-    """One message: name, size [bytes], whether J1939 says what is no number, period [s] if known, and its fields."""
+    """One message, of `size` bytes and sent every `period_s` [s] if that is known.
+
+    `identifier` is without priority if it has 29 bits; `j1939` says that some raw values are no numbers.
+    """
 
     name: str
+    identifier: int
     size: int
     j1939: bool
     period_s: float | None
-    fields: tuple[Field, ...]
+    fields: InitVar[Sequence[Field]]
     selectors: tuple[Selector, ...] = ()
+    plain: tuple[Plain, ...] = field(init=False)
+    others: tuple[Field, ...] = field(init=False)
+    is_plain: bool = field(init=False)
+
+    def __post_init__(self, fields: Sequence[Field]) -> None:
+        """Most signals are integers from the right that are always there: their numbers are read without a call."""
+        plain = [one for one in fields if one.is_plain]
+        object.__setattr__(self, "plain", tuple(one.plain(self.j1939) for one in plain))
+        object.__setattr__(self, "others", tuple(one for one in fields if not one.is_plain))
+        object.__setattr__(self, "is_plain", not self.others and not self.selectors)
 
 
 @dataclass
@@ -111,7 +146,10 @@ class Rejected:
 
 
 class DecodeTable:
-    """Decodes the wanted signals of a bus; everything else is ignored, what is malformed is counted in `rejected`."""
+    """Decodes the wanted signals of a bus; everything else is ignored.
+
+    Frames are counted by message: those `taken`, and those that were `rejected`, why.
+    """
 
     def __init__(self, layouts: Mapping[tuple[int, bool], Layout]) -> None:
         """`layouts` by identifier, a 29-bit one without priority, and whether it has 29 bits."""
@@ -120,6 +158,7 @@ class DecodeTable:
         self._groups = {
             identifier & GROUP_MASK: layout for identifier, layout in self._extended.items() if layout.j1939
         }
+        self.taken = {layout.name: 0 for layout in layouts.values()}
         self.rejected = Rejected()
 
     @property
@@ -143,19 +182,28 @@ class DecodeTable:
             if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
                 _count(self.rejected.other_source, group.name)
             return []
-        if len(data) < layout.size:
-            _count(self.rejected.short, layout.name)
-            return []
-        content = data[: layout.size]
-        little, big = int.from_bytes(content, "little"), int.from_bytes(content, "big")
+        if len(data) != layout.size:
+            if len(data) < layout.size:
+                _count(self.rejected.short, layout.name)
+                return []
+            data = data[: layout.size]
+        self.taken[layout.name] += 1
+        little = int.from_bytes(data, "little")
+        found: list[tuple[str, float, Quality]] = []
+        take = found.append
+        for name, shift, mask, least, beyond, scale, offset, one in layout.plain:
+            raw = little >> shift & mask
+            if least <= raw < beyond:
+                take((name, raw * scale + offset, _GOOD))
+            else:
+                take(one.read(little, 0, layout.j1939))
+        return found if layout.is_plain else [*found, *self._others(layout, little, int.from_bytes(data, "big"))]
+
+    def _others(self, layout: Layout, little: int, big: int) -> Iterator[tuple[str, float, Quality]]:
         for selector in layout.selectors:
             if _there(selector.only, little, big) and selector.cut.raw(little, big) not in selector.known:
                 _count(self.rejected.unknown_selector, layout.name)
-        return [
-            signal.read(little, big, layout.j1939)
-            for signal in layout.fields
-            if not signal.only or _there(signal.only, little, big)
-        ]
+        yield from (one.read(little, big, layout.j1939) for one in layout.others if _there(one.only, little, big))
 
 
 def _there(only: Only, little: int, big: int) -> bool:

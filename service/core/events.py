@@ -65,13 +65,25 @@ def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], in
     return [(tuple(one.faults), one.rank, tuple(one.near)) for one in diagnoses]
 
 
+class _Header(msgspec.Struct):
+    """What every record begins with."""
+
+    schema: str
+
+
 _ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(Event)
+_HEADER = msgspec.json.Decoder(_Header)
 
 
 def encode(event: Event) -> bytes:
     """The event as one line of JSON, newline included."""
     return _ENCODER.encode(event) + b"\n"
+
+
+def schema_of(line: bytes) -> str:
+    """What kind of record a line of JSON is; raises as `decode`."""
+    return _HEADER.decode(line).schema
 
 
 def decode(line: bytes) -> Event:

@@ -27,6 +27,7 @@ Period = Annotated[float, Meta(ge=1e-3)]  # shorter ones would keep the vehicle 
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 Memory = Annotated[float, Meta(ge=1, le=1e6)]
 """Of a filter, in ticks."""
+Version = Annotated[int, Meta(ge=0, le=2**53)]
 Side = Literal["both", "above", "below"]
 NotEmpty = Annotated[list[T], Meta(min_length=1)]
 PerMode = Annotated[list[T], Meta(min_length=len(MODES), max_length=len(MODES))]
@@ -294,11 +295,13 @@ class Claim(_Part, frozen=True):
 class Manifest(_Part, frozen=True):
     """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
 
+    `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
     """
 
     schema: Literal["faultline.bundle/5"]
     name: Text
+    version: Version
     sensor_set: Literal["production", "instrumented"]
     period_s: Period
     start_within_s: NotNegative

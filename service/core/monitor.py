@@ -13,6 +13,7 @@ from service.core.manifest import Manifest
 from service.core.modes import ModeTracker
 from service.core.observer import Observer, Tick
 from service.core.sampling import Sampler
+from service.core.signals import Qualities
 from service.core.telling import Teller
 
 
@@ -42,6 +43,7 @@ class Monitor:
         self._decision = Decision(manifest)
         self._teller = Teller(source, bundle_id, manifest.period_s)
         self._watch = watch
+        self._quality: Qualities | None = None
 
     def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Event]:
         """Takes a frame received at log time `t_s` [s]; gives the events of the ticks that lie before it."""
@@ -60,6 +62,11 @@ class Monitor:
             yield from self.advance(t_s)
 
     @property
+    def quality(self) -> Qualities | None:
+        """What each signal (nz,) was worth at the last tick; None before the first."""
+        return self._quality
+
+    @property
     def decision(self) -> Decision:
         """What is decided now, told or not yet."""
         return self._decision
@@ -72,6 +79,7 @@ class Monitor:
     def _decide(self, ticks: Iterable[Tick]) -> list[Event]:
         events: list[Event] = []
         for tick in ticks:
+            self._quality = tick.quality
             self._decision.update(tick.number, tick.mode, tick.residuals)
             events += self._teller.update(tick.number, self._decision)
             if self._watch is not None:

@@ -15,7 +15,6 @@ from types import TracebackType
 import msgspec
 
 from service.core.errors import InputError
-from service.core.events import Event, encode
 
 RING = 4096  # events that a client may be behind, and that can be asked for again
 CLIENTS = 32  # more are turned away
@@ -78,9 +77,9 @@ class EventSocket:
                 if events & selectors.EVENT_WRITE and key.data in self._clients:
                     self._flush(key.data)
 
-    def publish(self, event: Event) -> None:
-        """Puts the event into the ring and sends what each client takes at once."""
-        self._ring.append((event.seq, encode(event)))
+    def publish(self, seq: int, line: bytes) -> None:
+        """Puts a line, which is number `seq`, into the ring and sends what each client takes at once."""
+        self._ring.append((seq, line))
         self._published += 1
         for client in list(self._clients):
             self._flush(client)

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from service.bus import BusError, open_bus, socketcan, socketcan_available
 from service.bus.base import BATCH, Counts
 from service.bus.interface import Interface
-from service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters, unpack
+from service.bus.reader import unpack
+from service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
 from service.core.decode import Wanted
 from service.logs import Frame
 
@@ -197,9 +198,10 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_interface_that_goes_down_may_come_back_and_is_counted() -> None:
     bus, script = scripted((FRAME, []), errno.ENETDOWN)
-    assert len(bus.receive()) == 1
+    assert [len(bus.receive()) for _ in range(2)] == [1, 0]
+    assert (bus.counts.link_downs, bus.trouble) == (1, "down")
     script.steps += [(FRAME, []), errno.ENETDOWN]
-    assert len(bus.receive()) == 1
+    assert [len(bus.receive()) for _ in range(2)] == [1, 0]
     assert (bus.counts.link_downs, bus.trouble) == (2, "down")
 
 
@@ -250,7 +252,7 @@ def test_a_socket_that_is_of_no_more_use_is_replaced(number: int) -> None:
     bus = plug.bus()
     plug.sockets[0].steps += [(FRAME, [drops(3)]), number, (FRAME, [])]
     plug.there = None
-    assert len(bus.receive()) == 1
+    assert [len(bus.receive()) for _ in range(2)] == [1, 0]
     assert (bus.trouble, bus.fileno(), plug.sockets[0].closed) == ("removed", -1, True)
     assert plug.later(bus, 60.0) == []
     plug.there = VIRTUAL._replace(number=4)
@@ -414,8 +416,8 @@ def test_kernel_filters_tell_11_from_29_bits_and_ignore_the_priority() -> None:
 
 @given(st.binary(max_size=100))
 def test_no_content_breaks_the_bus(content: bytes) -> None:
-    frame = unpack(content)
-    assert frame is None or len(frame.data) <= 64
+    _, data = unpack(content)
+    assert data is None or len(data) <= 64
 
 
 @given(st.integers(0, 0x1FFF_FFFF), st.binary(max_size=8))

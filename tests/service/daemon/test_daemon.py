@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,9 +16,13 @@ from service.bus.losses import Losses
 from service.core.decode import DecodeTable, Rejected
 from service.core.events import Event
 from service.core.monitor import Monitor
-from service.daemon import LAG_S, LOSSES_S, Daemon, main
+from service.core.traffic import Traffic
+from service.daemon import main
 from service.logs import Frame
+from service.loop import LOSSES_S, Loop
 from service.outputs.socket import EventSocket
+from service.systemd import Notifier
+from service.watched import LAG_S, Line, Watched
 
 
 class Clock:
@@ -63,6 +68,7 @@ class Heard:
     """A monitor that only notes the log times it is given [s]."""
 
     next_tick_s = 0.0
+    quality = None
 
     def __init__(self) -> None:
         self.told: list[tuple[str, float]] = []
@@ -79,6 +85,10 @@ class Heard:
 Serve = Callable[..., list[tuple[str, float]]]
 
 
+def say(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
@@ -90,11 +100,13 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
     def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
-        heard, table = Heard(), DecodeTable({})
+        heard, calm = Heard(), SimpleNamespace(look=lambda *_: set())
         with Script(*steps) as bus, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
+            made = cast(tuple[Monitor, Traffic], (heard, calm))
+            line = Line("bus", bus, [Watched(DecodeTable({}), lambda: made, speed)])
             with pytest.raises(BusError):
-                Daemon(cast(Monitor, heard), bus, subscribers, speed, Losses(bus, table), clock).serve()
+                Loop("truck", [line], subscribers, Notifier({}), say, clock).serve()
         return heard.told
 
     return run
@@ -152,7 +164,7 @@ def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[s
 def test_every_kind_of_loss_is_told() -> None:
     bus = SimpleNamespace(dropped=1, counts=Counts(9, 2, 3, 4, 5, 6, 7, 8))
     table = SimpleNamespace(rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}))
-    losses = Losses(cast(Bus, bus), cast(DecodeTable, table))
+    losses = Losses(cast(Bus, bus), [cast(DecodeTable, table)])
     assert losses.news() == (
         "since the start: frames dropped by the kernel 1, remote frames 2, no frames 3, sent by this machine 4, "
         "error frames 5, shorter than in the DBC 10, of another sender 11, multiplexed by an unknown value 12, "

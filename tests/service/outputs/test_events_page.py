@@ -7,6 +7,8 @@ from typing import get_args
 import msgspec
 
 from service.core.events import SCHEMA, Diagnosis, Event, Transition
+from service.core.health import CLEARED_S, MEANINGS, RAISED_S
+from service.core.health import SCHEMA as HEALTH
 from service.outputs.socket import RING
 
 PAGE = (Path(__file__).parents[3] / "docs" / "events.md").read_text()
@@ -31,3 +33,10 @@ def test_names_the_schema_and_the_ring() -> None:
     assert f"Schema `{SCHEMA}`" in PAGE
     assert f"the latest {RING}" in PAGE
     assert f"falls {RING} events behind" in PAGE
+
+
+def test_names_every_condition() -> None:
+    text = PAGE.partition("## Health\n")[2]
+    assert re.findall(r"^\| `([\w-]+)` \| \w+ \|", text.partition("| kind |")[2], re.MULTILINE) == list(MEANINGS)
+    assert f"`{HEALTH}`" in text
+    assert f"has lasted {RAISED_S:.0f} s and is gone once it was away for {CLEARED_S:.0f} s" in text

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from service.core.errors import InputError
-from service.core.events import SCHEMA, Event, decode
+from service.core.events import SCHEMA, Event, decode, encode
 from service.outputs import socket as module
 from service.outputs.socket import EventSocket
 
@@ -46,6 +46,9 @@ class Loop:
         """Until nothing is left to do; the kernel hands local bytes over at once."""
         while ready := self.selector.select(0):
             self.events.serve(ready)
+
+    def publish(self, told: Event) -> None:
+        self.events.publish(told.seq, encode(told))
 
     def client(self, request: bytes = b"") -> socket.socket:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -98,16 +101,16 @@ def ended(sock: socket.socket) -> bool:
 
 
 def test_every_client_gets_new_events(loop: Loop) -> None:
-    loop.events.publish(event(1))
+    loop.publish(event(1))
     clients = [loop.client(b"{}\n"), loop.client(b"{}\n")]
-    loop.events.publish(event(2))
-    loop.events.publish(event(3))
+    loop.publish(event(2))
+    loop.publish(event(3))
     assert [received(sock) for sock in clients] == [[2, 3], [2, 3]]
 
 
 def test_nothing_is_sent_before_the_request(loop: Loop) -> None:
     sock = loop.client()
-    loop.events.publish(event(1))
+    loop.publish(event(1))
     loop.turn()
     assert received(sock) == []
     sock.sendall(b'{"aft')
@@ -121,14 +124,14 @@ def test_nothing_is_sent_before_the_request(loop: Loop) -> None:
 @pytest.mark.parametrize(("after", "expected"), [(0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4])])
 def test_earlier_events_can_be_asked_for(loop: Loop, after: int, expected: list[int]) -> None:
     for seq in (1, 2, 3):
-        loop.events.publish(event(seq))
+        loop.publish(event(seq))
     sock = loop.client(b'{"after":%d}\n' % after)
-    loop.events.publish(event(4))
+    loop.publish(event(4))
     assert received(sock) == expected
 
 
 def test_a_number_from_before_a_restart_gets_everything(loop: Loop) -> None:
-    loop.events.publish(event(1))
+    loop.publish(event(1))
     assert received(loop.client(b'{"after":500}\n')) == [1]
     assert received(loop.client(b'{"after":1}\n')) == []
 
@@ -137,7 +140,7 @@ def test_the_ring_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(module, "RING", 3)
     loop = Loop(tmp_path / "e.sock")
     for seq in range(1, 6):
-        loop.events.publish(event(seq))
+        loop.publish(event(seq))
     assert received(loop.client(b'{"after":0}\n')) == [3, 4, 5]
     loop.close()
 
@@ -148,7 +151,7 @@ def test_a_slow_client_is_dropped_and_no_other(tmp_path: Path, monkeypatch: pyte
     slow, quick = loop.client(b"{}\n"), loop.client(b"{}\n")
     got: list[int] = []
     for seq in range(1, 5001):
-        loop.events.publish(event(seq))
+        loop.publish(event(seq))
         got += received(quick)
     assert got == list(range(1, 5001))
     slow.setblocking(True)
@@ -162,7 +165,7 @@ def test_a_slow_client_is_dropped_and_no_other(tmp_path: Path, monkeypatch: pyte
 def test_a_client_that_reads_late_misses_nothing_within_the_ring(loop: Loop) -> None:
     sock = loop.client(b"{}\n")
     for seq in range(1, 3001):  # more than a socket's buffer
-        loop.events.publish(event(seq))
+        loop.publish(event(seq))
     sock.setblocking(True)
     content = b""
     while content.count(b"\n") < 3000:
@@ -179,22 +182,22 @@ def test_a_request_that_makes_no_sense_is_answered_and_ended(loop: Loop, request
     loop.turn()
     assert sock.recv(4096).startswith(b'{"error":"')
     assert ended(sock)
-    loop.events.publish(event(1))
+    loop.publish(event(1))
 
 
 def test_clients_may_leave_at_any_time(loop: Loop) -> None:
     stays, leaves = loop.client(b"{}\n"), loop.client(b"{}\n")
     leaves.close()
-    loop.events.publish(event(1))
+    loop.publish(event(1))
     loop.turn()
-    loop.events.publish(event(2))
+    loop.publish(event(2))
     assert received(stays) == [1, 2]
 
 
 def test_too_many_clients_are_turned_away(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CLIENTS", 1)
     first, second = loop.client(b"{}\n"), loop.client(b"{}\n")
-    loop.events.publish(event(1))
+    loop.publish(event(1))
     assert received(first) == [1]
     assert second.recv(100) == b'{"error":"too many clients"}\n'
     assert ended(second)

@@ -1,0 +1,48 @@
+"""Clocks that are set, and machines that sleep: seen by comparing the kernel's clocks with each other.
+
+Decisions are made on the monotonic clock, which nobody sets; it stands while the machine sleeps. The wall clock only
+dates what is told.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+STEP_S = 1.0
+"""A wall clock that is off by less was trimmed, not set."""
+SLEEP_S = 1.0
+
+
+class Moved(NamedTuple):
+    """What happened since the last look: the wall clock was set by `stepped_s`, the machine slept for `slept_s` [s]."""
+
+    stepped_s: float
+    slept_s: float
+
+
+class Clocks:
+    """Looked at every second or so."""
+
+    def __init__(
+        self,
+        monotonic: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+        boot: Callable[[], float] = lambda: time.clock_gettime(time.CLOCK_BOOTTIME),
+    ) -> None:
+        self._monotonic, self._wall, self._boot = monotonic, wall, boot
+        self._apart = self._now()
+
+    def look(self) -> Moved:
+        """What moved, 0 where nothing did; while the machine sleeps the wall clock goes on, which is no step."""
+        now, before = self._now(), self._apart
+        slept = now[1] - before[1]
+        stepped = now[0] - before[0] - slept
+        if abs(stepped) < STEP_S and slept < SLEEP_S:
+            return Moved(0.0, 0.0)  # and is compared with the same again: a slow drift adds up to a step, once
+        self._apart = now
+        return Moved(stepped if abs(stepped) >= STEP_S else 0.0, slept if slept >= SLEEP_S else 0.0)
+
+    def _now(self) -> tuple[float, float]:
+        """How far the wall clock, and the one that does not stand still, are ahead of the monotonic one [s]."""
+        monotonic = self._monotonic()
+        return self._wall() - monotonic, self._boot() - monotonic

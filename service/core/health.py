@@ -1,0 +1,117 @@
+"""What keeps the service from telling, apart from faults of the system it watches: the bus, its frames, its sensors.
+
+A condition is told once it has lasted, and again once it has been gone for a while, so that a loose plug is no storm of
+messages. What is told is always everything that stands, not what has changed: whoever comes late knows as much.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Literal, get_args
+
+import msgspec
+
+SCHEMA = "faultline.health/1"
+
+Kind = Literal[
+    "bus-down",
+    "bus-removed",
+    "bus-off",
+    "error-passive",
+    "frames-lost",
+    "no-traffic",
+    "missing",
+    "not-available",
+    "error",
+    "out-of-range",
+    "frozen",
+    "jump",
+    "second-sender",
+    "short-frames",
+    "unknown-selector",
+]
+
+MEANINGS: dict[Kind, str] = {
+    "bus-down": "the interface is down",
+    "bus-removed": "the interface is not there",
+    "bus-off": "the controller has left the bus after too many errors",
+    "error-passive": "the controller sees many errors: wiring, termination or bit rate",
+    "frames-lost": "frames came faster than they were taken",
+    "no-traffic": "not one of the frames that are expected: wrong bus, bit rate or DBC, or the ignition is off",
+    "missing": "does not come any more",
+    "not-available": "its sender says that it has no value",
+    "error": "its sender says that its sensor is at fault, or it is no number",
+    "out-of-range": "is outside the range that the DBC gives",
+    "frozen": "has not changed for longer than a sensor can",
+    "jump": "jumps further than a sensor can",
+    "second-sender": "is sent by more than one",
+    "short-frames": "is shorter than in the DBC",
+    "unknown-selector": "is multiplexed by a value that the DBC does not have",
+}
+"""What a condition is, for a person, of the bus, message or signal that it is of."""
+
+assert set(MEANINGS) == set(get_args(Kind))
+
+RAISED_S = 2.0
+"""A condition is told once it has lasted so long."""
+CLEARED_S = 10.0
+"""It is gone once it was away for so long."""
+
+
+class Condition(msgspec.Struct, frozen=True, order=True):
+    """Something that is wrong with `of`: a bus, a message or a signal."""
+
+    kind: Kind
+    of: str
+
+
+class Standing(msgspec.Struct, frozen=True, kw_only=True):
+    """A condition that is told, and since when: wall clock (RFC 3339)."""
+
+    kind: Kind
+    of: str
+    since: str | None
+
+
+class Health(msgspec.Struct, frozen=True, kw_only=True):
+    """All conditions that stand, none where all is well; numbered with the events of the same source."""
+
+    schema: str
+    id: str
+    seq: int
+    wall: str | None
+    conditions: list[Standing]
+
+
+def encode_health(health: Health) -> bytes:
+    """One line of JSON."""
+    return msgspec.json.encode(health) + b"\n"
+
+
+def decode_health(line: bytes) -> Health:
+    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
+    return msgspec.json.decode(line, type=Health)
+
+
+class Conditions:
+    """Conditions with their patience. State: those that are, or were lately."""
+
+    def __init__(self) -> None:
+        self._begun: dict[Condition, float] = {}  # seen, not told yet: since when
+        self._seen: dict[Condition, float] = {}  # told: when it was last seen
+
+    @property
+    def standing(self) -> Sequence[Condition]:
+        """Those that are told."""
+        return sorted(self._seen)
+
+    def update(self, t: float, present: Iterable[Condition]) -> bool:
+        """Takes what is wrong at time `t` [s]; whether what stands has changed."""
+        now, before = set(present), set(self._seen)
+        for condition in now & before:
+            self._seen[condition] = t
+        self._begun = {condition: self._begun.get(condition, t) for condition in now - before}
+        for condition, begun in list(self._begun.items()):
+            if t - begun >= RAISED_S:
+                del self._begun[condition]
+                self._seen[condition] = t
+        self._seen = {condition: seen for condition, seen in self._seen.items() if t - seen < CLEARED_S}
+        return set(self._seen) != before

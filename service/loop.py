@@ -1,0 +1,163 @@
+"""The one loop: frames to the monitors, their events to the subscribers and to standard output.
+
+It receives, decides and serves in turn, each as much as a batch: nothing is handed from thread to thread, and what a
+turn takes (`docs/decisions/015-one-loop.md`) is a small part of what the kernel's queue holds.
+"""
+
+import selectors
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from types import FrameType
+
+import msgspec
+
+from service.clocks import Clocks
+from service.core.events import Event, encode
+from service.core.health import MEANINGS, SCHEMA, Condition, Conditions, Health, Standing, encode_health
+from service.outputs.socket import EventSocket
+from service.systemd import Heartbeat, Notifier
+from service.watched import Line
+
+IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
+LOOK_S = 1.0  # how often buses, signals and clocks are looked at
+LOSSES_S = 60.0  # how often losses are told where there are new ones
+ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tenth of a second at most
+
+
+class Loop:
+    """Serves until a signal to stop. `source` is the vehicle's name."""
+
+    def __init__(
+        self,
+        source: str,
+        lines: Sequence[Line],
+        subscribers: EventSocket,
+        notifier: Notifier,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        clocks: Clocks | None = None,
+    ) -> None:
+        self._source, self._lines, self._subscribers = source, lines, subscribers
+        self._notifier, self._say, self._clock = notifier, say, clock
+        self._clocks = clocks or Clocks()
+        self.heartbeat = Heartbeat(ALIVE_S, clock)
+        self._conditions = Conditions()
+        self._since: dict[Condition, str] = {}  # wall clock
+        self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
+        self._registered: dict[Line, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
+        self._seq = 0
+        self._stopped = False
+        self._printing = True
+
+    def serve(self) -> None:
+        """Serves until a signal to stop."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._stop)
+        with selectors.DefaultSelector() as selector:
+            self._subscribers.register(selector)
+            try:
+                while not self._stopped:
+                    for line in self._lines:
+                        self._register(line, selector)
+                    ready = selector.select(self._patience())
+                    for line in self._lines:
+                        self._tell(line.listen(self._clock()))
+                    self._subscribers.serve(ready)
+                    self._look()
+                    self.heartbeat.beat()
+            finally:
+                self._tell_losses()
+
+    def _stop(self, _number: int, _frame: FrameType | None) -> None:
+        self._stopped = True
+
+    def _register(self, line: Line, selector: selectors.BaseSelector) -> None:
+        """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
+        now, before = (line.bus.fileno(), line.bus.counts.removals), self._registered.get(line)
+        if now == before:
+            return
+        if before is not None:
+            selector.unregister(before[0])
+            del self._registered[line]
+        if now[0] >= 0:
+            selector.register(now[0], selectors.EVENT_READ)
+            self._registered[line] = now
+
+    def _patience(self) -> float:
+        """How long nothing need be done if no frame comes [s]."""
+        dues = [due for line in self._lines for bundle in line.bundles if (due := bundle.due()) is not None]
+        return min(IDLE_S, max(0.0, min(dues, default=self._clock() + IDLE_S) - self._clock()))
+
+    def _look(self) -> None:
+        now = self._clock()
+        if now >= self._losses_due:
+            self._tell_losses()
+        if now < self._look_due:
+            return
+        self._look_due = now + LOOK_S
+        self._look_at_clocks()
+        present = set[Condition]().union(*(line.look(now) for line in self._lines))
+        if self._conditions.update(now, present):
+            self._tell_health()
+        standing = "; ".join(_said(condition) for condition in self._conditions.standing)
+        self._notifier.tell(STATUS=standing or "listening")
+
+    def _look_at_clocks(self) -> None:
+        moved = self._clocks.look()
+        if moved.stepped_s:
+            self._say(f"the wall clock was set by {moved.stepped_s:+.0f} s; decisions do not use it")
+        if moved.slept_s:
+            self._say(f"the machine slept for {moved.slept_s:.0f} s; what was seen before is forgotten")
+            for line in self._lines:
+                while line.bus.receive():
+                    continue  # queued before the sleep: of a time that is gone
+                for bundle in line.bundles:
+                    bundle.restart()
+
+    def _tell_losses(self) -> None:
+        self._losses_due = self._clock() + LOSSES_S
+        for line in self._lines:
+            if news := line.losses.news():
+                self._say(f"{line.name}: {news}" if len(self._lines) > 1 else news)
+
+    def _tell_health(self) -> None:
+        wall, standing = _now(), self._conditions.standing
+        self._since = {condition: self._since.get(condition, wall) for condition in standing}
+        self._say("; ".join(map(_said, standing)) or "all is well with buses and signals")
+        self._seq += 1
+        health = Health(
+            schema=SCHEMA,
+            id=f"{self._source}-{self._seq}",
+            seq=self._seq,
+            wall=wall,
+            conditions=[Standing(kind=each.kind, of=each.of, since=self._since[each]) for each in standing],
+        )
+        self._publish(encode_health(health))
+
+    def _tell(self, events: list[Event]) -> None:
+        for event in events:
+            self._seq += 1
+            named = f"{self._source}-{self._seq}"
+            self._publish(encode(msgspec.structs.replace(event, id=named, seq=self._seq, wall=_now())))
+
+    def _publish(self, line: bytes) -> None:
+        """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
+        self._subscribers.publish(self._seq, line)
+        if self._printing:
+            try:
+                sys.stdout.buffer.write(line)
+                sys.stdout.buffer.flush()
+            except BrokenPipeError:
+                self._printing = False
+                self._say("standard output is closed; events go on over the socket")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _said(condition: Condition) -> str:
+    return f"{condition.of} {MEANINGS[condition.kind]}"
