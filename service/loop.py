@@ -22,6 +22,7 @@ from service.systemd import Heartbeat, Notifier
 from service.watched import Line
 
 IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
+ASKED_S = 0.005  # how often a bus that wakes nobody is asked
 LOOK_S = 1.0  # how often buses, signals and clocks are looked at
 LOSSES_S = 60.0  # how often losses are told where there are new ones
 ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tenth of a second at most
@@ -88,8 +89,9 @@ class Loop:
 
     def _patience(self) -> float:
         """How long nothing need be done if no frame comes [s]."""
+        longest = ASKED_S if any(line.bus.is_asked for line in self._lines) else IDLE_S
         dues = [due for line in self._lines for bundle in line.bundles if (due := bundle.due()) is not None]
-        return min(IDLE_S, max(0.0, min(dues, default=self._clock() + IDLE_S) - self._clock()))
+        return min(longest, max(0.0, min(dues, default=self._clock() + longest) - self._clock()))
 
     def _look(self) -> None:
         now = self._clock()

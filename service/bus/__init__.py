@@ -11,7 +11,7 @@ __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 
 
 def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = False, required: bool = True) -> Bus:
-    """The bus that `spec` names: `socketcan:NAME` or `udp_multicast:GROUP:PORT`.
+    """The bus that `spec` names: `socketcan:NAME`, `udp_multicast:GROUP:PORT`, or `can:INTERFACE:CHANNEL[:BITRATE]`.
 
     Of SocketCAN the kernel gives the `wanted` frames only, if there are any (`DecodeTable.wanted`). What processes of
     this machine send over a real interface is taken only with `believe_local`; an interface that is not `required` may
@@ -30,7 +30,15 @@ def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = 
         from service.bus.udp import UdpMulticast
 
         return UdpMulticast(group, int(port))  # there as long as this machine is
-    raise BusError(f"no bus {spec!r}; give socketcan:NAME (as socketcan:can0) or udp_multicast:239.74.163.2:43113")
+    if (other := re.fullmatch(r"can:(\w+):([^\s:]+)(?::(\d{1,8}))?", spec)) is not None:
+        from service.bus.pythoncan import PythonCan
+
+        interface, channel, bitrate = other.groups()
+        return PythonCan(interface, channel, int(bitrate) if bitrate else None, required=required)
+    raise BusError(
+        f"no bus {spec!r}; give socketcan:NAME (as socketcan:can0), can:INTERFACE:CHANNEL of python-can, or "
+        "udp_multicast:239.74.163.2:43113"
+    )
 
 
 def socketcan_available(name: str) -> bool:

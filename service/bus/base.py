@@ -69,6 +69,11 @@ class Bus(ABC):
         """Readable when frames wait; -1 while there is nothing to wait for, and another one after that."""
 
     @property
+    def is_asked(self) -> bool:
+        """Whether it has to be asked again and again: nothing wakes who waits for it."""
+        return False
+
+    @property
     @abstractmethod
     def dropped(self) -> int:
         """Frames that the kernel lost because nobody took them in time."""

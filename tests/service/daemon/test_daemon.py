@@ -13,8 +13,10 @@ import pytest
 from service.bus import Bus, BusError
 from service.bus.base import Counts
 from service.bus.losses import Losses
+from service.clocks import Clocks
 from service.core.decode import DecodeTable, Rejected
 from service.core.events import Event
+from service.core.health import decode_health
 from service.core.monitor import Monitor
 from service.core.traffic import Traffic
 from service.daemon import main
@@ -181,3 +183,143 @@ def test_speed_is_a_positive_number(speed: str, capsys: pytest.CaptureFixture[st
         main(["--bundle", "b", "--bus", "socketcan:vcan0", "--socket", "s", "--speed", speed])
     assert caught.value.code == 2
     assert "--speed must be a number above zero" in capsys.readouterr().err
+
+
+class Wire(Bus):
+    """A bus on a pipe that is replaced when it is told; frames are what the test puts there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.frames: list[Frame] = []
+        self.ends = os.pipe()
+
+    def put(self, *frames: Frame) -> None:
+        self.frames += frames
+        os.write(self.ends[1], b"x")
+
+    def fileno(self) -> int:
+        return -1 if self.trouble == "removed" else self.ends[0]
+
+    @property
+    def dropped(self) -> int:
+        return 0
+
+    def receive(self) -> list[Frame]:
+        taken, self.frames = self.frames, []
+        if taken:
+            os.read(self.ends[0], 1)
+        return taken
+
+    def send(self, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        for end in self.ends:
+            os.close(end)
+
+    def pull(self) -> None:
+        self.close()
+        self.trouble = "removed"
+        self.counts.removals += 1
+
+    def plug(self) -> None:
+        self.ends = os.pipe()
+        self.trouble = None
+
+
+class Told:
+    """A loop of made parts that is turned by a script of acts, a second of its clock apart."""
+
+    def __init__(self, tmp_path: Path, clock: Clock, buses: int = 1) -> None:
+        self.clock, self.said = clock, list[str]()
+        self.path = tmp_path / "told"
+        self.wires = [Wire() for _ in range(buses)]
+        self.heard = [Heard() for _ in range(buses)]
+        self.restarts = [0] * buses
+        self.subscribers = EventSocket(self.path)
+        self.sleeps = 0.0
+        lines = [Line(f"can{k}", self.wires[k], [self.watched(k)]) for k in range(buses)]
+        kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
+        self.loop = Loop("truck", lines, self.subscribers, Notifier({}), self.said.append, clock, kernel)
+
+    def watched(self, k: int) -> Watched:
+        def make() -> tuple[Monitor, Traffic]:
+            self.restarts[k] += 1
+            return cast(tuple[Monitor, Traffic], (self.heard[k], SimpleNamespace(look=lambda *_: set())))
+
+        return Watched(DecodeTable({}), make, 1.0)
+
+    def run(self, *acts: Callable[[], None]) -> None:
+        """Each act, and a turn of the loop a second later; then it is stopped."""
+        steps = iter(acts)
+
+        def look() -> None:
+            type(self.loop)._look(self.loop)
+            self.clock.now += 1.0
+            act = next(steps, None)
+            if act is None:
+                self.loop._stopped = True
+            else:
+                act()
+
+        self.loop._look = look  # type: ignore[method-assign]
+        with self.subscribers:
+            self.loop.serve()
+
+
+def nothing() -> None:
+    return
+
+
+@pytest.fixture
+def told(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Told]:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr("service.loop.IDLE_S", 0.001)
+    return lambda buses: Told(tmp_path, clock, buses)
+
+
+def test_a_bus_that_goes_and_comes_is_told_and_heard_again(
+    told: Callable[[int], Told], capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    made = told(1)
+    [wire] = made.wires
+    made.run(
+        lambda: wire.put(frame(101.0)),
+        wire.pull,
+        *[nothing] * 4,
+        wire.plug,
+        lambda: wire.put(frame(108.0)),
+        *[nothing] * 12,
+    )
+    assert [t for what, t in made.heard[0].told if what == "frame"] == [0.0, 7.0]
+    lines = [decode_health(line) for line in capfdbinary.readouterr().out.splitlines()]
+    assert [[(each.kind, each.of) for each in line.conditions] for line in lines] == [[("bus-removed", "can0")], []]
+    assert [(line.seq, line.id) for line in lines] == [(1, "truck-1"), (2, "truck-2")]
+    assert made.said[:2] == ["can0 the interface is not there", "all is well with buses and signals"]
+    wire.close()
+
+
+def test_each_bundle_hears_its_own_bus(told: Callable[[int], Told]) -> None:
+    made = told(2)
+    one, other = made.wires
+    made.run(lambda: one.put(frame(101.0), frame(101.5)), lambda: other.put(frame(102.0)), nothing)
+    heard = [[t for what, t in each.told if what == "frame"] for each in made.heard]
+    assert heard == [[0.0, 0.5], [0.0]]
+    for wire in made.wires:
+        wire.close()
+
+
+def test_after_a_sleep_everything_begins_anew(told: Callable[[int], Told]) -> None:
+    """The monotonic clock stood: what is queued, and what was seen before, is of a time that is gone."""
+    made = told(1)
+    [wire] = made.wires
+
+    def sleep() -> None:
+        made.sleeps += 3600.0
+        wire.put(frame(101.0))
+
+    made.run(lambda: wire.put(frame(100.0)), sleep, nothing, lambda: wire.put(frame(105.0)), nothing)
+    assert made.restarts == [2]
+    assert [t for what, t in made.heard[0].told if what == "frame"][-1] == 0.0
+    assert any("the machine slept for 3600 s" in text for text in made.said)
+    wire.close()
