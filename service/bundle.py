@@ -11,7 +11,7 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -30,6 +30,8 @@ T = TypeVar("T")
 
 MANIFEST = "manifest.json"
 SEAL = "manifest.sha256"
+SIGNATURE = re.compile(r"manifest\.[0-9A-F]{16}\.minisig")
+"""Names of signatures, by the key's id: there may be several."""
 MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
 
 GRAPH_ERRORS: tuple[type[Exception], ...] = (
@@ -54,6 +56,13 @@ class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     shift: list[list[float]]
 
 
+class Trust(Protocol):
+    """Who must have signed a bundle (`service.signing.Signed`)."""
+
+    def check(self, raw: bytes, folder: Path) -> None:
+        """Raises InputError where the signatures in `folder` are not enough for the manifest's bytes."""
+
+
 class Bundle(NamedTuple):
     """A verified bundle. `id` is the SHA-256 of the manifest's bytes, `where` its folder, for messages."""
 
@@ -74,14 +83,15 @@ def seal(raw: bytes) -> bytes:
     return f"{hashlib.sha256(raw).hexdigest()}  {MANIFEST}\n".encode()
 
 
-def load_bundle(folder: Path) -> Bundle:
-    """The bundle in `folder`.
+def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
+    """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
+        SignatureError: it is not signed by enough of those who are trusted.
     """
     try:
-        raw, manifest, contents = _whole(folder)
+        raw, manifest, contents = _whole(folder, trust)
     except OSError as error:
         place = error.filename or folder
         raise BundleError(f"{place}: cannot be read: {error.strerror}; check the folder's permissions") from error
@@ -173,14 +183,17 @@ class _Header(msgspec.Struct):
     detectors: object = None
 
 
-def _whole(folder: Path) -> tuple[bytes, Manifest, dict[str, bytes]]:
+def _whole(folder: Path, trust: Trust | None) -> tuple[bytes, Manifest, dict[str, bytes]]:
     """The manifest's bytes, what they say, and the content of every file by name: all there, unchanged, nothing else.
 
     Raises:
         BundleError: it is not so.
+        SignatureError: it is not signed as `trust` demands.
         OSError: the folder or a file in it cannot be read.
     """
     raw = _read(folder / MANIFEST, "is this a bundle folder made by `faultline export`?")
+    if trust is not None:
+        trust.check(raw, folder)
     _check_seal(raw, folder)
     manifest = decode_manifest(raw, str(folder / MANIFEST))
     _check_unlisted(folder, manifest)
@@ -205,7 +218,8 @@ def _check_seal(raw: bytes, folder: Path) -> None:
 
 
 def _check_unlisted(folder: Path, manifest: Manifest) -> None:
-    unlisted = sorted({path.name for path in folder.iterdir()} - {MANIFEST, SEAL, *manifest.files})
+    there = {path.name for path in folder.iterdir() if SIGNATURE.fullmatch(path.name) is None}
+    unlisted = sorted(there - {MANIFEST, SEAL, *manifest.files})
     if unlisted:
         names = ", ".join(repr(name) for name in unlisted[:5]) + (", ..." if len(unlisted) > 5 else "")
         raise BundleError(f"{folder}: the manifest does not list {names}; remove what is not part of the bundle")

@@ -11,6 +11,11 @@ interface = "socketcan:can0"                         # or udp_multicast:GROUP:PO
 path = "/var/lib/faultline/bundles/uds"
 bus = "powertrain"
 
+[trust]
+keys = "/etc/faultline/keys"                         # public keys *.pub of those who may sign bundles
+# signatures = 2                                     # by so many different ones of them; default: 1
+# allow_unsigned = true                              # instead, for trials
+
 [events]
 socket = "/run/faultline/events.sock"
 """
@@ -57,6 +62,14 @@ class BundleConfig(_Part, frozen=True):
     bus: Name
 
 
+class TrustConfig(_Part, frozen=True):
+    """Whose bundles are taken."""
+
+    keys: Path_ | None = None
+    signatures: Annotated[int, Meta(ge=1, le=16)] = 1
+    allow_unsigned: bool = False
+
+
 class EventsConfig(_Part, frozen=True):
     """Where subscribers connect."""
 
@@ -68,6 +81,7 @@ class Config(_Part, frozen=True):
 
     bus: Annotated[list[BusConfig], Meta(min_length=1, max_length=16)]
     bundle: Annotated[list[BundleConfig], Meta(min_length=1, max_length=64)]
+    trust: TrustConfig
     events: EventsConfig
     source: Name = msgspec.field(default_factory=socket.gethostname)
 
@@ -105,6 +119,11 @@ def load_config(path: Path) -> Config:
 
 def _check(config: Config, text: str, path: Path) -> None:
     """What the parts must say of each other."""
+    if (config.trust.keys is None) != config.trust.allow_unsigned:
+        raise ConfigError(
+            f"{path}:{_line(text, ['trust'])}: trust: give the folder of the trusted public keys, `keys`, or for "
+            "trials `allow_unsigned = true`; one of them"
+        )
     names = [bus.name for bus in config.bus]
     for k, bus in enumerate(config.bus):
         if Counter(names)[bus.name] > 1 and names.index(bus.name) != k:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from service.bundle import Bundle, load_bundle, verify_golden
+from service.bundle import Bundle, Trust, load_bundle, verify_golden
 from service.bus import open_bus
-from service.config import BundleConfig, BusConfig, Config, EventsConfig, load_config
+from service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig, load_config
 from service.loop import Loop
 from service.outputs.socket import EventSocket
 from service.systemd import Notifier, Supervisor
@@ -26,7 +26,8 @@ def main(argv: list[str]) -> int:
     options, config = _asked(argv)
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
-    bundles = [load_bundle(Path(each.path)) for each in config.bundle]
+    trust = _trust(config)
+    bundles = [load_bundle(Path(each.path), trust) for each in config.bundle]
     for bundle in bundles:
         verify_golden(bundle)
     with ExitStack() as opened:
@@ -77,10 +78,20 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     config = Config(
         bus=[BusConfig(name="bus", interface=options.bus)],
         bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
+        trust=TrustConfig(allow_unsigned=True),
         events=EventsConfig(socket=str(options.socket)),
         source=options.source or socket.gethostname(),
     )
     return options, config
+
+
+def _trust(config: Config) -> Trust | None:
+    """Who must have signed the bundles; None where anybody may have made them."""
+    if config.trust.keys is None:
+        return None
+    from service.signing import Signed, load_keys  # brings in a cryptographic library, which a trial does without
+
+    return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 
 
 def _lines(config: Config, bundles: Sequence[Bundle], speed: float, *, required: bool) -> list[Line]:

@@ -22,11 +22,11 @@ from analysis.tuning.command import main as tune
 from analysis.tuning.file import Tuning, load_tuning
 from analysis.tuning.thresholds import MARGIN
 from service.bundle import load_bundle
+from service.bundles import main as show
 from service.core.errors import InputError
 from service.core.manifest import CusumDetector
 from service.core.modes import IDLE
 from service.logs import open_log
-from service.show import main as show
 
 ZERO = {"y_p_ap": 0.0}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
-from service import show
+from service import bundles
 from service.bundle import BundleError, load_bundle, seal, verify_golden
 
 FILES = ["ode.onnx", "faults.onnx", "uds.dbc", "golden.json"]
@@ -113,7 +113,7 @@ def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest
     refused(bundle, r"manifest\.json: cannot be read: Input/output error; check the folder's permissions")
 
 
-@pytest.mark.parametrize("schema", ["faultline.bundle/3", "faultline.bundle/5", "other/1"])
+@pytest.mark.parametrize("schema", ["faultline.bundle/4", "faultline.bundle/6", "other/1"])
 def test_an_unknown_version_is_refused_before_anything_else(bundle: Path, schema: str) -> None:
     edit(bundle, lambda manifest: manifest.update(schema=schema, something_new=1))
     refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/5'")
@@ -212,11 +212,11 @@ def test_golden_vectors_catch_a_machine_that_computes_something_else(bundle: Pat
 
 
 def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert show.main(["verify", str(bundle)]) == 0
+    assert bundles.main(["verify", str(bundle)]) == 0
     assert "the seal holds, 4 files are whole, 150 golden vectors agree" in capsys.readouterr().out
-    assert show.main(["show", str(bundle)]) == 0
+    assert bundles.main(["show", str(bundle)]) == 0
     out = capsys.readouterr().out
     assert "t21.ode" in out
     assert "fA_du" in out
-    assert show.main(["show", "--json", str(bundle)]) == 0
+    assert bundles.main(["show", "--json", str(bundle)]) == 0
     assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/5"

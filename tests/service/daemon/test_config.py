@@ -27,6 +27,9 @@ bus = "powertrain"
 
 [events]
 socket = "/run/faultline/events.sock"
+
+[trust]
+keys = "/etc/faultline/keys"
 """
 
 
@@ -69,6 +72,9 @@ def test_a_whole_configuration(tmp_path: Path) -> None:
         ("[events]", "[event]", ":16: event: Object contains unknown field `event`"),
         ('socket = "/run/faultline/events.sock"', "", ":16: events: Object missing required field `socket`"),
         ("[[bus]]", "[[bus]", ": not TOML: "),
+        ('keys = "/etc/faultline/keys"', "", ":19: trust: give the folder of the trusted public keys, `keys`, or for"),
+        ("[trust]", "[trust]\nallow_unsigned = true", ":19: trust: give the folder of the trusted public keys"),
+        ("[trust]", "[trust]\nsignatures = 0", ":20: trust.signatures: Expected `int` >= 1"),
         (
             "[events]",
             '[[bundle]]\npath = "/var/lib/faultline/bundles/uds"\nbus = "body"\n[events]',
