@@ -4,7 +4,7 @@ A bundle is `manifest.json`, its seal `manifest.sha256`, and the files that the 
 the golden vectors; nothing else. Errors name the path of the bad value (`generators[2].inputs[0]`).
 
 Seal and hashes protect against damage in copying and against mixing files of two bundles, not against an attacker: who
-can change the manifest can seal it anew. That takes a signature, which a bundle does not have yet.
+can change the manifest can seal it anew. Signatures (`service.signing`) do; they lie beside the manifest.
 """
 
 import hashlib
@@ -23,6 +23,7 @@ from service.core.dbc import compile_dbc
 from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank, Residuals
+from service.core.graph_file import check_graph_file
 from service.core.manifest import SCHEMA, File, Generator, Manifest
 from service.core.signals import Vector
 
@@ -249,6 +250,7 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
 
     B is open, or `rows` where that is given.
     """
+    check_graph_file(raw, where)
     nx, tests = sum(len(generator.states) for generator in own), len(own)
     inputs = {"z": nz, "x": nx}
     outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}

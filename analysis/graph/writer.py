@@ -12,13 +12,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from service.core.generators import Graph
-
-OPSET = 21
-IR_VERSION = 10
-ALLOWED = frozenset(
-    {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "MatMul", "Max", "Mul", "Reciprocal"}
-    | {"ReduceMean", "ReduceMin", "ReduceSum", "Relu", "Reshape", "Shape", "Slice", "Sqrt", "Sub"}
-)
+from service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +49,7 @@ class Writer:
 
     def __call__(self, operator: str, *values: str, **attributes: int) -> str:
         """A node."""
-        assert operator in ALLOWED, operator
+        assert operator in OPERATORS, operator
         name = f"v{len(self._nodes)}"
         self._nodes.append(helper.make_node(operator, list(values), [name], **cast(dict[str, Any], attributes)))
         return name
@@ -92,8 +86,8 @@ class Writer:
     def model(self, name: str) -> bytes:
         """The finished model's bytes, checked by onnx and opened by onnxruntime; the same graph, the same bytes."""
         graph = helper.make_graph(self._nodes, name, self._inputs, self._outputs, self._initializers)
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="faultline")
-        model.ir_version = IR_VERSION
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSETS[0])], producer_name="faultline")
+        model.ir_version = IR_VERSIONS[0]
         onnx.checker.check_model(model, full_check=True)
         raw: bytes = model.SerializeToString(deterministic=True)
         Graph(raw)

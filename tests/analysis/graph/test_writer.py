@@ -5,8 +5,9 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from analysis.graph.writer import ALLOWED, IR_VERSION, OPSET, Writer
+from analysis.graph.writer import Writer
 from service.core.generators import Graph
+from service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
 
 
 def affine(*, gain: float = 2.0, repeated: int = 1) -> bytes:
@@ -35,9 +36,9 @@ def test_operators_outside_the_allow_list_are_refused(operator: str) -> None:
 
 
 def test_the_allow_list_has_no_control_flow_and_no_function() -> None:
-    assert not ALLOWED & {"Loop", "Scan", "If", "SequenceMap", "Optional"}
+    assert not OPERATORS & {"Loop", "Scan", "If", "SequenceMap", "Optional"}
     standard = {schema.name for schema in onnx.defs.get_all_schemas() if schema.domain == ""}
-    assert standard >= ALLOWED
+    assert standard >= OPERATORS
 
 
 def test_the_same_graph_has_the_same_bytes_and_another_has_others() -> None:
@@ -67,10 +68,10 @@ def test_constants_of_other_shape_type_or_sign_of_zero_are_not_confused() -> Non
 
 def test_the_model_declares_version_types_and_only_allowed_nodes() -> None:
     model = parsed(affine())
-    assert model.ir_version == IR_VERSION
-    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
+    assert model.ir_version == IR_VERSIONS[0]
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSETS[0])]
     assert model.producer_name == "faultline"
-    assert {node.op_type for node in model.graph.node} <= ALLOWED
+    assert {node.op_type for node in model.graph.node} <= OPERATORS
     assert not model.functions
     values = [*model.graph.input, *model.graph.output]
     assert {value.type.tensor_type.elem_type for value in values} == {onnx.TensorProto.DOUBLE}
