@@ -23,7 +23,7 @@ from service.core.dbc import compile_dbc
 from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank, Residuals
-from service.core.graph_file import check_graph_file
+from service.core.graph_file import GraphError, check_graph_file
 from service.core.manifest import SCHEMA, File, Generator, Manifest
 from service.core.signals import Vector
 
@@ -250,7 +250,10 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
 
     B is open, or `rows` where that is given.
     """
-    check_graph_file(raw, where)
+    try:
+        check_graph_file(raw, where)
+    except GraphError as error:
+        raise BundleError(str(error)) from error
     nx, tests = sum(len(generator.states) for generator in own), len(own)
     inputs = {"z": nz, "x": nx}
     outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
