@@ -1,0 +1,90 @@
+"""What is written onto a vehicle: whole files, nothing of its own replaced, every setting that was checked."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from service.config import load_config
+from service.core.errors import InputError
+from service.install import main
+
+WORDS = ["--prefix", "/opt/faultline", "--base", "/usr"]
+UNIT, CONFIG = "etc/systemd/system/faultline.service", "etc/faultline/faultline.toml"
+
+
+def unit_of(root: Path) -> dict[str, list[str]]:
+    """The unit's settings with all their values."""
+    found: dict[str, list[str]] = {}
+    for line in (root / UNIT).read_text().splitlines():
+        if re.match(r"[A-Z]\w+=", line):
+            name, _, value = line.partition("=")
+            found.setdefault(name, []).append(value)
+    return found
+
+
+def test_a_root_gets_unit_configuration_and_settings(tmp_path: Path) -> None:
+    assert main([*WORDS, "--root", str(tmp_path), "--interface", "can1", "--bitrate", "250000"]) == 0
+    written = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
+    network = "etc/systemd/network/60-faultline-can1.network"
+    assert written == sorted([UNIT, CONFIG, "etc/sysctl.d/60-faultline.conf", network])
+    config = load_config(tmp_path / CONFIG)
+    assert [bus.interface for bus in config.bus] == ["socketcan:can1"]
+    assert (config.trust.keys, config.trust.allow_unsigned) == ("/etc/faultline/keys", False)
+    assert (tmp_path / "etc/faultline/keys").is_dir()
+    assert "BitRate=250000\nRestartSec=200ms\nListenOnly=yes" in (tmp_path / network).read_text()
+    assert not [path for path in written if "@" in (tmp_path / path).read_text().replace("@system-service", "")
+                .replace("~@privileged @resources", "")]  # fmt: skip
+
+
+def test_the_unit_runs_the_environment_and_depends_on_no_interface(tmp_path: Path) -> None:
+    main([*WORDS, "--root", str(tmp_path)])
+    unit = unit_of(tmp_path)
+    [start] = unit["ExecStart"]
+    assert start == (
+        "/opt/faultline/bin/python -P /opt/faultline/bin/faultline run --config /etc/faultline/faultline.toml"
+    )
+    assert unit["ExecPaths"] == ["/opt/faultline -/usr/lib -/usr/lib64 -/lib -/lib64"]
+    assert not {"BindsTo", "Requires", "PartOf"} & {*unit}
+    assert (unit["Type"], unit["Restart"], unit["WatchdogSec"]) == (["notify"], ["always"], ["10s"])
+    assert unit["RestrictAddressFamilies"] == ["AF_CAN AF_UNIX"]
+    assert unit["CapabilityBoundingSet"] == [""]
+
+
+def test_a_configuration_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / CONFIG).parent.mkdir(parents=True)
+    (tmp_path / CONFIG).write_text("mine")
+    main([*WORDS, "--root", str(tmp_path)])
+    assert (tmp_path / CONFIG).read_text() == "mine"
+    assert f"kept   {tmp_path / CONFIG}" in capsys.readouterr().out
+
+
+def test_a_dry_run_says_all_and_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*WORDS, "--root", str(tmp_path), "--interface", "vcan0", "--virtual", "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert [*tmp_path.iterdir()] == []
+    for part in ("[Service]", "[[bus]]", "net.core.rmem_max = 4194304", "Kind=vcan", "MTUBytes=72"):
+        assert part in told
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--interface", "can 0"], "--interface can 0: no name of a network interface"),
+        (["--bitrate", "1"], "--bitrate 1: from 10000 to 1000000"),
+        (["--bitrate", "250000", "--virtual"], "--bitrate with --virtual"),
+        (["--prefix", "/root/venv"], "--prefix /root/venv: is in a home folder, which the service cannot see"),
+        (["--prefix", "venv"], "--prefix venv: give the whole path"),
+        (["--base", "/home/me/python"], "--base /home/me/python: is in a home folder"),
+    ],
+)
+def test_what_would_not_run_is_refused(tmp_path: Path, words: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(message)}"):
+        main([*WORDS, "--root", str(tmp_path), *words])
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "etc").write_text("")
+    with pytest.raises(InputError, match="be root, or give another --root"):
+        main([*WORDS, "--root", str(tmp_path)])
