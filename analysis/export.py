@@ -17,17 +17,8 @@ from analysis.model import dump_model
 from analysis.structure.lint import sound_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.manifest import GOLDEN, manifest_of
-from service.bundle import (
-    MANIFEST,
-    SEAL,
-    Bundle,
-    BundleError,
-    Golden,
-    decode_manifest,
-    load_bundle,
-    seal,
-    verify_golden,
-)
+from service.bundle import Bundle, Golden, load_bundle, verify_golden
+from service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from service.core.consistency import FILE_NAME
 from service.core.dbc import compile_dbc
 from service.core.errors import InputError

@@ -1,49 +1,31 @@
-"""Reads a bundle folder, strictly: seal, manifest, hashes, content; nothing is parsed whose hash was not checked.
+"""A bundle that can be run: its files whole (`service.bundle_files`), its graphs what the manifest says they are."""
 
-A bundle is `manifest.json`, its seal `manifest.sha256`, and the files that the manifest lists: the graphs, the DBC and
-the golden vectors; nothing else. Errors name the path of the bad value (`generators[2].inputs[0]`).
-
-Seal and hashes protect against damage in copying and against mixing files of two bundles, not against an attacker: who
-can change the manifest can seal it anew. Signatures (`service.signing`) do; they lie beside the manifest.
-"""
-
-import hashlib
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 import onnxruntime as ort
 from onnxruntime.capi import onnxruntime_pybind11_state
 
-from service.core.consistency import inconsistencies, uneven
+from service.bundle_files import BundleError, Trust, decode_json, one_line, whole
+from service.core.consistency import uneven
 from service.core.dbc import compile_dbc
 from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.generators import GeneratorBank, Residuals
 from service.core.graph_file import GraphError, check_graph_file
-from service.core.manifest import SCHEMA, File, Generator, Manifest
+from service.core.manifest import Generator, Manifest
 from service.core.signals import Vector
 
 T = TypeVar("T")
-
-MANIFEST = "manifest.json"
-SEAL = "manifest.sha256"
-SIGNATURE = re.compile(r"manifest\.[0-9A-F]{16}\.minisig")
-"""Names of signatures, by the key's id: there may be several."""
-MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
 
 GRAPH_ERRORS: tuple[type[Exception], ...] = (
     *(e for e in vars(onnxruntime_pybind11_state).values() if isinstance(e, type) and issubclass(e, Exception)),
     *(RuntimeError, ValueError, IndexError, OverflowError, MemoryError),
 )
 """What onnxruntime raises: its own exceptions, which have no base in common, and what pybind11 makes of C++'s."""
-
-
-class BundleError(InputError):
-    """A bundle that must not be run."""
 
 
 class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -55,13 +37,6 @@ class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     z: list[list[float]]
     r: list[list[float]]
     shift: list[list[float]]
-
-
-class Trust(Protocol):
-    """Who must have signed a bundle (`service.signing.Signed`)."""
-
-    def check(self, raw: bytes, folder: Path) -> None:
-        """Raises InputError where the signatures in `folder` are not enough for the manifest's bytes."""
 
 
 class Bundle(NamedTuple):
@@ -79,11 +54,6 @@ class Bundle(NamedTuple):
         return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
 
 
-def seal(raw: bytes) -> bytes:
-    """The content of `manifest.sha256` for a manifest's bytes, such that `sha256sum -c manifest.sha256` checks it."""
-    return f"{hashlib.sha256(raw).hexdigest()}  {MANIFEST}\n".encode()
-
-
 def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
     """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
 
@@ -91,11 +61,7 @@ def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
         SignatureError: it is not signed by enough of those who are trusted.
     """
-    try:
-        raw, manifest, contents = _whole(folder, trust)
-    except OSError as error:
-        place = error.filename or folder
-        raise BundleError(f"{place}: cannot be read: {error.strerror}; check the folder's permissions") from error
+    bundle_id, manifest, contents = whole(folder, trust)
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name, content in graphs.items():
@@ -108,26 +74,7 @@ def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
         rows = len(manifest.evidence.hypotheses)
         _check_graph(contents[faults], own, len(manifest.inputs), rows, str(folder / faults))
     golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
-    return Bundle(hashlib.sha256(raw).hexdigest(), str(folder), manifest, graphs, table, golden)
-
-
-def decode_manifest(raw: bytes, where: str) -> Manifest:
-    """The manifest in `raw`; the version is looked at first, then every field and what they say of each other."""
-    header = _decode(raw, _Header, where)
-    if header.schema != SCHEMA:
-        raise BundleError(
-            f"{where}: schema: this is {header.schema[:80]!r}, this faultline runs {SCHEMA!r}; "
-            "install the matching version"
-        )
-    if not header.detectors:
-        raise BundleError(
-            f"{where}: detectors: there are none, so the bundle has no thresholds; run `faultline tune`, "
-            "then `faultline export`"
-        )
-    manifest = _decode(raw, Manifest, where)
-    for problem in inconsistencies(manifest):
-        raise BundleError(f"{where}: {problem}; export the bundle again")
-    return manifest
+    return Bundle(bundle_id, str(folder), manifest, graphs, table, golden)
 
 
 def verify_golden(bundle: Bundle) -> None:
@@ -147,7 +94,7 @@ def verify_golden(bundle: Bundle) -> None:
             residuals = bank.step(np.array(z), usable)
         except GRAPH_ERRORS as error:
             raise BundleError(
-                f"{bundle.where}: golden vector {tick}: {_line(error)}; export the bundle again"
+                f"{bundle.where}: golden vector {tick}: {one_line(error)}; export the bundle again"
             ) from error
         difference = np.abs(residuals.r - np.array(expected))
         agrees = (difference <= tolerance * residuals.sigma) & np.isfinite(residuals.sigma)
@@ -179,62 +126,6 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: Vector) -> No
         )
 
 
-class _Header(msgspec.Struct):
-    schema: str
-    detectors: object = None
-
-
-def _whole(folder: Path, trust: Trust | None) -> tuple[bytes, Manifest, dict[str, bytes]]:
-    """The manifest's bytes, what they say, and the content of every file by name: all there, unchanged, nothing else.
-
-    Raises:
-        BundleError: it is not so.
-        SignatureError: it is not signed as `trust` demands.
-        OSError: the folder or a file in it cannot be read.
-    """
-    raw = _read(folder / MANIFEST, "is this a bundle folder made by `faultline export`?")
-    if trust is not None:
-        trust.check(raw, folder)
-    _check_seal(raw, folder)
-    manifest = decode_manifest(raw, str(folder / MANIFEST))
-    _check_unlisted(folder, manifest)
-    return raw, manifest, {name: _checked(folder / name, file) for name, file in manifest.files.items()}
-
-
-def _read(path: Path, remedy: str) -> bytes:
-    if not path.is_file():
-        raise BundleError(f"{path}: not found; {remedy}")
-    if path.stat().st_size > MAXIMUM_SIZE:
-        raise BundleError(f"{path}: larger than {MAXIMUM_SIZE} bytes; this is no faultline bundle")
-    return path.read_bytes()
-
-
-def _check_seal(raw: bytes, folder: Path) -> None:
-    path = folder / SEAL
-    given = _read(path, "it seals the manifest; copy the whole bundle folder, or export the bundle again")
-    if re.fullmatch(rb"[0-9a-f]{64}  manifest\.json\n", given) is None:
-        raise BundleError(f"{path}: not one line of `sha256sum {MANIFEST}`; copy the bundle again from its source")
-    if given != seal(raw):
-        raise BundleError(f"{path}: the bytes of {MANIFEST} differ from it; copy the bundle again from its source")
-
-
-def _check_unlisted(folder: Path, manifest: Manifest) -> None:
-    there = {path.name for path in folder.iterdir() if SIGNATURE.fullmatch(path.name) is None}
-    unlisted = sorted(there - {MANIFEST, SEAL, *manifest.files})
-    if unlisted:
-        names = ", ".join(repr(name) for name in unlisted[:5]) + (", ..." if len(unlisted) > 5 else "")
-        raise BundleError(f"{folder}: the manifest does not list {names}; remove what is not part of the bundle")
-
-
-def _checked(path: Path, file: File) -> bytes:
-    raw = _read(path, "the manifest lists it; copy the whole bundle folder")
-    if len(raw) != file.size or hashlib.sha256(raw).hexdigest() != file.sha256:
-        raise BundleError(
-            f"{path}: its bytes differ from the manifest's SHA-256; copy the bundle again from its source"
-        )
-    return raw
-
-
 def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
     units = {channel.signal: channel.unit for channel in manifest.inputs}
     try:
@@ -264,7 +155,7 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
         session = ort.InferenceSession(raw, options, providers=["CPUExecutionProvider"], enable_fallback=0)
     except GRAPH_ERRORS as error:
         raise BundleError(
-            f"{where}: no graph that onnxruntime {ort.__version__} runs: {_line(error)}; export the bundle again"
+            f"{where}: no graph that onnxruntime {ort.__version__} runs: {one_line(error)}; export the bundle again"
         ) from error
     for kind, wanted, nodes in (("input", inputs, session.get_inputs()), ("output", outputs, session.get_outputs())):
         if sorted(node.name for node in nodes) != sorted(wanted):
@@ -281,7 +172,7 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
 
 
 def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:
-    golden = _decode(raw, Golden, where)
+    golden = decode_json(raw, Golden, where)
     if not golden.z or len(golden.z) != len(golden.r):
         raise BundleError(
             f"{where}: {len(golden.z)} z and {len(golden.r)} r, not as many, at least one; export the bundle again"
@@ -297,19 +188,3 @@ def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:
             f"{where}: {len(golden.shift)} shift, not one for each hypothesis of the manifest; export the bundle again"
         )
     return golden
-
-
-def _decode(raw: bytes, kind: type[T], where: str) -> T:
-    try:
-        return msgspec.json.decode(raw, type=kind)
-    except msgspec.ValidationError as error:
-        message, _, path = _line(error).partition(" - at `")
-        place = path.replace("`", "").replace("$.", "")  # from `$.a[0].b`, or `key` in `$.a`
-        raise BundleError(f"{where}: {place or 'top level'}: {message[:200]}; export the bundle again") from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BundleError(f"{where}: not JSON: {_line(error)}; copy the bundle again from its source") from error
-
-
-def _line(error: Exception) -> str:
-    """The error's message in one line."""
-    return " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""Show, verify or sign a bundle."""
+"""Show, verify, sign or install a bundle."""
 
 import argparse
 import getpass
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from service.bundle import MANIFEST, Bundle, load_bundle, verify_golden
+from service.bundle import Bundle, load_bundle, verify_golden
+from service.bundle_files import MANIFEST, Trust
 from service.core.errors import InputError
 from service.core.manifest import brief
 
@@ -22,6 +23,7 @@ EXAMPLE = """example:
   openssl genpkey -algorithm ed25519 -aes256 -out fleet.pem
   faultline bundle public fleet.pem --out keys/fleet.pub
   faultline bundle sign bundle --key fleet.pem
+  faultline bundle install bundle --into /var/lib/faultline-bundles/uds --keys /etc/faultline/keys
 
 The password of an encrypted key is asked for, or taken from the environment's FAULTLINE_KEY_PASSWORD.
 """
@@ -47,8 +49,16 @@ def main(argv: list[str]) -> int:
     public = actions.add_parser("public", help="write the public key of a private one")
     public.add_argument("key", type=Path, help="private ed25519 key in PEM")
     public.add_argument("--out", type=Path, required=True, help="file to write, as keys/fleet.pub")
+    install = actions.add_parser("install", help="try it and swap it in, if it is signed and not older than before")
+    install.add_argument("bundle", type=Path)
+    install.add_argument("--into", type=Path, required=True, metavar="DIR", help="folder of the two slots")
+    install.add_argument("--keys", type=Path, metavar="DIR", help="folder of the trusted public keys *.pub")
+    install.add_argument("--signatures", type=int, default=1, metavar="N", help="by how many of them (default: 1)")
+    install.add_argument("--allow-unsigned", action="store_true", help="instead of --keys, for trials")
     options = parser.parse_args(argv)
-    return {"show": _show, "verify": _verify, "sign": _sign, "public": _public}[options.action](options)
+    return {"show": _show, "verify": _verify, "sign": _sign, "public": _public, "install": _install}[options.action](
+        options
+    )
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -58,21 +68,40 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    said = "not signed, or nobody's signature was asked for"
-    if options.keys is not None:
-        from service.signing import Signed, load_keys  # brings in a cryptographic library, which showing does without
-
-        if options.signatures < 1:
-            raise InputError(f"--signatures {options.signatures}: at least 1")
-        bundle = load_bundle(options.bundle, Signed(load_keys(options.keys), options.signatures))
-        said = f"signed by {options.signatures} trusted key{'s' if options.signatures > 1 else ''} at least"
-    else:
-        bundle = load_bundle(options.bundle)
+    trust = _trust(options)
+    bundle = load_bundle(options.bundle, trust)
     verify_golden(bundle)
     ticks, files = len(bundle.golden.z), len(bundle.manifest.files)
+    signed = f"signed by {options.signatures} trusted key{'s' if options.signatures > 1 else ''} at least"
     print(
-        f"{options.bundle}: the seal holds, {files} files are whole, {ticks} golden vectors agree; {said}; "
-        f"id {bundle.id}"
+        f"{options.bundle}: the seal holds, {files} files are whole, {ticks} golden vectors agree; "
+        f"{'nobody was asked who signed it' if trust is None else signed}; id {bundle.id}"
+    )
+    return 0
+
+
+def _trust(options: argparse.Namespace) -> Trust | None:
+    if options.signatures < 1:
+        raise InputError(f"--signatures {options.signatures}: at least 1")
+    if options.keys is None:
+        return None
+    from service.signing import Signed, load_keys  # brings in a cryptographic library, which showing does without
+
+    return Signed(load_keys(options.keys), options.signatures)
+
+
+def _install(options: argparse.Namespace) -> int:
+    from service.slots import Slots
+    from service.trial import trial
+
+    trust = _trust(options)
+    if (trust is None) != options.allow_unsigned:
+        raise InputError("install: give --keys, or --allow-unsigned for a trial; one of them")
+    slots = Slots(options.into)
+    given = slots.install(options.bundle, trust, trial)
+    print(
+        f"{options.into}: {given.manifest.name} version {given.manifest.version}, id {given.id[:12]}, "
+        f"is current, in slot {slots.current}"
     )
     return 0
 

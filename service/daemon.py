@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from service.bundle import Bundle, Trust, load_bundle, verify_golden
+from service.bundle import Bundle, load_bundle, verify_golden
+from service.bundle_files import Trust
 from service.bus import open_bus
 from service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig, load_config
 from service.loop import Loop

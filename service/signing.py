@@ -11,7 +11,7 @@ import base64
 import binascii
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,8 +96,9 @@ def load_public(path: Path) -> PublicKey:
     Raises:
         SignatureError: it is none.
     """
-    lines = _lines(path, 2, "a public key of minisign's, or of `faultline bundle public`")
-    raw = _bytes(lines[1], path, 2)
+    what = "a public key of minisign's, or of `faultline bundle public`"
+    lines = _lines(_read(path, f"give {what}"), str(path), 2, what)
+    raw = _bytes(lines[1], str(path), 2)
     if len(raw) != 42 or raw[:2] != PURE:
         raise SignatureError(f"{path}: line 2: not an ed25519 public key; copy it again from its source")
     return PublicKey(raw[2:10], raw[10:], path.name)
@@ -130,17 +131,17 @@ def sign(raw: bytes, private: Ed25519PrivateKey, comment: str) -> str:
     return f"{told}{_TRUSTED}{comment}\n{_base64(private.sign(signature + comment.encode()))}\n"
 
 
-def verify(raw: bytes, path: Path, keys: Mapping[bytes, PublicKey]) -> PublicKey:
-    """The key that signed these bytes, by the signature in the file at `path`.
+def verify(raw: bytes, signature: bytes, where: str, keys: Mapping[bytes, PublicKey]) -> PublicKey:
+    """The key that signed these bytes, by a signature file's content; `where` names it in errors.
 
     Raises:
-        SignatureError: the file is no signature, of a key that is not trusted, or not of these bytes.
+        SignatureError: it is no signature, of a key that is not trusted, or not of these bytes.
     """
-    given = _signature(path)
+    given = _signature(signature, where)
     key = keys.get(given.key_id)
     if key is None:
         raise SignatureError(
-            f"{path}: signed by key {label(given.key_id)}, which is not trusted; "
+            f"{where}: signed by key {label(given.key_id)}, which is not trusted; "
             f"those are {', '.join(f'{each.label} ({each.name})' for each in keys.values())}"
         )
     public = Ed25519PublicKey.from_public_bytes(key.key)
@@ -149,21 +150,21 @@ def verify(raw: bytes, path: Path, keys: Mapping[bytes, PublicKey]) -> PublicKey
         public.verify(given.of_comment, given.signature + given.comment.encode())
     except InvalidSignature as error:
         raise SignatureError(
-            f"{path}: is not of these bytes: the bundle was changed, or the signature is another's; do not use it"
+            f"{where}: is not of these bytes: the bundle was changed, or the signature is another's; do not use it"
         ) from error
     return key
 
 
-def signers(raw: bytes, paths: Sequence[Path], keys: Mapping[bytes, PublicKey]) -> list[PublicKey]:
+def signers(raw: bytes, signatures: Mapping[str, bytes], keys: Mapping[bytes, PublicKey]) -> list[PublicKey]:
     """The different trusted keys that signed these bytes; signatures of keys that are not trusted count for nothing.
 
     Raises:
-        SignatureError: a file is no signature, or one of a trusted key is not of these bytes.
+        SignatureError: a file (its content by its path) is no signature, or one of a trusted key not of these bytes.
     """
     found: dict[bytes, PublicKey] = {}
-    for path in paths:
-        if _signature(path).key_id in keys:
-            key = verify(raw, path, keys)
+    for where, signature in signatures.items():
+        if _signature(signature, where).key_id in keys:
+            key = verify(raw, signature, where, keys)
             found[key.id] = key
     return [*found.values()]
 
@@ -174,29 +175,28 @@ class Signed(NamedTuple):
     keys: Mapping[bytes, PublicKey]
     required: int = 1
 
-    def check(self, raw: bytes, folder: Path) -> None:
-        """Looks at all signatures in `folder`, which are over the manifest's bytes.
+    def check(self, raw: bytes, folder: Path, signatures: Mapping[str, bytes]) -> None:
+        """Looks at all signatures, by file name in `folder`, which are over the manifest's bytes.
 
         Raises:
             SignatureError: they are too few, or one of a trusted key is not of these bytes.
         """
-        paths = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
-        by = signers(raw, paths, self.keys)
+        by = signers(raw, {str(folder / name): content for name, content in signatures.items()}, self.keys)
         if len(by) < self.required:
             trusted = ", ".join(f"{key.label} ({key.name})" for key in self.keys.values())
             raise SignatureError(
-                f"{folder}: signed by {len(by)} trusted keys of {self.required} that are needed ({len(paths)} "
+                f"{folder}: signed by {len(by)} trusted keys of {self.required} that are needed ({len(signatures)} "
                 f"signatures are there; trusted: {trusted}); take a bundle from who may make it"
             )
 
 
-def _signature(path: Path) -> Signature:
-    lines = _lines(path, 4, "a signature of minisign's, or of `faultline bundle sign`")
-    raw, of_comment = _bytes(lines[1], path, 2), _bytes(lines[3], path, 4)
+def _signature(content: bytes, where: str) -> Signature:
+    lines = _lines(content, where, 4, "a signature of minisign's, or of `faultline bundle sign`")
+    raw, of_comment = _bytes(lines[1], where, 2), _bytes(lines[3], where, 4)
     if len(raw) != 74 or raw[:2] not in (PURE, HASHED):
-        raise SignatureError(f"{path}: line 2: not an ed25519 signature; copy it again from its source")
+        raise SignatureError(f"{where}: line 2: not an ed25519 signature; copy it again from its source")
     if not lines[2].startswith(_TRUSTED) or len(of_comment) != 64:
-        raise SignatureError(f"{path}: line 3: no trusted comment with its signature; copy it again from its source")
+        raise SignatureError(f"{where}: line 3: no trusted comment with its signature; copy it again from its source")
     return Signature(raw[:2], raw[2:10], raw[10:], lines[2].removeprefix(_TRUSTED), of_comment)
 
 
@@ -215,21 +215,23 @@ def _read(path: Path, remedy: str) -> bytes:
     return raw
 
 
-def _lines(path: Path, count: int, what: str) -> list[str]:
+def _lines(content: bytes, where: str, count: int, what: str) -> list[str]:
+    if len(content) > LARGEST:
+        raise SignatureError(f"{where}: more than {LARGEST} bytes; give {what}")
     try:
-        lines = _read(path, f"give {what}").decode().splitlines()
+        lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
-        raise SignatureError(f"{path}: no text; give {what}") from error
+        raise SignatureError(f"{where}: no text; give {what}") from error
     if len(lines) != count or not lines[0].startswith(_UNTRUSTED):
-        raise SignatureError(f"{path}: not {what}")
+        raise SignatureError(f"{where}: not {what}")
     return lines
 
 
-def _bytes(line: str, path: Path, number: int) -> bytes:
+def _bytes(line: str, where: str, number: int) -> bytes:
     try:
         return base64.b64decode(line, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise SignatureError(f"{path}: line {number}: not base64; copy it again from its source") from error
+        raise SignatureError(f"{where}: line {number}: not base64; copy it again from its source") from error
 
 
 def _base64(raw: bytes) -> str:

@@ -122,14 +122,13 @@ class SocketCan(Bus):
 
     def _messages(self) -> list[Message]:
         """What waits at the socket."""
-        if self._read is None:
-            return []
-        try:
-            return self._read(BATCH)
-        except OSError as error:
-            if not self._goes_on(error):
-                return []
-            return self._read(BATCH)  # that it is down is told ahead of the frames that came before that
+        while self._read is not None:
+            try:
+                return self._read(BATCH)
+            except OSError as error:
+                if not self._goes_on(error):  # that it is down is told ahead of the frames that came before that
+                    break
+        return []
 
     def _heard(self) -> None:
         if self.trouble in ("down", "bus-off"):

@@ -15,7 +15,8 @@ from analysis.model import dump_model, load_model
 from analysis.recordings.modes import modes_of
 from analysis.recordings.observe import START_WITHIN_S
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
-from service.bundle import BundleError, load_bundle, verify_golden
+from service.bundle import load_bundle, verify_golden
+from service.bundle_files import BundleError
 from service.core.errors import InputError
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"

@@ -13,7 +13,8 @@ from analysis.calibration.command import main as calibrate
 from analysis.export import main as export
 from analysis.model import load_model
 from analysis.tuning.command import main as tune
-from service.bundle import BundleError, load_bundle, verify_golden
+from service.bundle import load_bundle, verify_golden
+from service.bundle_files import BundleError
 from service.core.errors import InputError
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from service.diagnose import main as diagnose

@@ -15,7 +15,8 @@ from analysis.evaluation.command import main
 from analysis.evaluation.judge import judge
 from analysis.evaluation.story import Story, tell
 from analysis.evaluation.truth import load_truth
-from service.bundle import SEAL, load_bundle, seal
+from service.bundle import load_bundle
+from service.bundle_files import SEAL, seal
 from service.core.errors import InputError
 from service.core.events import encode
 from service.core.monitor import Monitor

@@ -12,7 +12,8 @@ from made_set import BUNDLE, Made, clogged, edited
 from analysis.evaluation.command import detailed, main
 from analysis.evaluation.given import given
 from analysis.evaluation.measure.cases import size_text
-from service.bundle import SEAL, load_bundle, seal
+from service.bundle import load_bundle
+from service.bundle_files import SEAL, seal
 from service.core.errors import InputError
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from service.bundle import SEAL, BundleError, load_bundle, seal, verify_golden
+from service.bundle import load_bundle, verify_golden
+from service.bundle_files import SEAL, BundleError, seal
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "bundle"
 

@@ -11,7 +11,8 @@ import pytest
 from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
 from service import bundles
-from service.bundle import BundleError, load_bundle, seal, verify_golden
+from service.bundle import load_bundle, verify_golden
+from service.bundle_files import BundleError, seal
 
 FILES = ["ode.onnx", "faults.onnx", "uds.dbc", "golden.json"]
 

@@ -212,6 +212,13 @@ def test_frames_queued_when_the_interface_went_down_are_taken() -> None:
     assert (bus.counts.link_downs, bus.trouble) == (1, None)
 
 
+def test_a_device_that_is_removed_while_it_is_up_is_first_down() -> None:
+    """Both are told at once: ENETDOWN, then ENODEV (seen on Linux 6.1 with vcan)."""
+    bus, script = scripted(errno.ENETDOWN, errno.ENODEV)
+    assert bus.receive() == []
+    assert (bus.trouble, bus.counts.link_downs, bus.counts.removals, script.closed) == ("removed", 1, 1, True)
+
+
 @dataclass
 class Plug:
     """An interface that comes and goes, and a socket for each time that it is there."""

@@ -89,6 +89,31 @@ def test_a_bus_lets_every_sender_of_a_group_through_so_that_a_second_one_is_seen
     assert compile_dbc(BIG_ENDIAN, {"up": "Pa"}, "m.dbc").wanted == (Wanted(256, 0x7FF, False),)
 
 
+WIDTHS = "".join(
+    f'BO_ {(0x18FF0000 + 256 * n + 1) | 0x80000000} M{n}: 8 A\n SG_ s{n} : 3|{n}@1+ (0.1,-7) [{low}|{high}] "Pa" A\n'
+    for n, (low, high) in enumerate([(0, 0)] * 17 + [(-5, 3)] * 3, 1)
+)
+J1939 = f"""VERSION ""
+BS_:
+BU_: A
+{WIDTHS}
+BA_DEF_ "ProtocolType" STRING ;
+BA_DEF_DEF_ "ProtocolType" "";
+BA_ "ProtocolType" "J1939";
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+"""
+
+
+@given(st.integers(1, 20), st.integers(0, 2**64 - 1))
+def test_numbers_are_read_without_a_call_as_they_are_with_one(width: int, content: int) -> None:
+    table = compile_dbc(J1939, {f"s{width}": "Pa"}, "w.dbc")
+    [layout] = table.layouts
+    assert layout.j1939
+    [(*_, field)] = layout.plain
+    assert table.decode(layout.identifier, True, content.to_bytes(8, "little")) == [field.read(content, 0, True)]
+
+
 @pytest.mark.parametrize("length", range(65))
 def test_a_frame_of_any_length_gives_all_signals_or_none(length: int) -> None:
     table = compile_dbc(DBC, UNITS, "uds.dbc")

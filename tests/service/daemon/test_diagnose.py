@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from service import diagnose
-from service.bundle import SEAL, load_bundle, seal
+from service.bundle import load_bundle
+from service.bundle_files import SEAL, seal
 from service.cli import main
 from service.core.dbc import compile_dbc
 from service.core.events import Event, decode, encode

@@ -1,0 +1,64 @@
+"""A bundle is tried in a process of its own, with little memory and little time: load it, compute its golden vectors.
+
+A graph may be signed and still ask for more memory than there is, or for ever: that ends the trial and nothing else.
+"""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+from service.core.errors import InputError
+
+MEMORY = 1 << 30  # bytes of data; a bundle takes a tenth
+CPU_S = 60
+PATIENCE_S = 120.0
+
+_CHILD = "import sys; from service.trial import child; sys.exit(child(sys.argv[1]))"
+
+
+def trial(folder: Path, memory: int = MEMORY, cpu_s: int = CPU_S, patience_s: float = PATIENCE_S) -> None:
+    """Tries the bundle in `folder`.
+
+    Raises:
+        InputError: it does not load, does not compute what it should, or takes too much.
+    """
+    words = [sys.executable, "-P", "-c", _CHILD, str(folder)]
+    environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(  # noqa: S603 - this interpreter and a folder, without a shell
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            cwd="/",
+            env=environment,
+            timeout=patience_s,
+            check=False,
+            preexec_fn=lambda: _limit(memory, cpu_s),
+        )
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{folder}: its trial was not done after {patience_s:g} s; do not use it") from error
+    if done.returncode:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        why = said[-1][:500] if said else "it said nothing"
+        killed = f"killed by signal {-done.returncode}: " if done.returncode < 0 else ""
+        raise InputError(f"{folder}: failed its trial ({MEMORY >> 20} MiB, {cpu_s} s of a processor): {killed}{why}")
+
+
+def child(folder: str) -> int:
+    """What the process does; returns its exit code."""
+    from service.bundle import load_bundle, verify_golden
+
+    try:
+        verify_golden(load_bundle(Path(folder)))
+    except (InputError, MemoryError) as error:
+        print(" ".join(str(error).split()) or "too little memory", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _limit(memory: int, cpu_s: int) -> None:
+    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

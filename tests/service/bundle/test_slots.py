@@ -1,0 +1,205 @@
+"""Two slots: what is current stays so until the next one is whole, signed, newer and tried."""
+
+import contextlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import onnx
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from made_bundle import edit, put
+from onnx import TensorProto, helper
+
+from service import slots as module
+from service.bundle_files import BundleError, whole
+from service.bundles import main
+from service.core.errors import InputError
+from service.signing import SignatureError, Signed, public_of, sign
+from service.slots import SlotError, Slots
+from service.trial import trial
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
+KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+TRUST = Signed({public_of(KEY).id: public_of(KEY, "test.pub")})
+
+
+def version(folder: Path, number: int, text: str = "uds4", *, signed: bool = True) -> Path:
+    """The golden bundle as this version, signed."""
+    bundle = Path(shutil.copytree(GOLDEN, folder / f"v{number}-{text}", dirs_exist_ok=True))
+    edit(bundle, lambda manifest: manifest.update(version=number, name=text))
+    if signed:
+        raw = (bundle / "manifest.json").read_bytes()
+        (bundle / f"manifest.{public_of(KEY).label}.minisig").write_text(sign(raw, KEY, "test"))
+    return bundle
+
+
+def passes(_folder: Path) -> None:
+    return
+
+
+def there(folder: Path) -> dict[str, int]:
+    """Versions in the slots, and the current one."""
+    return {path.name: whole(path).manifest.version for path in folder.iterdir() if path.name in ("a", "b", "current")}
+
+
+def test_the_first_and_the_next_take_turns(tmp_path: Path) -> None:
+    slots = Slots(tmp_path / "slots")
+    assert slots.current is None
+    seen: list[tuple[str | None, dict[str, int]]] = []
+    for number in (1, 2, 3):
+        slots.install(version(tmp_path, number), TRUST, passes)
+        seen.append((slots.current, there(tmp_path / "slots")))
+    assert seen == [
+        ("a", {"a": 1, "current": 1}),
+        ("b", {"a": 1, "b": 2, "current": 2}),
+        ("a", {"a": 3, "b": 2, "current": 3}),
+    ]
+    whole(tmp_path / "slots" / "current", TRUST)  # its signature came with it
+
+
+def refused(slots: Slots, source: Path, message: str, by: Callable[[Path], None] = passes) -> None:
+    before = there(slots._folder)
+    with pytest.raises(InputError, match=message):
+        slots.install(source, TRUST, by)
+    assert there(slots._folder)["current"] == before["current"]
+    assert not [path for path in slots._folder.iterdir() if path.name.startswith(".")]
+
+
+@pytest.fixture
+def slots(tmp_path: Path) -> Slots:
+    made = Slots(tmp_path / "slots")
+    made.install(version(tmp_path, 5), TRUST, passes)
+    return made
+
+
+def test_nothing_older_is_taken_and_nothing_else_of_the_same_version(slots: Slots, tmp_path: Path) -> None:
+    refused(slots, version(tmp_path, 4), "version 4 is older than 5, which was there before")
+    refused(slots, version(tmp_path, 5, "other"), "is another bundle of version 5")
+    slots.install(version(tmp_path, 5), TRUST, passes)  # the same once more
+    slots.install(version(tmp_path, 9), TRUST, passes)
+    refused(slots, version(tmp_path, 5), "version 5 is older than 9")
+
+
+def test_what_is_not_signed_or_damaged_is_not_taken(slots: Slots, tmp_path: Path) -> None:
+    refused(slots, version(tmp_path, 6, signed=False), "signed by 0 trusted keys of 1")
+    bad = version(tmp_path, 7)
+    (bad / "ode.onnx").write_bytes(b"x")
+    refused(slots, bad, "differ from the manifest")
+    refused(slots, tmp_path / "nowhere", "not found")
+
+
+def test_what_fails_its_trial_is_not_swapped_in(slots: Slots, tmp_path: Path) -> None:
+    def fails(folder: Path) -> None:
+        whole(folder, TRUST)  # whole, in its slot
+        raise InputError("fails")
+
+    refused(slots, version(tmp_path, 6), "fails", by=fails)
+    slots.install(version(tmp_path, 6), TRUST, passes)  # the floor was not raised by it
+
+
+def test_a_full_disk_leaves_the_current_one(slots: Slots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, _content: bytes) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_written", full)
+        with pytest.raises(SlotError, match="No space left on device; is the disk full"):
+            slots.install(version(tmp_path, 6), TRUST, passes)
+    assert there(tmp_path / "slots")["current"] == 5
+    slots.install(version(tmp_path, 6), TRUST, passes)
+
+
+@pytest.mark.parametrize("step", ["_written", "_synced"])
+@pytest.mark.parametrize("after", range(14))
+def test_power_may_fail_at_any_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, after: int) -> None:
+    """Whatever was done until then, the current bundle is whole, and the next attempt goes through."""
+    made, count = Slots(tmp_path / "slots"), [0]
+    made.install(version(tmp_path, 5), TRUST, passes)
+    real = getattr(module, step)
+
+    class PowerCutError(BaseException):
+        pass
+
+    def cut(*arguments: object) -> None:
+        if count[0] == after:
+            raise PowerCutError
+        count[0] += 1
+        real(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, step, cut)
+        with contextlib.suppress(PowerCutError):
+            made.install(version(tmp_path, 6), TRUST, passes)
+    assert whole(tmp_path / "slots" / "current", TRUST).manifest.version in (5, 6)
+    made.install(version(tmp_path, 6), TRUST, passes)
+    assert whole(tmp_path / "slots" / "current", TRUST).manifest.version == 6
+
+
+@pytest.mark.parametrize("damage", [b"{", b'{"version":-1,"id":""}', b'{"version":9,"id":"","more":1}'])
+def test_a_damaged_floor_lets_nothing_in(slots: Slots, tmp_path: Path, damage: bytes) -> None:
+    (tmp_path / "slots" / "floor.json").write_bytes(damage)
+    refused(slots, version(tmp_path, 6), "floor.json: cannot be read .*put it right by hand")
+
+
+def test_a_link_that_leads_elsewhere_is_said(slots: Slots, tmp_path: Path) -> None:
+    link = tmp_path / "slots" / "current"
+    link.unlink()
+    link.symlink_to("/etc")
+    with pytest.raises(SlotError, match="leads to '/etc', not to a slot"):
+        slots.install(version(tmp_path, 6), TRUST, passes)
+    link.unlink()
+    link.mkdir()
+    with pytest.raises(SlotError, match="is no link to a slot"):
+        _ = slots.current
+
+
+def test_the_trial_computes_the_golden_vectors(tmp_path: Path) -> None:
+    trial(version(tmp_path, 1))
+    wrong = version(tmp_path, 2)
+    golden = json.loads((wrong / "golden.json").read_bytes())
+    golden["r"][3][0] += 1e6
+    put(wrong, "golden.json", json.dumps(golden).encode())
+    with pytest.raises(InputError, match=r"failed its trial .*: .*golden vector 3: t02.ode is off by"):
+        trial(wrong)
+
+
+def hungry(folder: Path) -> Path:
+    """A graph that passes every look and asks for 512 GiB when it is run."""
+    bundle = version(folder, 3)
+    graph = onnx.load_model_from_string((bundle / "ode.onnx").read_bytes())
+    shape = helper.make_tensor("huge", TensorProto.INT64, [1], (2**36).to_bytes(8, "little"), raw=True)
+    one = helper.make_tensor("one", TensorProto.DOUBLE, [1], bytes(8), raw=True)
+    axes = helper.make_tensor("axes", TensorProto.INT64, [1], bytes(8), raw=True)
+    graph.graph.initializer.extend([shape, one, axes])
+    first = graph.graph.node[0].input[0]
+    graph.graph.node.insert(0, helper.make_node("Expand", ["one", "huge"], ["wide"]))
+    graph.graph.node.insert(1, helper.make_node("ReduceSum", ["wide", "axes"], ["nothing"], keepdims=0))
+    graph.graph.node.insert(2, helper.make_node("Add", [first, "nothing"], ["fed"]))
+    graph.graph.node[3].input[0] = "fed"
+    put(bundle, "ode.onnx", graph.SerializeToString())
+    return bundle
+
+
+def test_a_graph_that_takes_all_memory_ends_its_trial_and_nothing_else(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="failed its trial"):
+        trial(hungry(tmp_path))
+
+
+def test_a_trial_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"its trial was not done after 0.05 s"):
+        trial(version(tmp_path, 1), patience_s=0.05)
+
+
+def test_the_command_installs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    into = ["--into", str(tmp_path / "slots")]
+    source = str(version(tmp_path, 1))
+    assert main(["install", source, *into, "--allow-unsigned"]) == 0
+    assert "uds4 version 1, id " in capsys.readouterr().out
+    with pytest.raises(InputError, match="give --keys, or --allow-unsigned for a trial; one of them"):
+        main(["install", source, *into])
+    with pytest.raises(SignatureError, match="no trusted key"):
+        main(["install", source, *into, "--keys", str(tmp_path)])
+    with pytest.raises(BundleError):
+        main(["install", str(tmp_path / "none"), *into, "--allow-unsigned"])
