@@ -15,7 +15,8 @@ EXAMPLE = """example, on the vehicle as root, or with --root while its image is 
   /opt/faultline/bin/pip install faultline-*.whl
   /opt/faultline/bin/faultline install --dry-run
   /opt/faultline/bin/faultline install --interface can0 --bitrate 250000
-  cp fleet.pub /etc/faultline/keys/ && cp -r bundle /var/lib/faultline/bundle
+  cp fleet.pub /etc/faultline/keys/
+  /opt/faultline/bin/faultline bundle install bundle --into /var/lib/faultline-bundles/uds --keys /etc/faultline/keys
   systemctl daemon-reload && systemctl enable --now faultline
 
 The environment must not be in a home folder, which the service cannot see, and be made with --copies, as nothing but it
@@ -63,8 +64,8 @@ def main(argv: list[str]) -> int:
     if not options.dry_run:
         keys = options.root / CONFIG.parent.relative_to("/") / "keys"
         _made(keys)
-        print(f"then:  public keys of those who sign into {keys}, a signed bundle as the configuration says,")
-        print("       and systemctl daemon-reload && systemctl enable --now faultline")
+        print(f"then:  public keys of those who sign into {keys}, `faultline bundle install` where the configuration")
+        print("       says, and systemctl daemon-reload && systemctl enable --now faultline")
     return 0
 
 

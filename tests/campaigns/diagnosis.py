@@ -25,6 +25,7 @@ from diagnosis_visible import changes
 from results_page import digest, head_commit
 
 from service.bundle import Bundle
+from service.core.errors import InputError
 
 Record = dict[str, Any]
 
@@ -64,16 +65,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
-    """All recordings of one vehicle."""
+    """All recordings of one vehicle; none where the workshop's tuning refuses it: it is not put into service."""
     start, busy = time.monotonic(), time.process_time()
-    bundle = shop.bundle()
+    bundle, refused = None, None
+    try:
+        bundle = shop.bundle()
+    except InputError as error:
+        refused = str(error)
     return {
         "vehicle": shop.number,
         "set": shop.effects_set,
         "effects": hidden(shop.number, shop.effects_set),
         "doubts": shop.doubts,
-        "claim": shop.claim,
-        "judged": [_judged(shop, bundle, case) for case in wanted],
+        "refused": refused,
+        "claim": None if bundle is None else shop.claim,
+        "judged": [] if bundle is None else [_judged(shop, bundle, case) for case in wanted],
         "wall_s": round(time.monotonic() - start, 1),
         "cpu_s": round(time.process_time() - busy, 1),
     }
@@ -105,7 +111,7 @@ def is_made(number: int, wanted: Sequence[Case], records: Sequence[Record], code
     names = {case.name for case in wanted}
     return any(
         (record["vehicle"], record["code"], record["tuning"]) == (number, code, tuning)
-        and names <= {told["case"] for told in record["judged"]}
+        and (record.get("refused") or names <= {told["case"] for told in record["judged"]})
         for record in records
     )
 

@@ -42,6 +42,8 @@ one-sided bound of 95 %, from-to a two-sided interval of 95 %.
 
 def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = "") -> str:
     """The page of one set of hidden effects, as Markdown."""
+    refused = [f"truck-{record['vehicle']}" for record in records if record.get("refused")]
+    records = [record for record in records if not record.get("refused")]
     told = all_of([*records])
     free, of_others = fault_free(told, hours, records[0]["claim"]), excused(told)
     effects = {record["vehicle"]: [*record["effects"]] for record in records}
@@ -65,6 +67,11 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
     lines[0] += " hidden effects, or a zero of y_p_tp that is the tank's level; the workshop takes it all the same."
     blind = sum(one.cannot_tell for one in told) / len(told)
     lines.append(f"After the onset (in fault-free drives: throughout) {100 * blind:.1f} % of the tests could not tell.")
+    if refused:
+        lines.append(
+            f"Refused by the workshop's tuning, so in no figure: {', '.join(refused)}. They have no fault: hidden "
+            "effects move their residuals by more than the reference vehicles make plausible."
+        )
     for title, table in tables.items():
         if len(table) > HEADING:
             lines += ["", f"## {title}", "", *table]
