@@ -132,7 +132,7 @@ def shifted(manifest: Manifest, by: Array) -> Manifest:
     return msgspec.structs.replace(
         manifest,
         detectors=[shifted_detector(d, by[names.index(d.generator)]) for d in manifest.detectors],
-        evidence=shifted_evidence(manifest.evidence, by[[names.index(name) for name in manifest.evidence.generators]]),
+        evidence=shifted_evidence(manifest.evidence, names, by),
     )
 
 
@@ -141,9 +141,17 @@ def shifted_detector(detector: Detector, by: Array) -> Detector:
     return msgspec.structs.replace(detector, offset=(np.array(detector.offset) + by).tolist())
 
 
-def shifted_evidence(evidence: Evidence, by: Array) -> Evidence:
-    """The evidence with its offsets moved by (K, modes), K being its generators."""
-    return msgspec.structs.replace(evidence, offset=(np.array(evidence.offset) + by.T).tolist())
+def shifted_evidence(evidence: Evidence, names: Sequence[str], by: Array) -> Evidence:
+    """The evidence with its offsets, and those of its followers, moved by (T, modes) of the generators `names`."""
+    own = by[[names.index(name) for name in evidence.generators]]
+    return msgspec.structs.replace(
+        evidence,
+        offset=(np.array(evidence.offset) + own.T).tolist(),
+        followers=[
+            msgspec.structs.replace(f, offset=(np.array(f.offset) + by[names.index(f.generator)]).tolist())
+            for f in evidence.followers
+        ],
+    )
 
 
 def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import msgspec
@@ -12,11 +13,13 @@ import pytest
 
 from analysis.graph.runnable import Runnable
 from analysis.tuning.claim import claim, folds, rate_of, thresholds
+from analysis.tuning.claim import shifted as of_left_out
 from analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
 from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
 from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
 from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
+from service.bundle import load_bundle
 from service.core.detectors.bank import DetectorBank
 from service.core.generators import Residuals
 from service.core.manifest import MODES, Detector, Evidence, kind_of
@@ -297,3 +300,20 @@ def test_moving_a_recording_moves_each_mode_by_its_own() -> None:
     np.testing.assert_allclose(
         (moved(s, by).r - s.r)[s.mode == PARTIAL], [[1.0, 5.0]] * int((s.mode == PARTIAL).sum()), atol=1e-9
     )
+
+
+def test_a_left_out_vehicles_offsets_are_those_of_all_its_tests() -> None:
+    """Detectors, evidence and what follows from its day are moved together: else a test alarms from the start."""
+    manifest = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
+    names = [generator.name for generator in manifest.generators]
+    by = np.arange(float(len(names) * len(MODES))).reshape(len(names), len(MODES))
+    other = of_left_out(manifest, by)
+    assert manifest.evidence.followers
+    assert {*manifest.evidence.generators} | {f.generator for f in manifest.evidence.followers} == {*names}
+    for was, now in (
+        *zip(manifest.detectors, other.detectors, strict=True),
+        *zip(manifest.evidence.followers, other.evidence.followers, strict=True),
+    ):
+        assert np.array(now.offset) - was.offset == pytest.approx(by[names.index(was.generator)])
+    rows = [names.index(name) for name in manifest.evidence.generators]
+    assert np.array(other.evidence.offset) - manifest.evidence.offset == pytest.approx(by[rows].T)
