@@ -6,7 +6,6 @@ import re
 import subprocess
 from pathlib import Path
 
-import onnx
 import pytest
 from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
@@ -147,14 +146,6 @@ def test_a_dbc_that_cannot_feed_the_generators_is_refused(bundle: Path, content:
 def test_a_graph_that_is_none_is_refused(bundle: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     put(bundle, "ode.onnx", content)
     refused(bundle, r"ode\.onnx: .*; only graphs that `faultline export` wrote are run")
-    assert capfd.readouterr() == ("", "")
-
-
-def test_a_graph_that_does_not_run_is_refused(bundle: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    graph = onnx.load_model_from_string((bundle / "ode.onnx").read_bytes())
-    graph.graph.node[0].input[0] = "nothing"
-    put(bundle, "ode.onnx", graph.SerializeToString())
-    refused(bundle, r"ode\.onnx: no graph that onnxruntime .* runs: .*; export the bundle again")
     assert capfd.readouterr() == ("", "")
 
 
