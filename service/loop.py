@@ -24,6 +24,7 @@ from service.watched import Line
 IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
 ASKED_S = 0.005  # how often a bus that wakes nobody is asked
 LOOK_S = 1.0  # how often buses, signals and clocks are looked at
+QUEUED = 64  # batches: more than the longest queue holds
 LOSSES_S = 60.0  # how often losses are told where there are new ones
 ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tenth of a second at most
 
@@ -66,6 +67,7 @@ class Loop:
                     ready = selector.select(self._patience())
                     for line in self._lines:
                         self._tell(line.listen(self._clock()))
+                        self._register(line, selector)  # now: a subscriber may get the number of one that was closed
                     self._subscribers.serve(ready)
                     self._look()
                     self.heartbeat.beat()
@@ -114,8 +116,9 @@ class Loop:
         if moved.slept_s:
             self._say(f"the machine slept for {moved.slept_s:.0f} s; what was seen before is forgotten")
             for line in self._lines:
-                while line.bus.receive():
-                    continue  # queued before the sleep: of a time that is gone
+                for _ in range(QUEUED):
+                    if not line.bus.receive():  # queued before the sleep: of a time that is gone
+                        break
                 for bundle in line.bundles:
                     bundle.restart()
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -297,6 +298,29 @@ def test_a_bus_that_goes_and_comes_is_told_and_heard_again(
     assert [(line.seq, line.id) for line in lines] == [(1, "truck-1"), (2, "truck-2")]
     assert made.said[:2] == ["can0 the interface is not there", "all is well with buses and signals"]
     wire.close()
+
+
+def test_a_subscriber_may_get_the_descriptor_of_a_bus_that_went(told: Callable[[int], Told]) -> None:
+    """It connects in the very turn in which the bus is lost, and the kernel gives the lowest number that is free."""
+    made = told(1)
+    [wire] = made.wires
+    clients: list[socket.socket] = []
+
+    def lost_while_listening() -> None:
+        clients.append(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        clients[0].connect(str(made.path))
+        clients[0].sendall(b"{}\n")
+
+        def receive() -> list[Frame]:
+            if wire.trouble is None:
+                wire.pull()
+            return []
+
+        wire.receive = receive  # type: ignore[method-assign]
+
+    made.run(nothing, lost_while_listening, *[nothing] * 5)
+    assert clients[0].recv(4096).startswith(b'{"schema":"faultline.health/1"')
+    clients[0].close()
 
 
 def test_each_bundle_hears_its_own_bus(told: Callable[[int], Told]) -> None:
