@@ -25,6 +25,9 @@ from service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 
+TOWARDS_ZERO = 1e-3
+"""How much a day weighs that is not zero, beside a median that is not met: what leaves the mean of all days open."""
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -106,18 +109,44 @@ def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
 
 
 def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array | None = None) -> Array:
-    """The median residual (T, modes) of drives of one vehicle, `otherwise` (T, modes) where a mode was hardly seen.
+    """Where the residuals (T, modes) of a vehicle lie, `otherwise` (T, modes) where a mode was hardly seen.
 
-    Without `otherwise` the drives must show every mode (`check_modes`).
+    Every drive has a day of its own, which moves all modes by much more than these differ. So no mode may be that of
+    one day and another that of the next: the medians m of a drive's modes are
+
+        m[drive, mode] = offset[mode] + day[drive],  least squares, the days of all drives around zero.
+
+    Where every drive shows every mode the offset is the mean over drives. Without `otherwise` the drives must show
+    every mode (`check_modes`).
     """
     shape = drives[0].seen.usable.shape[1], len(MODES)
     found = np.full(shape, np.nan) if otherwise is None else otherwise.copy()
-    for row, mode in np.ndindex(shape):
-        r = np.concatenate([d.seen.r[d.seen.inside(row, stand_ins[mode]), row] for d in drives])
-        if len(r) >= MINIMUM_TICKS:
-            found[row, mode] = np.median(r)
+    for row in range(shape[0]):
+        of_drives = [[drive.seen.r[drive.seen.inside(row, mode), row] for mode in stand_ins] for drive in drives]
+        ticks = np.array([[len(r) for r in modes] for modes in of_drives])
+        medians = np.array([[np.median(r) if len(r) else 0.0 for r in modes] for modes in of_drives])
+        shown = ticks.sum(axis=0) >= MINIMUM_TICKS
+        found[row, shown] = without_days(medians, np.minimum(ticks / MINIMUM_TICKS, 1.0))[shown]
     assert np.isfinite(found).all(), "a mode is missing that nobody has checked"
     return found
+
+
+def without_days(medians: Array, weight: Array) -> Array:
+    """The offsets (modes,) of the medians (R, modes) of drives; a weight (R, modes) is zero where there is none.
+
+    >>> medians = np.array([[10.0], [-20.0], [40.0]]) + [1.0, 2.0, 3.0]
+    >>> np.round(without_days(medians, np.ones((3, 3))), 3).tolist()
+    [11.0, 12.0, 13.0]
+    >>> np.round(without_days(medians, np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]])), 3).tolist()
+    [11.0, 12.0, 13.0]
+    """
+    drives, modes = medians.shape
+    drive, mode = np.nonzero(weight)
+    terms = np.zeros((len(drive) + drives, modes + drives))
+    terms[np.arange(len(drive)), mode] = terms[np.arange(len(drive)), modes + drive] = weight[drive, mode]
+    terms[len(drive) :, modes:] = TOWARDS_ZERO * np.eye(drives)
+    values = np.concatenate([(weight * medians)[drive, mode], np.zeros(drives)])
+    return np.asarray(np.linalg.lstsq(terms, values, rcond=None)[0][:modes])
 
 
 def left_out_offset(vehicle: Vehicle, index: int, stand_ins: Sequence[int], otherwise: Array) -> Array:
