@@ -9,7 +9,7 @@ import numpy as np
 import onnxruntime as ort
 from onnxruntime.capi import onnxruntime_pybind11_state
 
-from service.bundle_files import BundleError, Trust, decode_json, one_line, whole
+from service.bundle_files import BundleError, Trust, Whole, decode_json, one_line, whole
 from service.core.consistency import uneven
 from service.core.dbc import compile_dbc
 from service.core.decode import DecodeTable
@@ -61,7 +61,12 @@ def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
         SignatureError: it is not signed by enough of those who are trusted.
     """
-    bundle_id, manifest, contents = whole(folder, trust)
+    return bundle_of(whole(folder, trust), folder)
+
+
+def bundle_of(given: Whole, folder: Path) -> Bundle:
+    """The bundle that these files of a folder are; raises as `load_bundle` does, and reads nothing more."""
+    bundle_id, manifest, contents = given
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name, content in graphs.items():

@@ -8,8 +8,11 @@ Seal and hashes protect against damage in copying and against mixing files of tw
 can change the manifest can seal it anew. Signatures (`service.signing`) do.
 """
 
+import errno
 import hashlib
+import os
 import re
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
@@ -27,6 +30,7 @@ SEAL = "manifest.sha256"
 SIGNATURE = re.compile(r"manifest\.[0-9A-F]{16}\.minisig")
 """Names of signatures, by the key's id: there may be several."""
 MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
+SIGNATURE_SIZE, MOST_SIGNATURES = 4096, 16
 
 
 class BundleError(InputError):
@@ -70,7 +74,7 @@ def whole(folder: Path, trust: Trust | None = None) -> Whole:
     """
     try:
         raw = _read(folder / MANIFEST, "is this a bundle folder made by `faultline export`?")
-        signatures = {path.name: _read(path, "") for path in folder.iterdir() if SIGNATURE.fullmatch(path.name)}
+        signatures = _signatures(folder)
         if trust is not None:
             trust.check(raw, folder, signatures)
         _check_seal(raw, folder)
@@ -84,12 +88,31 @@ def whole(folder: Path, trust: Trust | None = None) -> Whole:
     return Whole(hashlib.sha256(raw).hexdigest(), manifest, contents)
 
 
-def _read(path: Path, remedy: str) -> bytes:
-    if not path.is_file():
-        raise BundleError(f"{path}: not found; {remedy}")
-    if path.stat().st_size > MAXIMUM_SIZE:
-        raise BundleError(f"{path}: larger than {MAXIMUM_SIZE} bytes; this is no faultline bundle")
-    return path.read_bytes()
+def _signatures(folder: Path) -> dict[str, bytes]:
+    names = sorted(path.name for path in folder.iterdir() if SIGNATURE.fullmatch(path.name))
+    if len(names) > MOST_SIGNATURES:
+        raise BundleError(f"{folder}: {len(names)} signatures, {MOST_SIGNATURES} are the most; remove some")
+    return {name: _read(folder / name, "", SIGNATURE_SIZE) for name in names}
+
+
+def _read(path: Path, remedy: str, limit: int = MAXIMUM_SIZE) -> bytes:
+    """The file's bytes, of a plain file only: nothing is known of the folder yet, not even who made it."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno == errno.ENOENT:
+            raise BundleError(f"{path}: not found; {remedy}") from error
+        if error.errno == errno.ELOOP:
+            raise BundleError(f"{path}: is a link; a bundle has plain files only: copy it from its source") from error
+        raise
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise BundleError(f"{path}: is no plain file; {remedy}")
+    with os.fdopen(descriptor, "rb") as file:
+        raw = file.read(limit + 1)
+    if len(raw) > limit:
+        raise BundleError(f"{path}: larger than {limit} bytes; this is no faultline bundle")
+    return raw
 
 
 def _check_seal(raw: bytes, folder: Path) -> None:

@@ -11,6 +11,8 @@ from typing import NamedTuple
 STEP_S = 1.0
 """A wall clock that is off by less was trimmed, not set."""
 SLEEP_S = 1.0
+SAME_S, READINGS = 0.1, 5
+"""Clocks are read at one moment, or once more."""
 
 
 class Moved(NamedTuple):
@@ -44,5 +46,8 @@ class Clocks:
 
     def _now(self) -> tuple[float, float]:
         """How far the wall clock, and the one that does not stand still, are ahead of the monotonic one [s]."""
-        monotonic = self._monotonic()
-        return self._wall() - monotonic, self._boot() - monotonic
+        for _ in range(READINGS):
+            monotonic, wall, boot = self._monotonic(), self._wall(), self._boot()
+            if self._monotonic() - monotonic < SAME_S:  # else we were stopped between them
+                break
+        return wall - monotonic, boot - monotonic

@@ -4,15 +4,17 @@ import argparse
 import socket
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from service.bundle import Bundle, load_bundle, verify_golden
 from service.bundle_files import Trust
 from service.bus import open_bus
 from service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig, load_config
+from service.core.errors import InputError
 from service.loop import Loop
 from service.outputs.socket import EventSocket
+from service.reload import Reload
 from service.systemd import Notifier, Supervisor
 from service.watched import Line, watched
 
@@ -28,29 +30,28 @@ def main(argv: list[str]) -> int:
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
     trust = _trust(config)
-    bundles = [load_bundle(Path(each.path), trust) for each in config.bundle]
-    for bundle in bundles:
-        verify_golden(bundle)
+    bundles, refused = _loaded(config, trust)
     with ExitStack() as opened:
         subscribers = opened.enter_context(EventSocket(Path(config.events.socket)))
         lines = _lines(config, bundles, options.speed, required=options.config is None)
         for line in lines:
             opened.enter_context(line.bus)
-        loop = Loop(config.source, lines, subscribers, notifier, _say)
+        reload = None if options.config is None else Reload(options.config, config, lines, _trust, _say)
+        loop = Loop(config.source, lines, subscribers, notifier, _say, reload=reload, refused=refused)
         _say(
-            f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for each in bundles)}, "
+            f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for _, each in bundles)}, "
             f"bus {', '.join(bus.interface for bus in config.bus)}, events on {config.events.socket}"
             + (f", {options.speed:g}x" if options.speed != 1 else "")
         )
         with Supervisor(notifier, {"loop": loop.heartbeat}, _say):
-            notifier.tell(READY=1)
             loop.serve()
             notifier.tell(STOPPING=1)
     return 0
 
 
 def _say(text: str) -> None:
-    print(f"faultline run: {text}", file=sys.stderr, flush=True)
+    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+        print(f"faultline run: {text}", file=sys.stderr, flush=True)
 
 
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
@@ -95,12 +96,32 @@ def _trust(config: Config) -> Trust | None:
     return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 
 
-def _lines(config: Config, bundles: Sequence[Bundle], speed: float, *, required: bool) -> list[Line]:
+def _loaded(config: Config, trust: Trust | None) -> tuple[list[tuple[BundleConfig, Bundle]], list[str]]:
+    """The bundles, and the folders of those that are refused; raises InputError where none is left."""
+    loaded: list[tuple[BundleConfig, Bundle]] = []
+    refused: list[str] = []
+    for each in config.bundle:
+        try:
+            bundle = load_bundle(Path(each.path), trust)
+            verify_golden(bundle)
+        except InputError as error:
+            if each is config.bundle[-1] and not loaded:
+                raise
+            _say(f"left out: {error}")
+            refused.append(each.path)
+        else:
+            loaded.append((each, bundle))
+    return loaded, refused
+
+
+def _lines(
+    config: Config, bundles: Sequence[tuple[BundleConfig, Bundle]], speed: float, *, required: bool
+) -> list[Line]:
     """The buses, opened, each with what listens to it."""
     lines = []
     for bus in config.bus:
-        here = [bundle for bundle, each in zip(bundles, config.bundle, strict=True) if each.bus == bus.name]
+        here = [bundle for each, bundle in bundles if each.bus == bus.name]
         wanted = {one for bundle in here for one in bundle.table.wanted}
         opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
-        lines.append(Line(bus.name, opened, [watched(bundle, config.source, speed) for bundle in here]))
+        lines.append(Line(bus.name, opened, [watched(bundle, config.source, speed) for bundle in here], _say))
     return lines

@@ -17,12 +17,17 @@ EXAMPLE = """example, on the vehicle as root, or with --root while its image is 
   /opt/faultline/bin/faultline install --interface can0 --bitrate 250000
   cp fleet.pub /etc/faultline/keys/
   /opt/faultline/bin/faultline bundle install bundle --into /var/lib/faultline-bundles/uds --keys /etc/faultline/keys
+  systemd-sysusers && sysctl --system && networkctl reload
   systemctl daemon-reload && systemctl enable --now faultline
 
 The environment must not be in a home folder, which the service cannot see, and be made with --copies, as nothing but it
 and the system's libraries may be executed. A configuration that is there is left as it is.
 """
 
+START = (
+    "systemd-sysusers && sysctl --system && networkctl reload && systemctl daemon-reload && "
+    "systemctl enable --now faultline"
+)
 CONFIG = Path("/etc/faultline/faultline.toml")
 LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64")
 """Where shared libraries are; one that is not there is no error (`-` in the unit)."""
@@ -65,7 +70,7 @@ def main(argv: list[str]) -> int:
         keys = options.root / CONFIG.parent.relative_to("/") / "keys"
         _made(keys)
         print(f"then:  public keys of those who sign into {keys}, `faultline bundle install` where the configuration")
-        print("       says, and systemctl daemon-reload && systemctl enable --now faultline")
+        print(f"       says, and {START}")
     return 0
 
 
@@ -100,6 +105,7 @@ def _files(options: argparse.Namespace) -> Iterator[File]:
     yield File(system / "faultline.service", _text("faultline.service", words))
     yield File(CONFIG, _text("faultline.toml", words), keep=True)
     yield File(Path("/etc/sysctl.d/60-faultline.conf"), _text("sysctl.conf", words))
+    yield File(Path("/etc/sysusers.d/faultline.conf"), _text("sysusers.conf", words))
     if options.bitrate is not None:
         yield File(network / f"60-faultline-{options.interface}.network", _text("can.network", words))
     if options.virtual:
@@ -119,12 +125,15 @@ def _write(path: Path, text: str) -> None:
     _made(path.parent)
     try:
         path.write_text(text)
+        path.chmod(0o644)  # whatever the umask: the service runs as a user of its own
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; be root, or give another --root") from error
 
 
 def _made(folder: Path) -> None:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            folder.chmod(0o755)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}; be root, or give another --root") from error

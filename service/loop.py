@@ -41,23 +41,33 @@ class Loop:
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         clocks: Clocks | None = None,
+        reload: Callable[[Callable[[], None]], None] | None = None,
+        refused: Sequence[str] = (),
     ) -> None:
+        """`reload`, where given, is called when SIGHUP asks for it, with what to call so that we count as alive.
+
+        `refused` are the bundles that were left out.
+        """
         self._source, self._lines, self._subscribers = source, lines, subscribers
         self._notifier, self._say, self._clock = notifier, say, clock
         self._clocks = clocks or Clocks()
         self.heartbeat = Heartbeat(ALIVE_S, clock)
         self._conditions = Conditions()
+        self._refused = {Condition("bundle-refused", each) for each in refused}
         self._since: dict[Condition, str] = {}  # wall clock
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
         self._registered: dict[Line, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
         self._seq = 0
-        self._stopped = False
+        self._stopped = self._asked = self._ready = False
+        self._reload = reload
         self._printing = True
 
     def serve(self) -> None:
         """Serves until a signal to stop."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
+        if self._reload is not None:
+            signal.signal(signal.SIGHUP, self._ask)
         with selectors.DefaultSelector() as selector:
             self._subscribers.register(selector)
             try:
@@ -65,17 +75,34 @@ class Loop:
                     for line in self._lines:
                         self._register(line, selector)
                     ready = selector.select(self._patience())
+                    self._look_at_clocks()
                     for line in self._lines:
                         self._tell(line.listen(self._clock()))
                         self._register(line, selector)  # now: a subscriber may get the number of one that was closed
                     self._subscribers.serve(ready)
                     self._look()
+                    if self._asked:
+                        self._take_up()
                     self.heartbeat.beat()
+                    if not self._ready:
+                        self._notifier.tell(READY=1)
+                        self._ready = True
             finally:
                 self._tell_losses()
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
         self._stopped = True
+
+    def _ask(self, _number: int, _frame: FrameType | None) -> None:
+        self._asked = True
+
+    def _take_up(self) -> None:
+        """New bundles, between two turns; the service manager knows (systemd.service(5), `RELOADING=1`)."""
+        assert self._reload is not None
+        self._asked = False
+        self._notifier.tell(RELOADING=1, MONOTONIC_USEC=time.monotonic_ns() // 1000, STATUS="loading bundles")
+        self._reload(self.heartbeat.beat)
+        self._notifier.tell(READY=1)
 
     def _register(self, line: Line, selector: selectors.BaseSelector) -> None:
         """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
@@ -102,8 +129,7 @@ class Loop:
         if now < self._look_due:
             return
         self._look_due = now + LOOK_S
-        self._look_at_clocks()
-        present = set[Condition]().union(*(line.look(now) for line in self._lines))
+        present = self._refused.union(*(line.look(now) for line in self._lines))
         if self._conditions.update(now, present):
             self._tell_health()
         standing = "; ".join(_said(condition) for condition in self._conditions.standing)
@@ -155,9 +181,9 @@ class Loop:
             try:
                 sys.stdout.buffer.write(line)
                 sys.stdout.buffer.flush()
-            except BrokenPipeError:
+            except OSError as error:
                 self._printing = False
-                self._say("standard output is closed; events go on over the socket")
+                self._say(f"standard output: {error.strerror}; events go on over the socket")
 
 
 def _now() -> str:

@@ -161,11 +161,11 @@ def signers(raw: bytes, signatures: Mapping[str, bytes], keys: Mapping[bytes, Pu
     Raises:
         SignatureError: a file (its content by its path) is no signature, or one of a trusted key not of these bytes.
     """
-    found: dict[bytes, PublicKey] = {}
+    found: dict[bytes, PublicKey] = {}  # by the key itself: an id is only what a file says
     for where, signature in signatures.items():
         if _signature(signature, where).key_id in keys:
             key = verify(raw, signature, where, keys)
-            found[key.id] = key
+            found[key.key] = key
     return [*found.values()]
 
 

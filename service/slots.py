@@ -2,14 +2,19 @@
 
     DIR/a  DIR/b        the slots, each a bundle's folder or absent
     DIR/current         a link to one of them; replaced in one step, so that it always leads to a whole bundle
-    DIR/floor.json      the highest version that was ever current: nothing older is taken, whoever has signed it
+    DIR/floor.json      the name of the bundle and the highest version that was ever current: nothing older is taken,
+                        and nothing of another name, whoever has signed it
+    DIR/lock            held while one is installed: one at a time
 
 Whatever happens in between, a power cut too, the current bundle stays as it is until the new one is whole on the disk.
+Everybody may read what is written, whatever the umask: the service runs as a user of its own.
 """
 
+import fcntl
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +25,7 @@ from service.bundle_files import Trust, Whole, whole
 from service.core.errors import InputError
 
 SLOTS = ("a", "b")
-CURRENT, FLOOR = "current", "floor.json"
+CURRENT, FLOOR, LOCK = "current", "floor.json", "lock"
 
 
 class SlotError(InputError):
@@ -28,6 +33,7 @@ class SlotError(InputError):
 
 
 class _Floor(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
     version: Annotated[int, Meta(ge=0)]
     id: str
 
@@ -62,11 +68,35 @@ class Slots:
 
         Raises:
             BundleError, SignatureError: it is not whole or not signed.
-            SlotError: it is older than the floor, or cannot be written.
+            SlotError: it is older than the floor or of another name, another one is being installed, or it cannot be
+                written.
             InputError: it fails its trial. The current bundle is untouched in every case.
         """
         given = whole(source, trust)
-        self._check_floor(given, source)
+        with self._alone():
+            self._check_floor(given, source)
+            self._install(given, trial)
+        return given
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Nobody else installs here meanwhile."""
+        path = self._folder / LOCK
+        try:
+            _made(self._folder)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise SlotError(f"{path}: cannot be written: {error.strerror}; be root, or give another --into") from error
+        try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise SlotError(f"{self._folder}: another bundle is being installed; wait for that") from error
+            yield
+        finally:
+            os.close(descriptor)
+
+    def _install(self, given: Whole, trial: Callable[[Path], None]) -> None:
         slot = SLOTS[1] if self.current == SLOTS[0] else SLOTS[0]
         path = self._folder / slot
         try:
@@ -75,19 +105,21 @@ class Slots:
             self._raise_floor(given)
             self._swap(slot)
         except OSError as error:
+            shutil.rmtree(_new(path), ignore_errors=True)  # a disk that is full is not to stay so
             raise SlotError(
                 f"{error.filename or path}: cannot be written: {error.strerror}; is the disk full?"
             ) from error
         except InputError:
             shutil.rmtree(path, ignore_errors=True)
             raise
-        return given
 
     def _check_floor(self, given: Whole, source: Path) -> None:
         floor = self._floor()
         if floor is None:
             return
-        version = given.manifest.version
+        name, version = given.manifest.name, given.manifest.version
+        if name != floor.name:
+            raise SlotError(f"{source}: is {name!r}, and {floor.name!r} is what is installed here; give another --into")
         if version < floor.version:
             raise SlotError(
                 f"{source}: version {version} is older than {floor.version}, which was there before; "
@@ -103,21 +135,30 @@ class Slots:
         try:
             return msgspec.json.decode(path.read_bytes(), type=_Floor)
         except FileNotFoundError:
-            return None
+            return self._current_floor()
         except (OSError, msgspec.MsgspecError) as error:
             raise SlotError(
                 f"{path}: cannot be read ({error}); put it right by hand: it keeps old bundles out"
             ) from error
 
+    def _current_floor(self) -> _Floor | None:
+        """Where the file is lost: what is current was taken once."""
+        current = self.current
+        if current is None:
+            return None
+        here = whole(self._folder / current)
+        return _Floor(here.manifest.name, here.manifest.version, here.id)
+
     def _raise_floor(self, given: Whole) -> None:
-        _written(self._folder / FLOOR, msgspec.json.encode(_Floor(given.manifest.version, given.id)))
+        floor = _Floor(given.manifest.name, given.manifest.version, given.id)
+        _written(self._folder / FLOOR, msgspec.json.encode(floor))
 
     def _put(self, given: Whole, path: Path) -> None:
         """The bundle's files and its signatures, whole on the disk."""
-        new = path.with_name(f".{path.name}.new")
+        new = _new(path)
         for folder in (new, path):
             shutil.rmtree(folder, ignore_errors=True)
-        new.mkdir(parents=True)
+        _made(new)
         for name, content in given.contents.items():
             _written(new / name, content)
         _synced(new)
@@ -132,10 +173,23 @@ class Slots:
         _synced(self._folder)
 
 
+def _new(path: Path) -> Path:
+    """Where it is made before it gets its name."""
+    return path.with_name(f".{path.name}.new")
+
+
+def _made(folder: Path) -> None:
+    """The folder, which everybody may look into."""
+    if not folder.exists():
+        folder.mkdir(parents=True)
+        folder.chmod(0o755)
+
+
 def _written(path: Path, content: bytes) -> None:
     """The file, on the disk, whole or not at all."""
-    new = path.with_name(f".{path.name}.new")
+    new = _new(path)
     with new.open("wb") as file:
+        os.fchmod(file.fileno(), 0o644)
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -10,6 +10,9 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
+READY_S = 5.0
+"""For so long a manager may be too busy to take that we are ready."""
+
 FEEDS = 3
 """The watchdog is fed so many times in its time."""
 
@@ -28,7 +31,7 @@ class Notifier:
             return
         content = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in states.items()).encode()
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
-            sock.setblocking(False)
+            sock.settimeout(READY_S if "READY" in states else 0.0)  # the others are told again soon
             try:
                 sock.sendto(content, self._address)
             except OSError:  # its queue is full, or it is being replaced: the next feed comes soon

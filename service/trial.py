@@ -1,8 +1,10 @@
-"""A bundle is tried in a process of its own, with little memory and little time: load it, compute its golden vectors.
+"""A bundle is tried in a process of its own, with little memory, little time and no rights, before a service runs it.
 
-A graph may be signed and still ask for more memory than there is, or for ever: that ends the trial and nothing else.
+It is loaded, its golden vectors are computed, and decided on. A graph may be signed and still ask for more memory than
+there is, or for ever: that ends the trial and nothing else.
 """
 
+import os
 import resource
 import subprocess
 import sys
@@ -10,8 +12,9 @@ from pathlib import Path
 
 from service.core.errors import InputError
 
-MEMORY = 1 << 30  # bytes of data; a bundle takes a tenth
+MEMORY = 320 << 20  # bytes of data, of which a thread's stack is 8 MiB; the service may have 256 MiB in real memory
 CPU_S = 60
+NOBODY = 65534
 PATIENCE_S = 120.0
 
 _CHILD = "import sys; from service.trial import child; sys.exit(child(sys.argv[1]))"
@@ -43,19 +46,43 @@ def trial(folder: Path, memory: int = MEMORY, cpu_s: int = CPU_S, patience_s: fl
         said = done.stderr.decode(errors="replace").strip().splitlines()
         why = said[-1][:500] if said else "it said nothing"
         killed = f"killed by signal {-done.returncode}: " if done.returncode < 0 else ""
-        raise InputError(f"{folder}: failed its trial ({MEMORY >> 20} MiB, {cpu_s} s of a processor): {killed}{why}")
+        raise InputError(f"{folder}: failed its trial ({memory >> 20} MiB, {cpu_s} s of a processor): {killed}{why}")
 
 
 def child(folder: str) -> int:
     """What the process does; returns its exit code."""
-    from service.bundle import load_bundle, verify_golden
+    import numpy as np
+
+    from service.bundle import Bundle, bundle_of, verify_golden
+    from service.bundle_files import whole
+    from service.core.decision import Decision
+    from service.core.modes import ModeTracker
+
+    def decides(bundle: Bundle) -> None:
+        manifest, bank = bundle.manifest, bundle.bank()
+        tracker, decision = ModeTracker(manifest.modes, manifest.inputs), Decision(manifest)
+        usable = np.ones(len(manifest.inputs), dtype=np.bool_)
+        for tick, z in enumerate(map(np.array, bundle.golden.z)):
+            decision.update(tick, tracker.update(z, usable), bank.step(z, usable))
 
     try:
-        verify_golden(load_bundle(Path(folder)))
+        given = whole(Path(folder))
+        _give_up_rights()
+        bundle = bundle_of(given, Path(folder))
+        verify_golden(bundle)
+        decides(bundle)
     except (InputError, MemoryError) as error:
         print(" ".join(str(error).split()) or "too little memory", file=sys.stderr)
         return 1
     return 0
+
+
+def _give_up_rights() -> None:
+    """Root's, once all that is read has been read."""
+    if os.geteuid() == 0:
+        os.setgroups([])
+        os.setgid(NOBODY)
+        os.setuid(NOBODY)
 
 
 def _limit(memory: int, cpu_s: int) -> None:

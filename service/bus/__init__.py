@@ -34,6 +34,8 @@ def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = 
         from service.bus.pythoncan import PythonCan
 
         interface, channel, bitrate = other.groups()
+        if interface in _OWN:
+            raise BusError(f"{spec}: give {interface}:NAME, which is told what the kernel loses")
         return PythonCan(interface, channel, int(bitrate) if bitrate else None, required=required)
     raise BusError(
         f"no bus {spec!r}; give socketcan:NAME (as socketcan:can0), can:INTERFACE:CHANNEL of python-can, or "
@@ -48,6 +50,9 @@ def socketcan_available(name: str) -> bool:
     except BusError:
         return False
     return True
+
+
+_OWN = ("socketcan", "udp_multicast")
 
 
 def _is_group(address: str) -> bool:

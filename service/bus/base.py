@@ -8,10 +8,12 @@ import socket
 import struct
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal
 
+from service.core.decode import Wanted
 from service.core.errors import InputError
 from service.logs import Frame
 
@@ -21,8 +23,9 @@ BATCH = 512
 QUEUE = 4 * 1024 * 1024
 """Bytes of receive queue asked of the kernel, which grants at most net.core.rmem_max."""
 
-OLDEST_S = 5.0  # a longer wait than the queue can hold is a clock that was set
-NEWEST_S = 1.0  # frames come while the queue is emptied; a stamp further ahead is one of a clock that was set
+SLACK_S = 0.1
+"""No frame has come before the queue was seen empty, nor after it was read: a stamp that says so, by more than this, is
+of a clock that was set."""
 
 SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 TIMESPEC = struct.Struct("@ll")
@@ -57,12 +60,14 @@ class Counts:
 
 
 class Bus(ABC):
-    """Receives without blocking, and sends. `trouble` is None while it is well."""
+    """Receives without blocking, and sends. `trouble` is None while it is well; `why` says more, once."""
 
     def __init__(self) -> None:
         self.counts = Counts()
         self.trouble: Trouble | None = None
+        self.why = ""  # it could not be opened, the last time
         self._last = 0.0  # time of the newest frame; frames never go back
+        self._empty = time.monotonic()  # when no frame waited, the last time that was seen
 
     @abstractmethod
     def fileno(self) -> int:
@@ -85,6 +90,9 @@ class Bus(ABC):
         Is called every second or so even if nothing waits: a bus that is lost is looked for here.
         """
 
+    def want(self, wanted: Sequence[Wanted]) -> None:  # noqa: B027 most buses give every frame anyhow
+        """From now on these frames are wanted, where the bus can tell them apart."""
+
     @abstractmethod
     def send(self, frame: Frame) -> None:
         """Sends now, whatever the frame's time; raises `BusError` if the bus does not take it."""
@@ -103,8 +111,9 @@ class Bus(ABC):
 
     def _arrival(self, stamp: float) -> float:
         """Monotonic time [s] of a wall-clock stamp that is a moment old, never before the last frame's."""
-        now, waited = time.monotonic(), time.time() - stamp
-        self._last = max(self._last, now - waited if 0.0 <= waited < OLDEST_S else now)
+        now = time.monotonic()
+        t = now - (time.time() - stamp)
+        self._last = max(self._last, t if self._empty - SLACK_S <= t <= now else now)
         return self._last
 
 

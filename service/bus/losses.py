@@ -10,12 +10,12 @@ class Losses:
     """Counts of one bus and of the tables that decode its frames, in words."""
 
     def __init__(self, bus: Bus, tables: Sequence[DecodeTable]) -> None:
-        self._bus, self._tables = bus, tables
+        self._bus, self.tables = bus, tables
         self._told: dict[str, int] = {}
 
     def news(self) -> str | None:
         """All that was lost since the start, where that is more than when it was last asked for."""
-        counts, rejected = self._bus.counts, [table.rejected for table in self._tables]
+        counts, rejected = self._bus.counts, [table.rejected for table in self.tables]
         now = {
             "frames dropped by the kernel": self._bus.dropped,
             "remote frames": counts.remote,

@@ -41,9 +41,10 @@ class PythonCan(Bus):
         self._wait, self._due = RETRY_S, clock() + RETRY_S
         try:
             self._open()
-        except BusError:
+        except BusError as error:
             if required:
                 raise
+            self.why = str(error)
             self.trouble = "removed"
 
     @property
@@ -65,6 +66,7 @@ class PythonCan(Bus):
         if self._bus is None and not self._try_again():
             return []
         frames: list[Frame] = []
+        begun = time.monotonic()
         for _ in range(BATCH):
             try:
                 message = self._bus.recv(0.0) if self._bus is not None else None
@@ -72,6 +74,7 @@ class PythonCan(Bus):
                 self._lose()
                 break
             if message is None:
+                self._empty = begun
                 break
             if message.is_error_frame:
                 self.counts.errors += 1
@@ -123,7 +126,8 @@ class PythonCan(Bus):
             return False
         try:
             self._open()
-        except BusError:
+        except BusError as error:
+            self.why = str(error)
             self._wait = min(2.0 * self._wait, LONGEST_RETRY_S)
             self._due = now + self._wait
             return False

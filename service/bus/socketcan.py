@@ -8,9 +8,9 @@ import errno
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
-from service.bus.base import BATCH, NEWEST_S, OLDEST_S, QUEUE, Bus, BusError
+from service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
 from service.bus.error_frame import read_error
 from service.bus.interface import Interface, interface
 from service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
@@ -23,6 +23,7 @@ ERROR_CLASSES = 0x1FFF_FFFF & ~0x80  # all but bus errors, which may come as fas
 
 PATIENCE_S = 1.0  # how long a full sending queue may stay full
 LOOK_S = 1.0  # how often the interface is looked at: what was removed while it was down says nothing
+PASSIVE_S = 60.0  # frames and no error frame for so long, and the controller is no longer passive
 RETRY_S, LONGEST_RETRY_S = 0.2, 5.0  # a lost interface is tried again after that, twice as long each time
 
 _SHORTAGE = (errno.ENOBUFS, errno.ENOMEM)
@@ -76,13 +77,15 @@ class SocketCan(Bus):
         self._read: Reader | None = None
         self._at: Interface | None = None  # what the socket is bound to
         self._local = believe_local  # whether what processes of this machine send is taken
+        self._error_at = 0.0
         self._dropped = self._dropped_before = 0  # by this socket and by those before it
         self._wait, self._due = RETRY_S, clock() + RETRY_S
         try:
             self._open()
-        except BusError:
+        except BusError as error:
             if required:
                 raise
+            self.why = str(error)
             self._absent()
 
     @property
@@ -97,11 +100,14 @@ class SocketCan(Bus):
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames."""
         self._check()
+        begun = time.monotonic()
         messages = self._messages()
         frames: list[Frame] = []
         now = time.monotonic()
         apart, last = now - time.time(), self._last
-        earliest, latest = now - OLDEST_S, now + NEWEST_S
+        earliest, latest = self._empty - SLACK_S, now + SLACK_S
+        if len(messages) < BATCH:
+            self._empty = begun
         for identifier, data, is_local, stamp, drops in messages:
             if drops is not None:
                 self._dropped = drops  # cumulative
@@ -131,7 +137,9 @@ class SocketCan(Bus):
         return []
 
     def _heard(self) -> None:
-        if self.trouble in ("down", "bus-off"):
+        """A frame came: the bus is back. A controller may be well again without saying so."""
+        passive = self.trouble == "error-passive"
+        if not passive or self._clock() - self._error_at > PASSIVE_S:
             self.trouble = None
 
     def _no_frame(self, identifier: int, data: bytes | None, is_local: bool) -> None:
@@ -146,6 +154,7 @@ class SocketCan(Bus):
 
     def _error(self, identifier: int, data: bytes) -> None:
         self.counts.errors += 1
+        self._error_at = self._clock()
         news = read_error(identifier, data)
         self._dropped_before += news.overflow  # one at least: the controller does not count them
         if news.changed:
@@ -184,7 +193,8 @@ class SocketCan(Bus):
     def _try_again(self, now: float) -> None:
         try:
             self._open()
-        except BusError:
+        except BusError as error:
+            self.why = str(error)
             self._absent()
             self._wait = min(2.0 * self._wait, LONGEST_RETRY_S)
             self._due = now + self._wait
@@ -210,6 +220,12 @@ class SocketCan(Bus):
         self.counts.removals += 1
         self.trouble = "removed"
         self._due = self._clock() + self._wait
+
+    def want(self, wanted: Sequence[Wanted]) -> None:
+        """The kernel gives these from now on, and no others."""
+        self._wanted = tuple(wanted)
+        if self._socket is not None and self._wanted:
+            self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, can_filters(self._wanted))
 
     def send(self, frame: Frame) -> None:
         """Sends; waits up to a second for room in a full queue."""

@@ -7,6 +7,7 @@ that the routes say: python-can's tools listen and send here after `ip route add
 
 import os
 import socket
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +48,10 @@ class UdpMulticast(Bus):
         super().__init__()
         self._name = f"udp_multicast:{group}:{port}"
         self._address = (group, port)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        except OSError as error:  # a service that may use no network
+            raise BusError(f"{self._name}: {error.strerror}; it is for trials by hand, not for the service") from error
         try:
             _configure(self._socket, self._address)
         except OSError as error:
@@ -72,10 +76,12 @@ class UdpMulticast(Bus):
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames; raises `BusError` where none will ever come again."""
         frames: list[Frame] = []
+        begun = time.monotonic()
         for _ in range(BATCH):
             try:
                 content, extras, _flags, _address = self._socket.recvmsg(LARGEST, 256, socket.MSG_DONTWAIT)
             except BlockingIOError:
+                self._empty = begun
                 break
             except OSError as error:
                 raise BusError(f"{self._name}: lost: {error.strerror}") from error

@@ -39,7 +39,10 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
         for signal in wanted:
             carriers[signal.name].append(message.name)
         if wanted:
-            identifier = message.frame_id & PRIORITY_MASK if message.is_extended_frame else message.frame_id
+            j1939 = message.is_extended_frame and message.protocol == "j1939"
+            identifier = message.frame_id & PRIORITY_MASK if j1939 else message.frame_id
+            if (before := layouts.get((identifier, message.is_extended_frame))) is not None:
+                raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
             layouts[identifier, message.is_extended_frame] = _layout(message, identifier, wanted, units, where)
     _check_carriers(carriers, where)
     return DecodeTable(layouts)

@@ -16,7 +16,7 @@ PRIORITY_MASK = 0x03FF_FFFF
 """Bits of a 29-bit identifier below the priority: data page, PGN and source address."""
 GROUP_MASK = 0x03FF_FF00
 """The same without the source address."""
-STANDARD = 0x7FF
+STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
 
 _GOOD = Quality.GOOD
 _FLOATS = {16: struct.Struct(">e"), 32: struct.Struct(">f"), 64: struct.Struct(">d")}
@@ -109,7 +109,7 @@ Plain = tuple[str, int, int, int, int, float, float, Field]
 class Layout:
     """One message, of `size` bytes and sent every `period_s` [s] if that is known.
 
-    `identifier` is without priority if it has 29 bits; `j1939` says that some raw values are no numbers.
+    `identifier` is without priority if it is one of J1939; `j1939` says that some raw values are no numbers.
     """
 
     name: str
@@ -119,12 +119,14 @@ class Layout:
     period_s: float | None
     fields: InitVar[Sequence[Field]]
     selectors: tuple[Selector, ...] = ()
+    signals: tuple[str, ...] = field(init=False)
     plain: tuple[Plain, ...] = field(init=False)
     others: tuple[Field, ...] = field(init=False)
     is_plain: bool = field(init=False)
 
     def __post_init__(self, fields: Sequence[Field]) -> None:
         """Most signals are integers from the right that are always there: their numbers are read without a call."""
+        object.__setattr__(self, "signals", tuple(one.name for one in fields))
         plain = [one for one in fields if one.is_plain]
         object.__setattr__(self, "plain", tuple(one.plain(self.j1939) for one in plain))
         object.__setattr__(self, "others", tuple(one for one in fields if not one.is_plain))
@@ -152,32 +154,33 @@ class DecodeTable:
     """
 
     def __init__(self, layouts: Mapping[tuple[int, bool], Layout]) -> None:
-        """`layouts` by identifier, a 29-bit one without priority, and whether it has 29 bits."""
-        self._extended = {identifier: layout for (identifier, extended), layout in layouts.items() if extended}
-        self._standard = {identifier: layout for (identifier, extended), layout in layouts.items() if not extended}
-        self._groups = {
-            identifier & GROUP_MASK: layout for identifier, layout in self._extended.items() if layout.j1939
-        }
+        """`layouts` by identifier, one of J1939 without priority, and whether it has 29 bits."""
+        extended = {identifier: layout for (identifier, is_extended), layout in layouts.items() if is_extended}
+        self._j1939 = {identifier: layout for identifier, layout in extended.items() if layout.j1939}
+        self._other = {identifier: layout for identifier, layout in extended.items() if not layout.j1939}
+        self._standard = {n: layout for (n, is_extended), layout in layouts.items() if not is_extended}
+        self._groups = {identifier & GROUP_MASK: layout for identifier, layout in self._j1939.items()}
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.rejected = Rejected()
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
         """Of every message that carries wanted signals."""
-        return (*self._extended.values(), *self._standard.values())
+        return (*self._j1939.values(), *self._other.values(), *self._standard.values())
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
         """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
-        groups = {
-            Wanted(n & (GROUP_MASK if each.j1939 else PRIORITY_MASK), GROUP_MASK if each.j1939 else PRIORITY_MASK, True)
-            for n, each in self._extended.items()
-        }
-        return tuple(sorted(groups | {Wanted(n, STANDARD, False) for n in self._standard}))
+        groups = {Wanted(n, GROUP_MASK, True) for n in self._groups}
+        others = {Wanted(n, EXTENDED, True) for n in self._other} | {Wanted(n, STANDARD, False) for n in self._standard}
+        return tuple(sorted(groups | others))
 
     def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
         """Name, value and quality of every wanted signal in the frame; empty where it carries none or is too short."""
-        layout = self._extended.get(can_id & PRIORITY_MASK) if is_extended else self._standard.get(can_id)
+        if is_extended:
+            layout = self._j1939.get(can_id & PRIORITY_MASK) or self._other.get(can_id)
+        else:
+            layout = self._standard.get(can_id)
         if layout is None:
             if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
                 _count(self.rejected.other_source, group.name)

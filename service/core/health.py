@@ -27,6 +27,8 @@ Kind = Literal[
     "second-sender",
     "short-frames",
     "unknown-selector",
+    "bundle-failed",
+    "bundle-refused",
 ]
 
 MEANINGS: dict[Kind, str] = {
@@ -45,6 +47,8 @@ MEANINGS: dict[Kind, str] = {
     "second-sender": "is sent by more than one",
     "short-frames": "is shorter than in the DBC",
     "unknown-selector": "is multiplexed by a value that the DBC does not have",
+    "bundle-failed": "could not be computed, and has begun anew",
+    "bundle-refused": "is damaged, not signed, or not for this faultline: nothing of it runs",
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""
 

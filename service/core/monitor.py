@@ -3,7 +3,7 @@
 Live, in replay and offline the same frames at the same times give the same events.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 
 from service.core.decision import Decision
 from service.core.decode import DecodeTable
@@ -32,9 +32,10 @@ class Monitor:
         bundle_id: str,
         watch: Callable[[Tick, Decision], None] | None = None,
     ) -> None:
+        self._sampler = Sampler(manifest.inputs)
         self._observer = Observer(
             table,
-            Sampler(manifest.inputs),
+            self._sampler,
             ModeTracker(manifest.modes, manifest.inputs),
             bank,
             manifest.period_s,
@@ -60,6 +61,14 @@ class Monitor:
             yield from self.frame(t_s, can_id, is_extended, data)
         if t_s is not None:
             yield from self.advance(t_s)
+
+    def rename(self, bundle_id: str) -> None:
+        """Goes on under another bundle that decides alike (`service.core.alike`)."""
+        self._teller.bundle = bundle_id
+
+    def doubt(self, signals: Collection[str]) -> None:
+        """These signals are not believed from now on, though they come: there is more than one sender of them."""
+        self._sampler.doubt(signals)
 
     @property
     def quality(self) -> Qualities | None:

@@ -4,7 +4,7 @@ A sample is the last value received at or before the tick, with its quality. The
 evaluation and the vehicle.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -27,11 +27,16 @@ class Sampler:
         self._quality = np.full(len(inputs), Quality.MISSING, dtype=np.int8)
         self._heard = [np.nan] * len(inputs)  # the last number, believed or not
         self._changed = [-np.inf] * len(inputs)  # when it became another one, or came into the operating region
+        self._doubted = np.zeros(len(inputs), dtype=np.bool_)
 
     @property
     def complete(self) -> bool:
         """Whether every input has been received with a usable value at least once."""
         return not np.isnan(self._value).any()
+
+    def doubt(self, signals: Collection[str]) -> None:
+        """These are `DOUBTED` from now on, whatever is received; the others are not."""
+        self._doubted[:] = [channel.signal in signals for channel in self._inputs]
 
     def receive(self, signal: str, t: float, value: float, quality: Quality) -> None:
         """Takes a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
@@ -49,7 +54,9 @@ class Sampler:
         A value that is not good is the last good one, or NaN where there never was one.
         """
         late = (t - self._time > self._maximum_age) & (self._quality != Quality.MISSING)
-        return self._value.copy(), np.where(late, np.int8(Quality.LATE), self._quality)
+        quality = np.where(late, np.int8(Quality.LATE), self._quality)
+        doubted = self._doubted & (quality == Quality.GOOD)
+        return self._value.copy(), np.where(doubted, np.int8(Quality.DOUBTED), quality)
 
     def _plausible(self, column: int, t: float, value: float) -> Quality:
         """Whether a sensor gives such a number after those before it.
@@ -58,12 +65,14 @@ class Sampler:
         """
         channel, before = self._inputs[column], self._heard[column]
         self._heard[column] = value
-        if value != before or not channel.lower < value < channel.upper:
+        gap = t - self._time[column]
+        away = gap > channel.maximum_age_s  # nobody knows what it was meanwhile
+        if value != before or away or not channel.lower < value < channel.upper:
             self._changed[column] = t
         if channel.frozen_s is not None and t - self._changed[column] > channel.frozen_s:
             return Quality.FROZEN
-        step, gap = channel.largest_step, t - self._time[column]
-        if step is not None and gap <= channel.maximum_age_s and self._quality[column] != Quality.MISSING:
+        step = channel.largest_step
+        if step is not None and not away and self._quality[column] != Quality.MISSING:
             near = min(abs(value - before), abs(value - float(self._value[column])))
             if near > step:
                 return Quality.JUMP

@@ -18,6 +18,7 @@ class Quality(IntEnum):
     floating-point number that is none; `OUT_OF_RANGE` is beyond what the DBC allows. `MISSING` has never been received,
     `LATE` not for longer than is useful. `FROZEN` and `JUMP` are numbers that no sensor of the kind gives: one that has
     not changed for longer, or is further from those before, than was ever seen without a fault.
+    `DOUBTED` is one of more than one sender: nobody knows whose.
     """
 
     GOOD = 0
@@ -29,6 +30,7 @@ class Quality(IntEnum):
     LATE = 6
     FROZEN = 7
     JUMP = 8
+    DOUBTED = 9
 
 
 def j1939_quality(raw: int, length: int) -> Quality:

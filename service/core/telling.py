@@ -68,7 +68,7 @@ class Teller:
 
     def __init__(self, source: str, bundle_id: str, period_s: float) -> None:
         self._source = source
-        self._bundle = bundle_id
+        self.bundle = bundle_id
         self._period = period_s
         self._seq = 0
         self._told: Settled[Told] = Settled(Told(False, []))
@@ -105,7 +105,7 @@ class Teller:
             alarm=decision.alarm,
             cannot_tell=decision.cannot_tell,
             since_tick=decision.since,
-            bundle=self._bundle,
+            bundle=self.bundle,
             suspected=decision.suspected,
             intermittent=decision.intermittent,
         )

@@ -26,6 +26,7 @@ _WORTH: Mapping[int, Kind] = {
     Quality.FROZEN: "frozen",
     Quality.JUMP: "jump",
 }
+"""What is `DOUBTED` has been found here."""
 
 
 class Traffic:
@@ -45,14 +46,20 @@ class Traffic:
         total = sum(self._table.taken.values())
         if total > self._total:
             self._total, self._heard = total, t
-        if t - self._heard >= EXPECTED_S:
-            return {Condition("no-traffic", ", ".join(self._messages))}
         if t - self._begin >= WINDOW_S:
             before, self._counts = self._counts, self._snapshot()
             self._found = {*self._in_window(t - self._begin, before)}
             self._begin = t
+        if t - self._heard >= EXPECTED_S:
+            return self._found | {Condition("no-traffic", ", ".join(self._messages))}
         worth = [] if quality is None else zip(self._signals, quality.tolist(), strict=True)
         return self._found | {Condition(_WORTH[q], signal) for signal, q in worth if q in _WORTH}
+
+    @property
+    def doubted(self) -> frozenset[str]:
+        """The signals of messages that more than one sends, as far as the last window showed."""
+        doubted = [self._messages[each.of] for each in self._found if each.kind == "second-sender"]
+        return frozenset(signal for layout in doubted for signal in layout.signals)
 
     def _in_window(self, seconds: float, before: Mapping[str, Mapping[str, int]]) -> Iterator[Condition]:
         now = self._counts

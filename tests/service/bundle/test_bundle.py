@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -96,7 +97,7 @@ def test_many_files_too_many_are_told_in_one_short_line(bundle: Path) -> None:
 def test_a_folder_in_the_place_of_a_file_is_refused(bundle: Path) -> None:
     (bundle / "ode.onnx").unlink()
     (bundle / "ode.onnx").mkdir()
-    refused(bundle, r"ode\.onnx: not found; the manifest lists it")
+    refused(bundle, r"ode\.onnx: is no plain file; the manifest lists it")
 
 
 @pytest.mark.parametrize("name", [*FILES, "manifest.json", "manifest.sha256"])
@@ -106,11 +107,35 @@ def test_a_file_of_absurd_size_is_not_even_read(bundle: Path, name: str) -> None
     refused(bundle, f"{name}: larger than 67108864 bytes")
 
 
+@pytest.mark.parametrize("name", [*FILES, "manifest.json"])
+def test_a_link_is_not_followed(bundle: Path, name: str) -> None:
+    """Nobody has looked at the folder yet: the link may lead to what its sender may not read."""
+    (bundle / name).rename(bundle.parent / "elsewhere")
+    (bundle / name).symlink_to(bundle.parent / "elsewhere")
+    refused(bundle, f"{name}: is a link")
+
+
+def test_what_never_ends_is_not_waited_for(bundle: Path) -> None:
+    (bundle / "manifest.json").unlink()
+    os.mkfifo(bundle / "manifest.json")
+    refused(bundle, "is no plain file")
+
+
+def test_signatures_are_few_and_small(bundle: Path) -> None:
+    for number in range(17):
+        (bundle / f"manifest.{number:016X}.minisig").write_bytes(b"x")
+    refused(bundle, "17 signatures, 16 are the most")
+    for number in range(1, 17):
+        (bundle / f"manifest.{number:016X}.minisig").unlink()
+    (bundle / f"manifest.{0:016X}.minisig").write_bytes(bytes(5000))
+    refused(bundle, "larger than 4096 bytes")
+
+
 def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(path: Path) -> bytes:
+    def broken(path: Path, _flags: int) -> int:
         raise OSError(5, "Input/output error", str(path))
 
-    monkeypatch.setattr(Path, "read_bytes", broken)
+    monkeypatch.setattr("os.open", broken)
     refused(bundle, r"manifest\.json: cannot be read: Input/output error; check the folder's permissions")
 
 

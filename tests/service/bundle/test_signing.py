@@ -1,5 +1,6 @@
 """Signatures: made and verified, by our own words and by minisign's; and every way in which they do not hold."""
 
+import base64
 import shutil
 from pathlib import Path
 
@@ -91,6 +92,20 @@ def test_so_many_different_keys_must_have_signed(tmp_path: Path) -> None:
         load_bundle(bundle, Signed(trusted, 2))
     assert main(["sign", str(bundle), "--key", str(pem(tmp_path, OTHER))]) == 0
     load_bundle(bundle, Signed(trusted, 2))
+
+
+def test_one_key_under_two_ids_is_one_key(tmp_path: Path) -> None:
+    """The id is only what a file says."""
+    bundle = signed(tmp_path, KEY)
+    (path,) = bundle.glob("*.minisig")
+    key = public_of(KEY)
+    other = key._replace(id=bytes(reversed(key.id)))
+    lines = path.read_text().splitlines()
+    raw = base64.b64decode(lines[1])
+    lines[1] = base64.b64encode(raw[:2] + other.id + raw[10:]).decode()
+    (bundle / f"manifest.{other.label}.minisig").write_text("\n".join(lines) + "\n")
+    with pytest.raises(SignatureError, match="signed by 1 trusted key"):
+        load_bundle(bundle, Signed({key.id: key, other.id: other}, required=2))
 
 
 def test_what_is_not_signed_or_by_others_is_refused_before_anything_is_read(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -23,10 +24,12 @@ KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 TRUST = Signed({public_of(KEY).id: public_of(KEY, "test.pub")})
 
 
-def version(folder: Path, number: int, text: str = "uds4", *, signed: bool = True) -> Path:
+def version(
+    folder: Path, number: int, name: str = "uds4", *, signed: bool = True, start_within_s: float = 60.0
+) -> Path:
     """The golden bundle as this version, signed."""
-    bundle = Path(shutil.copytree(GOLDEN, folder / f"v{number}-{text}", dirs_exist_ok=True))
-    edit(bundle, lambda manifest: manifest.update(version=number, name=text))
+    bundle = Path(shutil.copytree(GOLDEN, folder / f"v{number}-{name}-{start_within_s}", dirs_exist_ok=True))
+    edit(bundle, lambda manifest: manifest.update(version=number, name=name, start_within_s=start_within_s))
     if signed:
         raw = (bundle / "manifest.json").read_bytes()
         (bundle / f"manifest.{public_of(KEY).label}.minisig").write_text(sign(raw, KEY, "test"))
@@ -74,10 +77,38 @@ def slots(tmp_path: Path) -> Slots:
 
 def test_nothing_older_is_taken_and_nothing_else_of_the_same_version(slots: Slots, tmp_path: Path) -> None:
     refused(slots, version(tmp_path, 4), "version 4 is older than 5, which was there before")
-    refused(slots, version(tmp_path, 5, "other"), "is another bundle of version 5")
+    refused(slots, version(tmp_path, 5, start_within_s=61.0), "is another bundle of version 5")
+    refused(slots, version(tmp_path, 9, "brakes"), "is 'brakes', and 'uds4' is what is installed here")
     slots.install(version(tmp_path, 5), TRUST, passes)  # the same once more
     slots.install(version(tmp_path, 9), TRUST, passes)
     refused(slots, version(tmp_path, 5), "version 5 is older than 9")
+
+
+def test_where_the_floor_is_lost_what_is_current_is_the_floor(slots: Slots, tmp_path: Path) -> None:
+    (tmp_path / "slots" / "floor.json").unlink()
+    refused(slots, version(tmp_path, 4), "version 4 is older than 5")
+
+
+def test_one_is_installed_at_a_time(slots: Slots, tmp_path: Path) -> None:
+    """Two would use the same slot, and one lower the other's floor."""
+
+    def meanwhile(_folder: Path) -> None:
+        refused(Slots(tmp_path / "slots"), version(tmp_path, 9), "another bundle is being installed")
+
+    slots.install(version(tmp_path, 6), TRUST, meanwhile)
+    assert there(tmp_path / "slots")["current"] == 6
+
+
+def test_everybody_may_read_what_is_installed_whatever_the_umask(tmp_path: Path) -> None:
+    """The service is not root, who installs."""
+    before = os.umask(0o077)
+    try:
+        Slots(tmp_path / "new" / "slots").install(version(tmp_path, 1), TRUST, passes)
+    finally:
+        os.umask(before)
+    for path in [tmp_path / "new" / "slots", *(tmp_path / "new" / "slots").rglob("*")]:
+        if path.name != "lock":
+            assert path.stat().st_mode & 0o777 == (0o755 if path.is_dir() else 0o644), path
 
 
 def test_what_is_not_signed_or_damaged_is_not_taken(slots: Slots, tmp_path: Path) -> None:

@@ -177,6 +177,7 @@ def test_the_drop_counter_is_the_kernels(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_frames_that_waited_get_the_time_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    at(monkeypatch, 40.0, 990.0)
     bus, _ = scripted((FRAME, [stamp(999.75)]), (FRAME, [stamp(999.875)]))
     at(monkeypatch, 50.0, 1000.0)
     assert [frame.t for frame in bus.receive()] == pytest.approx([49.75, 49.875], abs=1e-6)
@@ -185,12 +186,14 @@ def test_frames_that_waited_get_the_time_they_came(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("told", [4600.0, 900.0])
 def test_a_wall_clock_that_was_set_does_not_move_a_frame(monkeypatch: pytest.MonkeyPatch, told: float) -> None:
     """SO_TIMESTAMPNS follows the wall clock: a step of an hour moved stamps by an hour, monotonic time by nothing."""
+    at(monkeypatch, 40.0, 990.0)
     bus, _ = scripted((FRAME, [stamp(told)]))
     at(monkeypatch, 50.0, 1000.0)
     assert [frame.t for frame in bus.receive()] == [50.0]
 
 
 def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    at(monkeypatch, 40.0, 990.0)
     bus, _ = scripted((FRAME, [stamp(999.9)]), (FRAME, [stamp(999.5)]))
     at(monkeypatch, 50.0, 1000.0)
     assert [frame.t for frame in bus.receive()] == pytest.approx([49.9, 49.9], abs=1e-6)
@@ -345,6 +348,29 @@ def test_frames_of_this_machine_are_believed_where_there_is_no_vehicle(
     assert len(bus.receive()) == taken
     assert bus.counts.local == 2 * (1 - taken)
     assert bus.trouble == ("bus-off" if taken else None)
+
+
+def test_frames_may_have_waited_as_long_as_the_queue_was_not_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than 5 s had been taken for a clock that was set, and a backlog for one moment."""
+    at(monkeypatch, 40.0, 990.0)
+    bus, script = scripted()
+    assert bus.receive() == []  # empty at 40
+    script.steps += [(FRAME, [stamp(991.0 + k)]) for k in range(30)]
+    at(monkeypatch, 80.0, 1030.0)
+    assert [frame.t for frame in bus.receive()] == pytest.approx([41.0 + k for k in range(30)], abs=1e-6)
+
+
+def test_a_controller_is_well_again_after_a_minute_of_frames() -> None:
+    plug = Plug()
+    bus = plug.bus()
+    plug.sockets[0].steps += [(error(0x04, 0x20), []), (FRAME, [])]
+    bus.receive()
+    bus.receive()
+    assert bus.trouble == "error-passive"
+    plug.now += 61.0
+    plug.sockets[0].steps.append((FRAME, []))
+    bus.receive()
+    assert bus.trouble is None
 
 
 def error(kind: int, status: int = 0) -> bytes:

@@ -193,6 +193,30 @@ def test_a_dbc_that_does_not_fit_is_refused_with_the_place(text: str, units: dic
         compile_dbc(text, units, "uds.dbc")
 
 
+NOT_J1939 = """VERSION ""
+BS_:
+BU_: A
+BO_ {first} ONE: 8 A
+ SG_ one : 0|16@1+ (1,0) [0|0] "Pa" A
+BO_ {second} TWO: 8 A
+ SG_ two : 0|16@1+ (1,0) [0|0] "Pa" A
+"""
+EFF = 0x8000_0000
+
+
+def test_29_bits_that_are_not_j1939_are_all_looked_at() -> None:
+    """The first three are a priority in J1939 alone: there two messages had become one."""
+    text = NOT_J1939.format(first=EFF | 0x1000_0100, second=EFF | 0x1400_0100)
+    table = compile_dbc(text, {"one": "Pa", "two": "Pa"}, "m.dbc")
+    assert [name for name, _, _ in table.decode(0x1000_0100, True, bytes(8))] == ["one"]
+    assert [name for name, _, _ in table.decode(0x1400_0100, True, bytes(8))] == ["two"]
+    assert table.decode(0x1800_0100, True, bytes(8)) == []
+    assert {(each.identifier, each.mask) for each in table.wanted} == {
+        (0x1000_0100, 0x1FFF_FFFF),
+        (0x1400_0100, 0x1FFF_FFFF),
+    }
+
+
 def test_a_signal_in_two_messages_is_refused() -> None:
     text = BIG_ENDIAN + 'BO_ 257 N: 8 A\n SG_ up : 0|8@1+ (1,0) [0|0] "Pa" A\n'
     with pytest.raises(InputError, match="signal up is in several messages"):

@@ -99,6 +99,14 @@ def test_twice_as_many_frames_are_of_two_senders_until_one_stops() -> None:
     assert road.drive(2 * WINDOW_S) == set()
 
 
+def test_signals_of_two_senders_are_doubted() -> None:
+    road = Road()
+    road.drive(3 * WINDOW_S, 2.0)
+    assert road.traffic.doubted == {*SIGNALS}
+    road.drive(2 * WINDOW_S)
+    assert road.traffic.doubted == frozenset()
+
+
 def test_a_second_source_is_told_of_groups_that_mean_the_same_of_everybody() -> None:
     """A proprietary group of another sender may be anything."""
     road = Road()
@@ -121,7 +129,7 @@ def test_no_frame_at_all_is_one_condition_not_one_of_every_signal() -> None:
     assert kinds(road.drive(1.0)) == {"missing": {*SIGNALS}}
 
 
-@pytest.mark.parametrize("quality", [q for q in Quality if q is not Quality.GOOD])
+@pytest.mark.parametrize("quality", [q for q in Quality if q not in (Quality.GOOD, Quality.DOUBTED)])
 def test_every_quality_that_is_no_number_is_a_condition_of_its_signal(quality: Quality) -> None:
     road = Road()
     road.quality[1] = quality

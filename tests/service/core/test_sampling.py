@@ -79,6 +79,21 @@ def test_what_rests_outside_the_operating_region_is_not_frozen() -> None:
     assert heard(*rests, *((10.0 + 0.5 * k, 1.0) for k in range(6)))[20:] == ["GOOD"] * 5 + ["FROZEN"]
 
 
+def test_a_value_that_was_away_is_not_frozen_when_it_is_back() -> None:
+    """Nobody knows what it was meanwhile."""
+    assert heard((0.0, 3.0), (0.5, 3.0), (20.0, 3.0), (20.5, 3.0)) == ["GOOD"] * 4
+
+
+def test_what_is_doubted_is_not_good_until_it_no_longer_is() -> None:
+    sampler = Sampler(INPUTS)
+    for channel in INPUTS:
+        sampler.receive(channel.signal, 0.0, 1.0, Quality.GOOD)
+    sampler.doubt({"a"})
+    assert [Quality(q) for q in sampler.sample(0.1)[1]][:2] == [Quality.DOUBTED, Quality.GOOD]
+    sampler.doubt(())
+    assert {Quality(q) for q in sampler.sample(0.1)[1]} == {Quality.GOOD}
+
+
 def test_a_spike_is_not_believed_and_a_step_is_once_it_lasts() -> None:
     assert heard((0.0, 3.0), (0.1, 5.0), (0.2, 3.1)) == ["GOOD", "JUMP", "GOOD"]
     assert heard((0.0, 3.0), (0.1, 5.0), (0.2, 5.1), (0.3, 5.0)) == ["GOOD", "JUMP", "GOOD", "GOOD"]

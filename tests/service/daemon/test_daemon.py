@@ -11,6 +11,7 @@ from typing import cast
 
 import pytest
 
+from service.bundle import Bundle
 from service.bus import Bus, BusError
 from service.bus.base import Counts
 from service.bus.losses import Losses
@@ -26,6 +27,8 @@ from service.loop import LOSSES_S, Loop
 from service.outputs.socket import EventSocket
 from service.systemd import Notifier
 from service.watched import LAG_S, Line, Watched
+
+BUNDLE = cast(Bundle, SimpleNamespace(table=DecodeTable({})))
 
 
 class Clock:
@@ -80,6 +83,9 @@ class Heard:
         self.told.append(("frame", t_s))
         return []
 
+    def doubt(self, _signals: object) -> None:
+        pass
+
     def advance(self, t_s: float) -> list[Event]:
         self.told.append(("clock", t_s))
         return []
@@ -103,11 +109,11 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
     def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
-        heard, calm = Heard(), SimpleNamespace(look=lambda *_: set())
+        heard, calm = Heard(), SimpleNamespace(look=lambda *_: set(), doubted=frozenset())
         with Script(*steps) as bus, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
             made = cast(tuple[Monitor, Traffic], (heard, calm))
-            line = Line("bus", bus, [Watched(DecodeTable({}), lambda: made, speed)])
+            line = Line("bus", bus, [Watched(BUNDLE, lambda _: made, speed)], say)
             with pytest.raises(BusError):
                 Loop("truck", [line], subscribers, Notifier({}), say, clock).serve()
         return heard.told
@@ -239,16 +245,18 @@ class Told:
         self.restarts = [0] * buses
         self.subscribers = EventSocket(self.path)
         self.sleeps = 0.0
-        lines = [Line(f"can{k}", self.wires[k], [self.watched(k)]) for k in range(buses)]
+        lines = [Line(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
         kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
         self.loop = Loop("truck", lines, self.subscribers, Notifier({}), self.said.append, clock, kernel)
 
     def watched(self, k: int) -> Watched:
-        def make() -> tuple[Monitor, Traffic]:
+        def make(_: Bundle) -> tuple[Monitor, Traffic]:
             self.restarts[k] += 1
-            return cast(tuple[Monitor, Traffic], (self.heard[k], SimpleNamespace(look=lambda *_: set())))
+            return cast(
+                tuple[Monitor, Traffic], (self.heard[k], SimpleNamespace(look=lambda *_: set(), doubted=frozenset()))
+            )
 
-        return Watched(DecodeTable({}), make, 1.0)
+        return Watched(BUNDLE, make, 1.0)
 
     def run(self, *acts: Callable[[], None]) -> None:
         """Each act, and a turn of the loop a second later; then it is stopped."""

@@ -27,7 +27,7 @@ def test_a_root_gets_unit_configuration_and_settings(tmp_path: Path) -> None:
     assert main([*WORDS, "--root", str(tmp_path), "--interface", "can1", "--bitrate", "250000"]) == 0
     written = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     network = "etc/systemd/network/60-faultline-can1.network"
-    assert written == sorted([UNIT, CONFIG, "etc/sysctl.d/60-faultline.conf", network])
+    assert written == sorted([UNIT, CONFIG, "etc/sysctl.d/60-faultline.conf", "etc/sysusers.d/faultline.conf", network])
     config = load_config(tmp_path / CONFIG)
     assert [bus.interface for bus in config.bus] == ["socketcan:can1"]
     assert (config.trust.keys, config.trust.allow_unsigned) == ("/etc/faultline/keys", False)

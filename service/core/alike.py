@@ -1,0 +1,25 @@
+"""Whether two bundles decide alike: then what one has seen and suspects is worth the same to the other."""
+
+from service.core.manifest import Manifest
+
+
+def decide_alike(one: Manifest, other: Manifest) -> bool:
+    """Whether the same frames give the same decisions; version, descriptions and provenance may differ."""
+    return _deciding(one) == _deciding(other)
+
+
+def _deciding(manifest: Manifest) -> tuple[object, ...]:
+    graphs = [graph.file for graph in manifest.graphs] + [manifest.evidence.graph or ""]
+    return (
+        [manifest.files[name].sha256 for name in graphs if name],
+        manifest.period_s,
+        manifest.start_within_s,
+        manifest.inputs,
+        manifest.generators,
+        manifest.modes,
+        manifest.detectors,
+        [fault.name for fault in manifest.faults],
+        [(disturbance.name, disturbance.equation) for disturbance in manifest.disturbances],
+        [equation.name for equation in manifest.equations],
+        manifest.evidence,
+    )

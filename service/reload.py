@@ -1,0 +1,68 @@
+"""New bundles are taken up while the service runs (SIGHUP, `systemctl reload`); what cannot be taken changes nothing.
+
+What has been seen and is suspected stays where the new bundle decides alike (`service.core.alike`), as one does that
+only has another version or signature; else its diagnosis begins anew, with the event `started`. Meanwhile frames wait
+in the kernel's queue.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from service.bundle import load_bundle, verify_golden
+from service.bundle_files import Trust, one_line
+from service.config import Config, load_config
+from service.core.errors import InputError
+from service.watched import FAILURES, Line, Watched
+
+NOT_TAKEN: tuple[type[Exception], ...] = (InputError, *FAILURES)
+
+
+class Reload:
+    """Looks at configuration, keys and bundles again. `trust_of` says who must have signed."""
+
+    def __init__(
+        self,
+        path: Path,
+        config: Config,
+        lines: Sequence[Line],
+        trust_of: Callable[[Config], Trust | None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._path, self._config, self._lines = path, config, lines
+        self._trust_of, self._say = trust_of, say
+
+    def __call__(self, beat: Callable[[], None]) -> None:
+        """Takes up what is there; `beat` is called after each bundle, which takes a part of a second."""
+        try:
+            config = load_config(self._path)
+            trust = self._trust_of(config)
+        except InputError as error:
+            self._say(f"not reloaded: {error}")
+            return
+        if changed := [name for name in ("source", "bus", "bundle", "events") if _differs(name, config, self._config)]:
+            self._say(
+                f"{self._path}: {', '.join(changed)} changed: restart the service for that; bundles are looked at"
+            )
+        for line in self._lines:
+            for watched in line.bundles:
+                self._look_at(watched, line, trust)
+                beat()
+
+    def _look_at(self, watched: Watched, line: Line, trust: Trust | None) -> None:
+        here = watched.bundle
+        try:
+            bundle = load_bundle(Path(here.where), trust)
+            if bundle.id == here.id:
+                self._say(f"bundle {here.manifest.name} {here.id[:12]} is the one that runs")
+                return
+            verify_golden(bundle)
+            alike = line.take_up(watched, bundle)
+        except NOT_TAKEN as error:
+            self._say(f"not taken up: {one_line(error)}; bundle {here.manifest.name} {here.id[:12]} goes on")
+            return
+        how = "goes on from where it was" if alike else "decides otherwise and begins anew"
+        self._say(f"bundle {bundle.manifest.name} version {bundle.manifest.version} {bundle.id[:12]} taken up, {how}")
+
+
+def _differs(name: str, one: Config, other: Config) -> bool:
+    return bool(getattr(one, name) != getattr(other, name))

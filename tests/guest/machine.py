@@ -1,0 +1,125 @@
+"""A guest machine with a CAN bus and systemd, where this kernel has neither: User-Mode Linux, a kernel as a process.
+
+Its root is this machine's, seen read-only; what it writes is gone when it ends, but for the shared folder and the disk.
+"""
+
+import fcntl
+import hashlib
+import shutil
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+PYTHON = Path("/opt/python")
+"""Where the guest sees this Python: a service that sees no home could not run one that is in a home."""
+PREFIX = Path("/opt/faultline")
+"""Where the guest sees the vehicle's environment."""
+PACKAGES = ("service", "analysis", "training", "testbench", "dbc")
+
+
+@dataclass(frozen=True)
+class Guest:
+    """`share` is /vm in the guest, `environment` the vehicle's; `disk` lasts and is its folder of bundles."""
+
+    share: Path
+    environment: Path
+    disk: Path
+
+    def run(self, script: Path, *arguments: str, limit_s: float = 400.0) -> int:
+        """Boots, runs the script with the guest's Python, and powers off; the script's exit code."""
+        process = self.start(script, *arguments)
+        try:
+            process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        code = self.share / "rc"
+        return int(code.read_text()) if code.exists() else -1
+
+    @property
+    def said(self) -> str:
+        """What the script wrote, and where that is nothing, the end of what the machine did."""
+        for name in ("steps.jsonl", "output.txt", "journal.txt", "console.txt"):
+            path = self.share / name
+            if path.exists() and (told := path.read_text()):
+                return told[-6000:]
+        return "nothing"
+
+    def start(self, script: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+        """Boots it and lets it run: killing the process is cutting its power."""
+        for name in ("rc", "output.txt", "journal.txt", "steps.jsonl"):
+            (self.share / name).unlink(missing_ok=True)
+        shutil.copy(HERE / "init.sh", self.share / "init.sh")
+        shutil.copy(script, self.share / script.name)
+        words = " ".join([str(PYTHON / "bin" / "python3"), f"/vm/{script.name}", *arguments])
+        (self.share / "cmd").write_text(f"PYTHONUNBUFFERED=1 exec {words}\n")
+        if not self.disk.exists():
+            with self.disk.open("wb") as file:
+                file.truncate(64 * 1024 * 1024)
+            subprocess.run(["mkfs.ext4", "-q", "-F", str(self.disk)], check=True)
+        binds = f"{self.environment}:{PREFIX},{sys.base_prefix}:{PYTHON}"
+        command = ["linux.uml", "mem=1G", f"ubd0={self.disk}", "root=none", "rootfstype=hostfs", "rootflags=/", "ro"]
+        command += [f"init={self.share / 'init.sh'}", f"share={self.share}", f"bind={binds}"]
+        command += ["con=null", "con0=null,fd:2", "ssl=null"]
+        with (self.share / "console.txt").open("wb") as console:
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=console)
+
+
+def environment(folder: Path) -> Path:
+    """The vehicle's environment in a folder, as docs/service.md has it made: its libraries, and ours from a wheel.
+
+    Made once, and again where the sources have changed; a guest that runs must not see it change.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    stamp, now = folder / "made", _digest()
+    with (folder.parent / f"{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # another test may be making it
+        if not (stamp.exists() and stamp.read_text() == now):
+            _make(folder, fresh=not stamp.exists())
+            stamp.write_text(now)
+    return folder
+
+
+def _make(folder: Path, *, fresh: bool) -> None:
+    if fresh:
+        venv.create(folder, clear=True, symlinks=False, with_pip=True)
+    settings = folder / "pyvenv.cfg"
+    _home(settings, Path(sys.base_prefix))
+    with TemporaryDirectory() as sources:
+        for name in ("pyproject.toml", "README.md"):
+            shutil.copy(ROOT / name, sources)
+        for name in PACKAGES:
+            shutil.copytree(ROOT / name, Path(sources) / name, ignore=shutil.ignore_patterns("__pycache__"))
+        pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
+        _must([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", sources, sources])
+        (wheel,) = Path(sources).glob("*.whl")
+        _must([*pip, "install", "--quiet", "--constraint", str(ROOT / "constraints.txt"), str(wheel)])
+        _must([*pip, "install", "--quiet", "--no-deps", "--force-reinstall", str(wheel)])
+    _home(settings, PYTHON)
+
+
+def _digest() -> str:
+    """Of what the environment is made from."""
+    found = hashlib.sha256()
+    files = [path for name in PACKAGES for path in sorted((ROOT / name).rglob("*")) if "__pycache__" not in path.parts]
+    for path in [ROOT / "pyproject.toml", ROOT / "constraints.txt", *files]:
+        if path.is_file():
+            found.update(str(path).encode() + path.read_bytes())
+    return found.hexdigest()
+
+
+def _home(settings: Path, base: Path) -> None:
+    """Where the environment finds the Python that it was made of: another place here than in the guest."""
+    lines = settings.read_text().splitlines()
+    settings.write_text("".join(f"{f'home = {base}/bin' if line.startswith('home') else line}\n" for line in lines))
+
+
+def _must(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {done.stdout}{done.stderr}")
