@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench clean
 .PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
-.PHONY: campaign-false-alarms campaign-rivals
+.PHONY: campaign-false-alarms campaign-rivals campaign-endurance
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -50,6 +50,9 @@ campaign-false-alarms: .venv/.test  ## fault-free driving of those vehicles, a m
 
 campaign-rivals: .venv/.test  ## other methods on the recordings of campaign-diagnosis, whose residuals are in out
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/rivals.py
+
+campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated frames; writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/endurance.py
 
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py

@@ -19,6 +19,7 @@ BUNDLES = "/var/lib/faultline-bundles/uds"
 KEYS = "/etc/faultline/keys"
 EVENTS = "/run/faultline/events.sock"
 TOGGLES = 20
+FLOOD_S = 10.0
 
 
 def run(*words: str) -> str:
@@ -197,6 +198,34 @@ def reloaded() -> str:
     return next(line for line in said.splitlines() if "taken up" in line).partition("faultline run: ")[2]
 
 
+def sent() -> int:
+    """Frames onto the bus since it was made."""
+    return int(Path("/sys/class/net/vcan0/statistics/tx_packets").read_text())
+
+
+def computed_s() -> float:
+    """The service's time on the processor [s]."""
+    return int(property_of("CPUUsageNSec")) / 1e9
+
+
+def flooded() -> str:
+    """As many foreign frames as this machine can send, beside those that it looks for: none of its own is lost."""
+    begin, before, computed = time.monotonic(), sent(), computed_s()
+    time.sleep(FLOOD_S)
+    calm = 100.0 * (computed_s() - computed) / (time.monotonic() - begin), (sent() - before) / FLOOD_S
+    begin, before, computed = time.monotonic(), sent(), computed_s()
+    words = ["timeout", f"{FLOOD_S:g}", "cangen", "vcan0", "-g", "0", "-i", "-I", "321", "-L", "8", "-D", "r"]
+    subprocess.run(words, check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    took = time.monotonic() - begin
+    flood = 100.0 * (computed_s() - computed) / took, (sent() - before) / took
+    assert flood[1] > 1000, f"{flood[1]:.0f} frames/s are no flood"
+    run("systemctl", "kill", "--signal=TERM", "faultline")  # what was lost is told at the end at the latest
+    until("back", lambda: "faultline run: ready" in run("journalctl", "-u", "faultline", "-b", "--no-pager", "-n", "3"))
+    lost = [line for line in run("journalctl", "-u", "faultline", "-b", "--no-pager").splitlines() if "dropped" in line]
+    assert not lost, lost
+    return "; ".join(f"{share:.1f} % of a core at {rate:.0f} frames/s" for share, rate in (calm, flood))
+
+
 def killed() -> str:
     before = property_of("MainPID")
     run("kill", "-9", before)
@@ -270,7 +299,9 @@ def everything() -> int:
     """All that is done to a service in one life of the machine."""
     failed = steps(installed, started_without_its_bus, exposure, alarm_from_a_recording, memory)
     process = traffic()
-    failed += steps(link_toggled, device_removed_and_back, reloaded, killed, stopped_by_a_signal, quiet_journal)
+    failed += steps(
+        link_toggled, device_removed_and_back, reloaded, flooded, killed, stopped_by_a_signal, quiet_journal
+    )
     process.kill()
     return failed
 

@@ -1,0 +1,99 @@
+"""How long the service lasts: 25 hours of log time, 10 million mutated frames: `make campaign-endurance`.
+
+In processes of their own, with what a vehicle has installed; a page of what they said of themselves.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from results_page import head_commit, provenance
+
+ENDURED = Path(__file__).with_name("endured.py")
+SETTLED = 0.1
+"""The first part of a run is not looked at for what grows: what is made once is made then."""
+
+
+class Run(NamedTuple):
+    """What a process said of itself at `at` (K,) [h or frames]: memory (K,) [MiB] and descriptors (K,)."""
+
+    at: np.ndarray[tuple[int], np.dtype[np.float64]]
+    rss: np.ndarray[tuple[int], np.dtype[np.float64]]
+    descriptors: np.ndarray[tuple[int], np.dtype[np.int64]]
+    cpu_s: float
+
+    @property
+    def later(self) -> "Run":
+        """Once what is made once has been made."""
+        late = self.at > SETTLED * self.at[-1]
+        return Run(self.at[late], self.rss[late], self.descriptors[late], self.cpu_s)
+
+    @property
+    def slope(self) -> float:
+        """Of the memory [MiB per unit of `at`]."""
+        return float(np.polyfit(self.later.at, self.later.rss, 1)[0])
+
+
+def run(*words: str) -> Run:
+    """A run of `endured.py`; raises where it fails."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, str(ENDURED), *words]
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"endured.py {' '.join(words)}: {done.returncode}\n{done.stderr[-4000:]}")
+    said = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+    at, rss, descriptors = (np.array([each[name] for each in said]) for name in ("at", "rss_mib", "descriptors"))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return Run(at, rss, descriptors, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+
+def page(soaked: Run, fuzzed: Run, seed: int, commit: str) -> str:
+    """The results."""
+    soak, fuzz = soaked.later, fuzzed.later
+    rows = [
+        (f"{soaked.at[-1]:.0f} hours: resident memory at most", "110 MB", f"{1.048576 * soaked.rss.max():.0f} MB"),
+        ("its slope, after the first tenth", "under 1 MiB/h", f"{soaked.slope:+.4f} MiB/h"),
+        ("descriptors", "constant", f"{soak.descriptors.min()} to {soak.descriptors.max()}"),
+        ("seconds of computing for an hour", "-", f"{soaked.cpu_s / soaked.at[-1]:.1f}"),
+        (f"{fuzzed.at[-1]:.0f} mutated frames (seed {seed}): exceptions", "none", "none"),
+        ("resident memory: growth after the first tenth", "bounded", f"{fuzz.rss[-1] - fuzz.rss[0]:+.2f} MiB"),
+    ]
+    lines = [
+        "# How long the service lasts",
+        "",
+        "Made by `make campaign-endurance` on the golden recording (**simulated**) and its bundle, in own processes.",
+        provenance(commit, soaked.cpu_s + fuzzed.cpu_s),
+        "",
+        "| | wanted | measured |",
+        "|---|---|---|",
+        *(f"| {what} | {wanted} | {measured} |" for what, wanted, measured in rows),
+        "",
+        "*Soak*: the daemon's loop with the bundle, a subscriber and a bus that gives the recording of 2 min, with its",
+        "fault, over and over; a frame's time is log time. *Fuzz*: recorded frames with wrong bytes, of other lengths,",
+        "of other senders, and frames of any identifier, length and content; times that jump by up to 100 s, back too.",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    """Runs both and writes the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=25.0)
+    parser.add_argument("--frames", type=int, default=10_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("docs/results/endurance.md"))
+    options = parser.parse_args()
+    commit = head_commit()
+    soaked = run("soak", str(options.hours))
+    text = page(soaked, run("fuzz", str(options.frames), str(options.seed)), options.seed, commit)
+    options.out.write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
