@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench clean
 .PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
-.PHONY: campaign-false-alarms campaign-rivals campaign-endurance
+.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -54,6 +54,9 @@ campaign-rivals: .venv/.test  ## other methods on the recordings of campaign-dia
 campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated frames; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/endurance.py
 
+campaign-mutation: .venv/.test .venv-mutation/.done  ## which changes of the code no test notices; writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/mutation.py
+
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py
 
@@ -62,7 +65,7 @@ campaign-training: .venv/.test  ## networks beside the calibrated equations; wri
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/effort.py
 
 clean:
-	rm -rf .venv .venv-peer out build faultline.egg-info
+	rm -rf .venv .venv-peer .venv-mutation out build faultline.egg-info
 
 .venv/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -87,4 +90,13 @@ PEER := tests/analysis/structure/peer-requirements.txt
 	@echo "setting up .venv-peer (the Fault Diagnosis Toolbox and pysindy, a minute)"
 	@$(PYTHON) -m venv .venv-peer
 	@.venv-peer/bin/pip install --quiet --requirement $(PEER)
+	@touch $@
+
+# mutmut runs in a copy of the repository, with the vehicle's libraries and what the core's tests need.
+MUTATION := tests/campaigns/mutation-requirements.txt
+.venv-mutation/.done: $(MUTATION) constraints.txt pyproject.toml
+	@echo "setting up .venv-mutation (mutmut, half a minute)"
+	@$(PYTHON) -m venv .venv-mutation
+	@.venv-mutation/bin/pip install --quiet --constraint constraints.txt --requirement $(MUTATION) . pytest hypothesis
+	@.venv-mutation/bin/pip uninstall --quiet --yes faultline
 	@touch $@

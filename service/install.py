@@ -29,6 +29,8 @@ START = (
     "systemctl enable --now faultline"
 )
 CONFIG = Path("/etc/faultline/faultline.toml")
+KEYS = CONFIG.parent / "keys"
+BUNDLES = Path("/var/lib/faultline-bundles")
 LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64")
 """Where shared libraries are; one that is not there is no error (`-` in the unit)."""
 
@@ -67,8 +69,9 @@ def main(argv: list[str]) -> int:
             _write(path, file.text)
             print(f"wrote  {path}")
     if not options.dry_run:
-        keys = options.root / CONFIG.parent.relative_to("/") / "keys"
-        _made(keys)
+        keys, incoming = (options.root / path.relative_to("/") for path in (KEYS, BUNDLES / "incoming"))
+        for folder in (keys, incoming.parent, incoming):
+            _made(folder)
         print(f"then:  public keys of those who sign into {keys}, `faultline bundle install` where the configuration")
         print(f"       says, and {START}")
     return 0
@@ -97,12 +100,14 @@ def _files(options: argparse.Namespace) -> Iterator[File]:
     words = {
         "PREFIX": str(options.prefix),
         "CONFIG": str(CONFIG),
+        "KEYS": str(KEYS),
         "EXEC": " ".join([str(options.prefix), *(f"-{path}" for path in (*libraries, *LIBRARIES))]),
         "INTERFACE": options.interface,
         "BITRATE": str(options.bitrate),
     }
     system, network = Path("/etc/systemd/system"), Path("/etc/systemd/network")
     yield File(system / "faultline.service", _text("faultline.service", words))
+    yield File(system / "faultline-bundle@.service", _text("faultline-bundle@.service", words))
     yield File(CONFIG, _text("faultline.toml", words), keep=True)
     yield File(Path("/etc/sysctl.d/60-faultline.conf"), _text("sysctl.conf", words))
     yield File(Path("/etc/sysusers.d/faultline.conf"), _text("sysusers.conf", words))

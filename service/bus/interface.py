@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 SYS = Path("/sys/class/net")
 IFF_UP = 1
+_LOSSES = ("rx_over_errors", "rx_missed_errors", "rx_dropped")
 _CAN_TYPE = 280  # ARPHRD_CAN
 
 
@@ -15,6 +16,15 @@ class Interface(NamedTuple):
     is_can: bool
     is_up: bool
     virtual: bool
+
+
+def losses(name: str) -> int | None:
+    """Frames that the controller or its driver has lost since it is there; None where nobody counts them."""
+    folder = SYS / name / "statistics"
+    try:
+        return sum(int((folder / file).read_text()) for file in _LOSSES)
+    except OSError:
+        return None
 
 
 def interface(name: str) -> Interface | None:

@@ -24,6 +24,7 @@ class Losses:
             "error frames": counts.errors,
             "shorter than in the DBC": _all(rejected, "short"),
             "of another sender": _all(rejected, "other_source"),
+            "claims of their senders' addresses by others": _all(rejected, "claimed"),
             "multiplexed by an unknown value": _all(rejected, "unknown_selector"),
             "times bus-off": counts.bus_offs,
             "times the interface went down": counts.link_downs,

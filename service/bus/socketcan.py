@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
 from service.bus.error_frame import read_error
-from service.bus.interface import Interface, interface
+from service.bus.interface import Interface, interface, losses
 from service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
 from service.core.decode import Wanted
 from service.logs import Frame
@@ -66,13 +66,15 @@ class SocketCan(Bus):
         required: bool = True,
         make: "Callable[[str, Iterable[Wanted]], socket.socket] | None" = None,
         look: Callable[[str], Interface | None] = interface,
+        lost: Callable[[str], int | None] = losses,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self._name = name
         self._wanted = tuple(wanted)
         self._believe_local = believe_local
-        self._make, self._look, self._clock = make or can_socket, look, clock
+        self._make, self._look, self._lost, self._clock = make or can_socket, look, lost, clock
+        self._counted: int | None = None  # what controller and driver had lost at the last look
         self._socket: socket.socket | None = None
         self._read: Reader | None = None
         self._at: Interface | None = None  # what the socket is bound to
@@ -90,7 +92,7 @@ class SocketCan(Bus):
 
     @property
     def dropped(self) -> int:
-        """As of the last frame received: the kernel tells with the next frame it accepts."""
+        """As of the last frame received: the kernel tells with the next one it accepts, the driver within a second."""
         return self._dropped_before + self._dropped
 
     def fileno(self) -> int:
@@ -156,7 +158,7 @@ class SocketCan(Bus):
         self.counts.errors += 1
         self._error_at = self._clock()
         news = read_error(identifier, data)
-        self._dropped_before += news.overflow  # one at least: the controller does not count them
+        self._dropped_before += news.overflow and self._counted is None  # one at least, where nobody counts them
         if news.changed:
             self.counts.bus_offs += news.trouble == "bus-off" != self.trouble
             self.trouble = news.trouble
@@ -182,6 +184,7 @@ class SocketCan(Bus):
         if self._socket is None:
             self._try_again(now)
             return
+        self._count()
         there = self._look(self._name)
         if there is None or self._at is None or there.number != self._at.number:
             self._lose()
@@ -189,6 +192,13 @@ class SocketCan(Bus):
             self.trouble = "down"
         elif self.trouble == "down":
             self.trouble = None
+
+    def _count(self) -> None:
+        """What controller and driver have lost since the last look."""
+        now, before = self._lost(self._name), self._counted
+        if now is not None and before is not None:
+            self._dropped_before += max(0, now - before)
+        self._counted = now
 
     def _try_again(self, now: float) -> None:
         try:
@@ -209,6 +219,7 @@ class SocketCan(Bus):
         self._at = self._look(self._name)
         self._local = self._believe_local or (self._at is not None and self._at.virtual)
         self._wait, self.trouble = RETRY_S, None
+        self._counted = self._lost(self._name)
         self._due = self._clock() + LOOK_S
 
     def _lose(self) -> None:

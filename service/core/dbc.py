@@ -11,6 +11,9 @@ from cantools.database.errors import Error as DatabaseError
 from service.core.decode import PRIORITY_MASK, Cut, DecodeTable, Field, Layout, Only, Selector
 from service.core.errors import InputError
 
+LONGEST = 8
+"""Bytes of a message of J1939 that comes in one frame (SAE J1939-21)."""
+
 CONVERSIONS: Mapping[tuple[str, str], float] = {
     ("kPa", "Pa"): 1e3,
     ("bar", "Pa"): 1e5,
@@ -39,6 +42,11 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
         for signal in wanted:
             carriers[signal.name].append(message.name)
         if wanted:
+            if message.protocol == "j1939" and message.length > LONGEST:
+                raise InputError(
+                    f"{where}: {message.name} has {message.length} bytes, which come by J1939's transport protocol, "
+                    f"to which this does not listen: take {wanted[0].name} from another message"
+                )
             j1939 = message.is_extended_frame and message.protocol == "j1939"
             identifier = message.frame_id & PRIORITY_MASK if j1939 else message.frame_id
             if (before := layouts.get((identifier, message.is_extended_frame))) is not None:

@@ -16,6 +16,8 @@ PRIORITY_MASK = 0x03FF_FFFF
 """Bits of a 29-bit identifier below the priority: data page, PGN and source address."""
 GROUP_MASK = 0x03FF_FF00
 """The same without the source address."""
+CLAIM = 0x00EE_FF00
+"""The group in which a device claims its address, with its NAME (SAE J1939-81), without priority and source."""
 STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
 
 _GOOD = Quality.GOOD
@@ -140,11 +142,13 @@ class Rejected:
     short: dict[str, int] = field(default_factory=dict)  # shorter than in the DBC: none of their signals was taken
     other_source: dict[str, int] = field(default_factory=dict)  # the same parameter group of another sender
     unknown_selector: dict[str, int] = field(default_factory=dict)  # multiplexed by a value that the DBC does not know
+    claimed: dict[str, int] = field(default_factory=dict)  # another device has claimed its sender's address
 
     @property
     def total(self) -> int:
         """Of all reasons and messages."""
-        return sum(sum(counts.values()) for counts in (self.short, self.other_source, self.unknown_selector))
+        kinds = (self.short, self.other_source, self.unknown_selector, self.claimed)
+        return sum(sum(counts.values()) for counts in kinds)
 
 
 class DecodeTable:
@@ -160,6 +164,7 @@ class DecodeTable:
         self._other = {identifier: layout for identifier, layout in extended.items() if not layout.j1939}
         self._standard = {n: layout for (n, is_extended), layout in layouts.items() if not is_extended}
         self._groups = {identifier & GROUP_MASK: layout for identifier, layout in self._j1939.items()}
+        self._names: dict[int, bytes] = {}  # of devices, by the address that they claimed
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.rejected = Rejected()
 
@@ -172,6 +177,7 @@ class DecodeTable:
     def wanted(self) -> tuple[Wanted, ...]:
         """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
         groups = {Wanted(n, GROUP_MASK, True) for n in self._groups}
+        groups |= {Wanted(CLAIM | n & 0xFF, PRIORITY_MASK, True) for n in self._j1939}
         others = {Wanted(n, EXTENDED, True) for n in self._other} | {Wanted(n, STANDARD, False) for n in self._standard}
         return tuple(sorted(groups | others))
 
@@ -184,6 +190,8 @@ class DecodeTable:
         if layout is None:
             if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
                 _count(self.rejected.other_source, group.name)
+            elif is_extended and can_id & GROUP_MASK == CLAIM:
+                self._claimed(can_id & 0xFF, data)
             return []
         if len(data) != layout.size:
             if len(data) < layout.size:
@@ -201,6 +209,14 @@ class DecodeTable:
             else:
                 take(one.read(little, 0, layout.j1939))
         return found if layout.is_plain else [*found, *self._others(layout, little, int.from_bytes(data, "big"))]
+
+    def _claimed(self, address: int, name: bytes) -> None:
+        """A device claims an address; who speaks under it from now on is another one if its NAME is."""
+        theirs = [layout.name for identifier, layout in self._j1939.items() if identifier & 0xFF == address]
+        if theirs and len(name) == 8 and self._names.setdefault(address, name) != name:
+            self._names[address] = name
+            for message in theirs:
+                _count(self.rejected.claimed, message)
 
     def _others(self, layout: Layout, little: int, big: int) -> Iterator[tuple[str, float, Quality]]:
         for selector in layout.selectors:

@@ -16,6 +16,8 @@ SLACK = 3
 EXPECTED_S = 30.0
 """With the ignition on every sender has spoken by then."""
 
+DOUBTFUL = ("second-sender", "address-claim")
+
 _WORTH: Mapping[int, Kind] = {
     Quality.MISSING: "missing",
     Quality.LATE: "missing",
@@ -57,8 +59,8 @@ class Traffic:
 
     @property
     def doubted(self) -> frozenset[str]:
-        """The signals of messages that more than one sends, as far as the last window showed."""
-        doubted = [self._messages[each.of] for each in self._found if each.kind == "second-sender"]
+        """The signals of messages that are not surely their sender's, as far as the last window showed."""
+        doubted = [self._messages[each.of] for each in self._found if each.kind in DOUBTFUL]
         return frozenset(signal for layout in doubted for signal in layout.signals)
 
     def _in_window(self, seconds: float, before: Mapping[str, Mapping[str, int]]) -> Iterator[Condition]:
@@ -67,6 +69,8 @@ class Traffic:
             more = {what: counts.get(name, 0) - before[what].get(name, 0) for what, counts in now.items()}
             if _too_many(layout, more["taken"], seconds) or (more["other_source"] and not _is_proprietary(layout)):
                 yield Condition("second-sender", name)
+            if more["claimed"]:
+                yield Condition("address-claim", name)
             if more["short"]:
                 yield Condition("short-frames", name)
             if more["unknown_selector"]:
@@ -79,6 +83,7 @@ class Traffic:
             "other_source": rejected.other_source,
             "short": rejected.short,
             "unknown_selector": rejected.unknown_selector,
+            "claimed": rejected.claimed,
         }
         return {what: dict(each) for what, each in counts.items()}
 

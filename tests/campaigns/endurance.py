@@ -1,6 +1,6 @@
-"""How long the service lasts: 25 hours of log time, 10 million mutated frames: `make campaign-endurance`.
+"""How long the service lasts: 25 hours of log time, 10 million mutated frames, a flood: `make campaign-endurance`.
 
-In processes of their own, with what a vehicle has installed; a page of what they said of themselves.
+In processes of their own, and the flood in a guest with a real CAN bus; a page of what they said of themselves.
 """
 
 import argparse
@@ -9,11 +9,13 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 from results_page import head_commit, provenance
 
+GUEST = Path(__file__).resolve().parents[1] / "guest"
 ENDURED = Path(__file__).with_name("endured.py")
 SETTLED = 0.1
 """The first part of a run is not looked at for what grows: what is made once is made then."""
@@ -52,7 +54,21 @@ def run(*words: str) -> Run:
     return Run(at, rss, descriptors, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
 
 
-def page(soaked: Run, fuzzed: Run, seed: int, commit: str) -> str:
+def flood(seconds: float) -> str:
+    """What the guest says of so many seconds of all that it can send; raises where a frame of ours was lost."""
+    sys.path.insert(0, str(GUEST))
+    from machine import prepared
+
+    with TemporaryDirectory() as folder:
+        guest = prepared(Path(folder))
+        failed = guest.run(GUEST / "on_the_vehicle.py", "flood", f"{seconds:g}")
+        told = [json.loads(line) for line in guest.said.splitlines()]
+        if failed:
+            raise RuntimeError(guest.said)
+        return next(str(step["said"]) for step in told if step["step"] == "flooded")
+
+
+def page(soaked: Run, fuzzed: Run, seed: int, flooded: str, commit: str) -> str:
     """The results."""
     soak, fuzz = soaked.later, fuzzed.later
     rows = [
@@ -62,6 +78,7 @@ def page(soaked: Run, fuzzed: Run, seed: int, commit: str) -> str:
         ("seconds of computing for an hour", "-", f"{soaked.cpu_s / soaked.at[-1]:.1f}"),
         (f"{fuzzed.at[-1]:.0f} mutated frames (seed {seed}): exceptions", "none", "none"),
         ("resident memory: growth after the first tenth", "bounded", f"{fuzz.rss[-1] - fuzz.rss[0]:+.2f} MiB"),
+        ("as many foreign frames as the guest can send: frames of ours lost", "none", f"none; {flooded}"),
     ]
     lines = [
         "# How long the service lasts",
@@ -76,6 +93,7 @@ def page(soaked: Run, fuzzed: Run, seed: int, commit: str) -> str:
         "*Soak*: the daemon's loop with the bundle, a subscriber and a bus that gives the recording of 2 min, with its",
         "fault, over and over; a frame's time is log time. *Fuzz*: recorded frames with wrong bytes, of other lengths,",
         "of other senders, and frames of any identifier, length and content; times that jump by up to 100 s, back too.",
+        "*Flood*: User-Mode Linux, a virtual bus, `cangen` without a gap; first the same time without it.",
     ]
     return "\n".join([*lines, ""])
 
@@ -85,12 +103,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=25.0)
     parser.add_argument("--frames", type=int, default=10_000_000)
+    parser.add_argument("--flood", type=float, default=60.0, help="seconds")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("docs/results/endurance.md"))
     options = parser.parse_args()
     commit = head_commit()
     soaked = run("soak", str(options.hours))
-    text = page(soaked, run("fuzz", str(options.frames), str(options.seed)), options.seed, commit)
+    fuzzed = run("fuzz", str(options.frames), str(options.seed))
+    text = page(soaked, fuzzed, options.seed, flood(options.flood), commit)
     options.out.write_text(text)
     print(text)
 

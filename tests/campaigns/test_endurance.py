@@ -17,5 +17,5 @@ def test_mutated_frames_raise_nothing_and_leave_nothing() -> None:
     print("seed", seed)
     fuzzed = run("fuzz", "100000", str(seed))
     assert fuzzed.later.rss[-1] - fuzzed.later.rss[0] < 3.0
-    text = page(fuzzed, fuzzed, seed, "0123456")
+    text = page(fuzzed, fuzzed, seed, "5 % of a core", "0123456")
     assert "| 100000 mutated frames" in text

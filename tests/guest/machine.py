@@ -5,6 +5,7 @@ Its root is this machine's, seen read-only; what it writes is gone when it ends,
 
 import fcntl
 import hashlib
+import json
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from service.bundle_files import SEAL, seal
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PYTHON = Path("/opt/python")
@@ -20,6 +23,16 @@ PYTHON = Path("/opt/python")
 PREFIX = Path("/opt/faultline")
 """Where the guest sees the vehicle's environment."""
 PACKAGES = ("service", "analysis", "training", "testbench", "dbc")
+
+
+GOLDEN = ROOT / "tests" / "golden"
+FROM_S, UNTIL_S = 48.0, 95.0
+"""The part of the golden recording that is played in real time: the fault begins at 70 s."""
+VERSIONS = 8
+
+
+class NoGuestError(Exception):
+    """This machine cannot have a guest."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +81,30 @@ class Guest:
         command += ["con=null", "con0=null,fd:2", "ssl=null"]
         with (self.share / "console.txt").open("wb") as console:
             return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=console)
+
+
+def prepared(folder: Path) -> Guest:
+    """A guest that is given bundles of several versions, signed, the key, and a recording; raises NoGuestError."""
+    done = subprocess.run([str(HERE / "install.sh")], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise NoGuestError(done.stderr.strip())
+    faultline = str(Path(sys.executable).with_name("faultline"))
+    share, key = folder / "share", folder / "fleet.pem"
+    share.mkdir()
+    _must(["openssl", "genpkey", "-algorithm", "ed25519", "-out", str(key)])
+    _must([faultline, "bundle", "public", str(key), "--out", str(share / "fleet.pub")])
+    for version in range(VERSIONS):
+        bundle = Path(shutil.copytree(GOLDEN / "bundle", share / f"version-{version}"))
+        manifest = json.loads((bundle / "manifest.json").read_bytes())
+        raw = json.dumps({**manifest, "version": version}).encode()
+        (bundle / "manifest.json").write_bytes(raw)
+        (bundle / SEAL).write_bytes(seal(raw))
+        _must([faultline, "bundle", "sign", str(bundle), "--key", str(key)])
+    lines = (GOLDEN / "log" / "can.log").read_text().splitlines()
+    first = float(lines[0].split()[0].strip("()"))
+    inside = [line for line in lines if FROM_S <= float(line.split()[0].strip("()")) - first <= UNTIL_S]
+    (share / "can.log").write_text("\n".join(inside) + "\n")
+    return Guest(share, environment(ROOT / "out" / "vehicle-environment"), folder / "disk.ext4")
 
 
 def environment(folder: Path) -> Path:

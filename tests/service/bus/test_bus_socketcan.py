@@ -360,6 +360,19 @@ def test_frames_may_have_waited_as_long_as_the_queue_was_not_empty(monkeypatch: 
     assert [frame.t for frame in bus.receive()] == pytest.approx([41.0 + k for k in range(30)], abs=1e-6)
 
 
+def test_what_the_driver_lost_is_counted_once() -> None:
+    """It says so in an error frame as well."""
+    lost = [7]
+    plug = Plug()
+    bus = SocketCan("can0", make=plug.make, look=lambda _: VIRTUAL, lost=lambda _: lost[0], clock=lambda: plug.now)
+    assert bus.dropped == 0  # since it was opened
+    plug.sockets[0].steps.append((error(0x04, 0x01), []))
+    bus.receive()
+    lost[0] += 3
+    plug.later(bus, 2.0)
+    assert bus.dropped == 3
+
+
 def test_a_controller_is_well_again_after_a_minute_of_frames() -> None:
     plug = Plug()
     bus = plug.bus()

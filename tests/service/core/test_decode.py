@@ -85,7 +85,8 @@ def test_priority_may_differ_but_source_address_may_not() -> None:
 
 def test_a_bus_lets_every_sender_of_a_group_through_so_that_a_second_one_is_seen() -> None:
     table = compile_dbc(DBC, {"n_p": "1/s"}, "uds.dbc")
-    assert table.wanted == (Wanted(0x00FF1000, 0x03FFFF00, True),)
+    claims = Wanted(0x00EEFF3D, 0x03FFFFFF, True)  # of the sender's address, by whomever
+    assert table.wanted == (claims, Wanted(0x00FF1000, 0x03FFFF00, True))
     assert compile_dbc(BIG_ENDIAN, {"up": "Pa"}, "m.dbc").wanted == (Wanted(256, 0x7FF, False),)
 
 
@@ -202,6 +203,14 @@ BO_ {second} TWO: 8 A
  SG_ two : 0|16@1+ (1,0) [0|0] "Pa" A
 """
 EFF = 0x8000_0000
+
+
+def test_a_message_that_comes_in_parts_is_refused() -> None:
+    """Nobody would put it together, and its signals would be missing without a word."""
+    long = DBC.replace("BO_ 2566852669 UDS_ECU: 8", "BO_ 2566852669 UDS_ECU: 16")
+    assert long != DBC
+    with pytest.raises(InputError, match="UDS_ECU has 16 bytes, which come by J1939's transport protocol"):
+        compile_dbc(long, UNITS, "uds.dbc")
 
 
 def test_29_bits_that_are_not_j1939_are_all_looked_at() -> None:

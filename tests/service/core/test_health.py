@@ -107,6 +107,25 @@ def test_signals_of_two_senders_are_doubted() -> None:
     assert road.traffic.doubted == frozenset()
 
 
+CLAIM = 0x18EEFF3D
+"""The controller's address is 0x3D."""
+
+
+def test_another_device_that_claims_the_senders_address_is_told() -> None:
+    road = Road()
+    road.drive(WINDOW_S)
+    for name in (b"the same", b"the same"):
+        assert road.table.decode(CLAIM, True, name) == []
+    assert road.drive(2 * WINDOW_S) == set()
+    road.table.decode(CLAIM, True, b"another.")
+    road.table.decode(CLAIM + 1, True, b"somebody")
+    found = road.drive(WINDOW_S + 1)
+    assert {each.kind for each in found} == {"address-claim"}
+    assert "UDS_ECU" in {each.of for each in found}
+    assert "y_p_du" in road.traffic.doubted
+    assert road.drive(2 * WINDOW_S) == set()
+
+
 def test_a_second_source_is_told_of_groups_that_mean_the_same_of_everybody() -> None:
     """A proprietary group of another sender may be anything."""
     road = Road()
