@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
 CODE = ("decode.py", "sampling.py", "signals.py", "isolation.py", "detectors/")
-TESTS = ("sampling", "decode", "detectors", "detector_family", "isolation")
+TESTS = ("sampling", "decode", "detectors", "detector_family", "isolation", "health")
 COPIED = ("service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
 
 

@@ -16,6 +16,7 @@ from service.core.signals import Quality, j1939_quality
 
 DBC = resources.files("dbc").joinpath("uds.dbc").read_text()
 UNITS = {"y_p_tp": "Pa", "y_p_ap": "Pa", "y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}
+EFF = 0x8000_0000
 ECU, SENSORS = 0x18FF103D, 0x18FF20F9
 
 
@@ -67,6 +68,20 @@ def test_no_value_is_never_a_number(raw: int, quality: Quality) -> None:
 def test_every_8_bit_raw_has_its_quality() -> None:
     expected = [Quality.GOOD] * 0xFB + [Quality.RESERVED] * 3 + [Quality.ERROR, Quality.NOT_AVAILABLE]
     assert [j1939_quality(raw, 8) for raw in range(256)] == expected
+
+
+@pytest.mark.parametrize(
+    ("length", "words"),
+    [
+        (1, {}),
+        (2, {3: Quality.NOT_AVAILABLE, 2: Quality.ERROR}),
+        (3, {7: Quality.NOT_AVAILABLE, 6: Quality.ERROR}),
+        (7, {127: Quality.NOT_AVAILABLE, 126: Quality.ERROR}),
+    ],
+)
+def test_every_raw_of_less_than_a_byte_has_its_quality(length: int, words: dict[int, Quality]) -> None:
+    found = {raw: j1939_quality(raw, length) for raw in range(1 << length)}
+    assert {raw: quality for raw, quality in found.items() if quality is not Quality.GOOD} == words
 
 
 def test_a_short_frame_gives_none_of_its_signals_and_is_counted() -> None:
@@ -167,6 +182,77 @@ def test_multiplexed_signals_are_read_only_where_they_are(selector: int) -> None
     assert found == {name: value for name, value in expected.items() if name in names}
 
 
+ONE = """VERSION ""
+BS_:
+BU_: A
+BO_ {number} M: 8 A
+ SG_ one : 3|{width}@1+ (2,-7) [0|0] "Pa" A
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+"""
+
+
+@pytest.mark.parametrize("width", range(1, 17))
+def test_a_number_and_its_neighbours_at_every_border_are_what_they_are(width: int) -> None:
+    """Beside other bits that are all set, or none."""
+    table = compile_dbc(ONE.format(number=EFF | 0x18FF0001, width=width), {"one": "Pa"}, "m.dbc")
+    top = 1 << width
+    borders = {0, 1, top - 1, top - 2, top - 3, *(top * word // 256 + k for word in range(0xF9, 0xFF) for k in (-1, 0))}
+    for raw in sorted(raw for raw in borders if 0 <= raw < top):
+        for others in (0, (1 << 64) - 1):
+            content = others & ~((top - 1) << 3) | raw << 3
+            [(_, value, quality)] = table.decode(0x18FF0001, True, content.to_bytes(8, "little"))
+            assert quality is j1939_quality(raw, width)
+            assert value == 2.0 * raw - 7.0
+
+
+BIG_ENDIAN_MULTIPLEXED = """VERSION ""
+BS_:
+BU_: A
+BO_ 256 M: 8 A
+ SG_ which M : 7|4@0+ (1,0) [0|0] "" A
+ SG_ always : 15|8@0+ (1,0) [0|0] "Pa" A
+ SG_ second m3M : 23|8@0+ (1,0) [0|0] "" A
+ SG_ deep m7 : 31|8@0+ (1,0) [0|0] "Pa" A
+
+SG_MUL_VAL_ 256 second which 3-3;
+SG_MUL_VAL_ 256 deep second 7-7;
+"""
+
+
+@pytest.mark.parametrize(("which", "second"), [(3, 7), (3, 8), (2, 7)])
+def test_selectors_of_the_other_byte_order_are_read_as_well(which: int, second: int) -> None:
+    database = cantools.database.load_string(BIG_ENDIAN_MULTIPLEXED, "dbc")
+    assert isinstance(database, Database)
+    table = compile_dbc(BIG_ENDIAN_MULTIPLEXED, {"always": "Pa", "deep": "Pa"}, "m.dbc")
+    data = bytes([which << 4 | 0xF, 9, second, 5, 0, 0, 0, 0])
+    expected = {"always": 9.0, "deep": 5.0} if (which, second) == (3, 7) else {"always": 9.0}
+    for count in (1, 2):
+        assert {name: value for name, value, _ in table.decode(256, False, data)} == expected
+        assert table.rejected.unknown_selector == ({} if len(expected) == 2 else {"M": count})
+    if len(expected) == 2:
+        decoded = database.decode_message(256, data)
+        assert isinstance(decoded, dict)
+        assert decoded["deep"] == 5
+
+
+SIGNED = """VERSION ""
+BS_:
+BU_: A
+BO_ {number} M: 8 A
+ SG_ below : 0|16@1- (1,0) [0|0] "Pa" A
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "{frame}";
+"""
+
+
+@pytest.mark.parametrize(("frame", "quality"), [("J1939PG", Quality.NOT_AVAILABLE), ("ExtendedCAN", Quality.GOOD)])
+def test_what_is_no_plain_number_has_j1939s_words_too(frame: str, quality: Quality) -> None:
+    table = compile_dbc(SIGNED.format(number=EFF | 0x18FF0001, frame=frame), {"below": "Pa"}, "m.dbc")
+    [(_, _, found)] = table.decode(0x18FF0001, True, b"\xff" * 8)
+    assert found is quality
+
+
 def test_an_inner_multiplexer_counts_only_where_it_is() -> None:
     table = compile_dbc(MULTIPLEXED, {"always": "Pa", "deep": "Pa"}, "m.dbc")
     for selector, unknown in ((0, {}), (3, {"M": 1})):
@@ -202,7 +288,6 @@ BO_ {first} ONE: 8 A
 BO_ {second} TWO: 8 A
  SG_ two : 0|16@1+ (1,0) [0|0] "Pa" A
 """
-EFF = 0x8000_0000
 
 
 def test_a_message_that_comes_in_parts_is_refused() -> None:

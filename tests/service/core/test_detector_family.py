@@ -17,6 +17,7 @@ from service.core.detectors.cusum import Cusum
 from service.core.detectors.low_pass import LowPass
 from service.core.detectors.protocol import Detector
 from service.core.detectors.spread import Spread
+from service.core.detectors.standard import Standard
 from service.core.detectors.threshold import Threshold
 from service.core.generators import Residuals
 from service.core.manifest import (
@@ -241,3 +242,46 @@ def test_over_a_gap_the_spread_takes_no_difference() -> None:
     for tick in range(0, 400, 2):
         each.update(tick, 100.0 * (-1) ** (tick // 2))
     assert each.value == 0.0
+
+
+def ticks_until(each: Detector, values: Iterable[float], begin: int) -> int:
+    """How many values it takes until it is below its threshold."""
+    for count, s in enumerate(values, start=1):
+        each.update(begin + count, s)
+        if each.value < 1.0:
+            return count
+    raise AssertionError("never")
+
+
+def test_a_large_fault_that_has_ended_is_over_as_soon_as_a_small_one() -> None:
+    """The filtered residual is at 2 J at most, and 0.95^n of it after n ticks of nothing."""
+    each = fed(LowPass(J=10.0, hold_ticks=0, time_ticks=20.0), [1e6] * 500)
+    assert ticks_until(each, [0.0] * 100, 500) == math.ceil(math.log(0.5) / math.log(0.95))
+
+
+@pytest.mark.parametrize("loud", [False, True])
+def test_a_variance_that_is_usual_again_is_over_as_soon(loud: bool) -> None:
+    """ln v is at 2 J at most, either way; v - 1 is 0.95^n of what it was after n differences of the usual size."""
+    J, part = 0.5, 0.95
+    sign = 1.0 if loud else -1.0
+    first = [100.0 * (-1) ** k for k in range(500)] if loud else [0.0] * 500
+    each = fed(Spread(J, 0, 20.0), first)
+    assert (each.value, each.sign) == (2.0, sign)
+    usual = [first[-1] + math.sqrt(2.0) * (k % 2) for k in range(1, 200)]
+    expected = math.log((math.exp(sign * J) - 1.0) / (math.exp(2.0 * sign * J) - 1.0)) / math.log(part)
+    assert ticks_until(each, usual, 499) == math.ceil(expected)
+
+
+def test_levels_are_seen_without_the_day_and_variances_with_it() -> None:
+    settings = [kinds()["cusum"], kinds()["spread"]]
+    one = np.ones(1)
+    residuals = Residuals(5.0 * one, one, one, one > 0, level=3.0 * one)
+    assert Standard(settings, [0, 0])(0, residuals).tolist() == [3.0, 5.0]
+    assert Standard(settings, [0, 0])(0, residuals._replace(level=None)).tolist() == [5.0, 5.0]
+
+
+def test_a_bank_may_have_no_detector() -> None:
+    one = np.ones(2)
+    bank = DetectorBank([], ["ta.ode", "tb.ode"])
+    bank.update(0, 0, Residuals(one, one, one, one > 0))
+    assert not bank.suspicious

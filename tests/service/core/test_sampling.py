@@ -100,6 +100,12 @@ def test_a_spike_is_not_believed_and_a_step_is_once_it_lasts() -> None:
     assert heard((0.0, 3.0), (0.1, 9.0), (0.2, 5.0), (0.3, 1.0)) == ["GOOD", "JUMP", "JUMP", "JUMP"]
 
 
+def test_a_value_on_the_border_is_inside_and_one_of_its_maximum_age_is_not_away() -> None:
+    rests = [(0.5 * k, STRICT[0].upper) for k in range(20)]
+    assert set(heard(*rests)) == {"GOOD"}  # on the border of the operating region, and so no sensor that is stuck
+    assert heard((0.0, 3.0), (STRICT[0].maximum_age_s, 9.0)) == ["GOOD", "JUMP"]
+
+
 def test_after_a_gap_any_value_may_come() -> None:
     assert heard((0.0, 3.0), (1.1, 9.0)) == ["GOOD", "GOOD"]
 
