@@ -121,12 +121,15 @@ def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array 
     """
     shape = drives[0].seen.usable.shape[1], len(MODES)
     found = np.full(shape, np.nan) if otherwise is None else otherwise.copy()
+    modes = [*dict.fromkeys(stand_ins)]  # each once, or one would count as often as it stands for another
+    column = [modes.index(mode) for mode in stand_ins]
     for row in range(shape[0]):
-        of_drives = [[drive.seen.r[drive.seen.inside(row, mode), row] for mode in stand_ins] for drive in drives]
-        ticks = np.array([[len(r) for r in modes] for modes in of_drives])
-        medians = np.array([[np.median(r) if len(r) else 0.0 for r in modes] for modes in of_drives])
-        shown = ticks.sum(axis=0) >= MINIMUM_TICKS
-        found[row, shown] = without_days(medians, np.minimum(ticks / MINIMUM_TICKS, 1.0))[shown]
+        of_drives = [[drive.seen.r[drive.seen.inside(row, mode), row] for mode in modes] for drive in drives]
+        ticks = np.array([[len(r) for r in each] for each in of_drives])
+        medians = np.array([[np.median(r) if len(r) else 0.0 for r in each] for each in of_drives])
+        shown = (ticks.sum(axis=0) >= MINIMUM_TICKS)[column]
+        own = without_days(medians, np.minimum(ticks / MINIMUM_TICKS, 1.0))[column]
+        found[row] = np.where(shown, own, found[row])
     assert np.isfinite(found).all(), "a mode is missing that nobody has checked"
     return found
 
