@@ -137,8 +137,9 @@ def _write(path: Path, text: str) -> None:
 
 def _made(folder: Path) -> None:
     try:
-        if not folder.exists():
-            folder.mkdir(parents=True)
-            folder.chmod(0o755)
+        for each in (*reversed(folder.parents), folder):
+            if not each.exists():
+                each.mkdir()
+                each.chmod(0o755)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}; be root, or give another --root") from error

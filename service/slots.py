@@ -179,10 +179,11 @@ def _new(path: Path) -> Path:
 
 
 def _made(folder: Path) -> None:
-    """The folder, which everybody may look into."""
-    if not folder.exists():
-        folder.mkdir(parents=True)
-        folder.chmod(0o755)
+    """The folder and those above it, which everybody may look into where they are made here."""
+    for each in (*reversed(folder.parents), folder):
+        if not each.exists():
+            each.mkdir()
+            each.chmod(0o755)
 
 
 def _written(path: Path, content: bytes) -> None:

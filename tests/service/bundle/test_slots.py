@@ -106,7 +106,7 @@ def test_everybody_may_read_what_is_installed_whatever_the_umask(tmp_path: Path)
         Slots(tmp_path / "new" / "slots").install(version(tmp_path, 1), TRUST, passes)
     finally:
         os.umask(before)
-    for path in [tmp_path / "new" / "slots", *(tmp_path / "new" / "slots").rglob("*")]:
+    for path in [tmp_path / "new", tmp_path / "new" / "slots", *(tmp_path / "new" / "slots").rglob("*")]:
         if path.name != "lock":
             assert path.stat().st_mode & 0o777 == (0o755 if path.is_dir() else 0o644), path
 
