@@ -11,15 +11,21 @@ from typing import NamedTuple
 STEP_S = 1.0
 """A wall clock that is off by less was trimmed, not set."""
 SLEEP_S = 1.0
+STOPPED_S = 10.0
+"""Who looks again after so long was stopped: what waits since then is of a time that is gone."""
 SAME_S, READINGS = 0.1, 5
 """Clocks are read at one moment, or once more."""
 
 
 class Moved(NamedTuple):
-    """What happened since the last look: the wall clock was set by `stepped_s`, the machine slept for `slept_s` [s]."""
+    """What happened since the last look: the wall clock was set by `stepped_s`, the machine slept for `slept_s` [s].
+
+    `stopped_s` [s] is for how long nobody looked, where that is longer than anything but a stopped process takes.
+    """
 
     stepped_s: float
     slept_s: float
+    stopped_s: float
 
 
 class Clocks:
@@ -33,16 +39,19 @@ class Clocks:
     ) -> None:
         self._monotonic, self._wall, self._boot = monotonic, wall, boot
         self._apart = self._now()
+        self._looked = monotonic()
 
     def look(self) -> Moved:
         """What moved, 0 where nothing did; while the machine sleeps the wall clock goes on, which is no step."""
         now, before = self._now(), self._apart
+        looked, self._looked = self._looked, self._monotonic()
+        stopped = self._looked - looked if self._looked - looked >= STOPPED_S else 0.0
         slept = now[1] - before[1]
         stepped = now[0] - before[0] - slept
         if abs(stepped) < STEP_S and slept < SLEEP_S:
-            return Moved(0.0, 0.0)  # and is compared with the same again: a slow drift adds up to a step, once
+            return Moved(0.0, 0.0, stopped)  # and is compared with the same again: a slow drift adds up to a step, once
         self._apart = now
-        return Moved(stepped if abs(stepped) >= STEP_S else 0.0, slept if slept >= SLEEP_S else 0.0)
+        return Moved(stepped if abs(stepped) >= STEP_S else 0.0, slept if slept >= SLEEP_S else 0.0, stopped)
 
     def _now(self) -> tuple[float, float]:
         """How far the wall clock, and the one that does not stand still, are ahead of the monotonic one [s]."""

@@ -18,36 +18,39 @@ keys = "/etc/faultline/keys"                         # public keys *.pub of thos
 
 [events]
 socket = "/run/faultline/events.sock"
+
+[store]                                              # without it events are told and not kept
+path = "/var/lib/faultline/events.sqlite"
+
+[control]                                            # where other processes ask (docs/control.md)
+socket = "/run/faultline/control.sock"
+# clear = ["faultline-web"]                          # users that may erase faults, besides root
+
+# [memory]                                           # how faults are remembered; these are the defaults
+# confirm_trips = 1                                  # operation cycles in a row that confirm a fault
+# heal_cycles = 3                                    # cycles without it after which it is warned of no longer
+# age_cycles = 40                                    # and those after which it is erased
+# entries = 64                                       # so many faults; then what matters least is displaced
+# failed_after_s = 0                                 # a diagnosis counts once it has been told for so long
+# passed_after_s = 0
+# disabled = "freeze"                                # or "reset": that count, while tests cannot tell
+# quiet_s = 60                                       # so long in each mode that showed it, and it is gone
+# frame_s = 10                                       # freeze frames reach so far before and after
 """
 
-import re
 import socket
-import tomllib
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from service.core.errors import InputError
-
-Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.-]*\Z", max_length=80)]
-"""It stands in ids and topics: nothing that means something there."""
-Path_ = Annotated[str, Meta(pattern=r"\A/[^\x00]*\Z", max_length=1000)]
-
-LARGEST = 256 * 1024  # bytes of a file that somebody wrote
+from service.core.memory import Rules
+from service.strict import ConfigError, Name, Part, Path_, Read, read
 
 
-class ConfigError(InputError):
-    """A configuration that must not be used."""
-
-
-class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common strictness."""
-
-
-class BusConfig(_Part, frozen=True):
+class BusConfig(Part, frozen=True):
     """A bus; its interface need not be there yet."""
 
     name: Name
@@ -55,14 +58,14 @@ class BusConfig(_Part, frozen=True):
     believe_local: bool = False
 
 
-class BundleConfig(_Part, frozen=True):
+class BundleConfig(Part, frozen=True):
     """A bundle's folder, or a link to it, and the bus that its frames are on."""
 
     path: Path_
     bus: Name
 
 
-class TrustConfig(_Part, frozen=True):
+class TrustConfig(Part, frozen=True):
     """Whose bundles are taken."""
 
     keys: Path_ | None = None
@@ -70,19 +73,41 @@ class TrustConfig(_Part, frozen=True):
     allow_unsigned: bool = False
 
 
-class EventsConfig(_Part, frozen=True):
+class EventsConfig(Part, frozen=True):
     """Where subscribers connect."""
 
     socket: Path_
 
 
-class Config(_Part, frozen=True):
+class StoreConfig(Part, frozen=True):
+    """Where events are kept."""
+
+    path: Path_
+
+
+class ControlConfig(Part, frozen=True):
+    """Where other processes ask, and the users that may erase faults besides root and our own."""
+
+    socket: Path_
+    clear: tuple[Name, ...] = ()
+
+
+class MemoryConfig(Rules, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How faults are remembered; a freeze frame reaches `frame_s` [s] before and after what was told."""
+
+    frame_s: Annotated[float, Meta(ge=1, le=60)] = 10.0
+
+
+class Config(Part, frozen=True):
     """The whole file."""
 
     bus: Annotated[list[BusConfig], Meta(min_length=1, max_length=16)]
     bundle: Annotated[list[BundleConfig], Meta(min_length=1, max_length=64)]
     trust: TrustConfig
     events: EventsConfig
+    store: StoreConfig | None = None
+    control: ControlConfig | None = None
+    memory: MemoryConfig = MemoryConfig()
     source: Name = msgspec.field(default_factory=socket.gethostname)
 
 
@@ -92,74 +117,35 @@ def load_config(path: Path) -> Config:
     Raises:
         ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
     """
+    file = read(path, Config)
+    _check(file)
+    return file.said
+
+
+def named(name: str, where: str) -> str:
+    """The vehicle's name, that may stand in ids and topics; raises ConfigError where it may not."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST + 1)
-        if len(raw) > LARGEST:
-            raise ConfigError(f"{path}: more than {LARGEST // 1024} KiB; this is no configuration")
-        text = raw.decode()
-        tree = tomllib.loads(text)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give another --config") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-    try:
-        config = msgspec.convert(tree, Config)
+        return msgspec.convert(name, Name)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at `")
-        steps = _steps(where.removesuffix("`").removeprefix("$"))
-        if (unknown := re.search(r"unknown field `(.*)`", message)) is not None:
-            steps.append(unknown.group(1))
-        place = f"{path}:{_line(text, steps)}"
-        name = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps).removeprefix(".")
-        raise ConfigError(f"{place}: {name + ': ' if name else ''}{message}") from error
-    _check(config, text, path)
-    return config
+        raise ConfigError(f"{where}: {name!r} cannot be the vehicle's name: letters, digits, _ . and - only") from error
 
 
-def _check(config: Config, text: str, path: Path) -> None:
-    """What the parts must say of each other."""
+def _check(file: Read[Config]) -> None:
+    """What the parts must say of each other, and the host's name where it is the vehicle's."""
+    config = file.said
+    named(config.source, f"{file.path}: source")
     if (config.trust.keys is None) != config.trust.allow_unsigned:
-        raise ConfigError(
-            f"{path}:{_line(text, ['trust'])}: trust: give the folder of the trusted public keys, `keys`, or for "
-            "trials `allow_unsigned = true`; one of them"
+        raise file.wrong(
+            ["trust"],
+            "give the folder of the trusted public keys, `keys`, or for trials `allow_unsigned = true`; one of them",
         )
     names = [bus.name for bus in config.bus]
     for k, bus in enumerate(config.bus):
         if Counter(names)[bus.name] > 1 and names.index(bus.name) != k:
-            raise ConfigError(f"{path}:{_line(text, ['bus', k, 'name'])}: bus {bus.name!r} is there twice; rename one")
+            raise file.wrong(["bus", k, "name"], f"bus {bus.name!r} is there twice; rename one")
     paths = [bundle.path for bundle in config.bundle]
     for k, bundle in enumerate(config.bundle):
         if bundle.bus not in names:
-            raise ConfigError(
-                f"{path}:{_line(text, ['bundle', k, 'bus'])}: there is no bus {bundle.bus!r}; "
-                f"those are {', '.join(names)}"
-            )
+            raise file.wrong(["bundle", k, "bus"], f"there is no bus {bundle.bus!r}; those are {', '.join(names)}")
         if paths.index(bundle.path) != k:
-            raise ConfigError(f"{path}:{_line(text, ['bundle', k, 'path'])}: this bundle is there twice; remove one")
-
-
-def _steps(where: str) -> list[str | int]:
-    """`.bus[1].name` as steps."""
-    return [int(number) if number else key for key, number in re.findall(r"\.([\w-]+)|\[(\d+)\]", where)]
-
-
-def _line(text: str, steps: list[Any]) -> int:
-    """The line of the file (from 1) that `steps` lead to, or of the nearest part around it that has one."""
-    found, table, counts = 1, [], Counter[str]()
-    for number, line in enumerate(text.splitlines(), start=1):
-        if (many := re.match(r"\s*\[\[\s*([\w.-]+)\s*\]\]", line)) is not None:
-            table = [many.group(1), counts[many.group(1)]]
-            counts[many.group(1)] += 1
-            here = table
-        elif (one := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line)) is not None:
-            table = here = [one.group(1)]
-        elif (key := re.match(r"""\s*["']?([\w-]+)["']?\s*=""", line)) is not None:
-            here = [*table, key.group(1)]
-        else:
-            continue
-        if here == steps:
-            return number
-        if here == steps[: len(here)]:
-            found = number
-    return found
+            raise file.wrong(["bundle", k, "path"], "this bundle is there twice; remove one")

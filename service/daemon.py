@@ -10,13 +10,18 @@ from pathlib import Path
 from service.bundle import Bundle, load_bundle, verify_golden
 from service.bundle_files import Trust
 from service.bus import open_bus
-from service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig, load_config
+from service.config import BundleConfig, BusConfig, Config, ControlConfig, EventsConfig, TrustConfig, load_config, named
 from service.core.errors import InputError
 from service.loop import Loop
-from service.outputs.socket import EventSocket
+from service.outputs.control import ControlSocket
+from service.outputs.socket import RING, EventSocket
 from service.reload import Reload
+from service.scribe import Scribe
+from service.store.journal import Journal
 from service.systemd import Notifier, Supervisor
 from service.watched import Line, watched
+
+BOOT = Path("/proc/sys/kernel/random/boot_id")  # random(4)
 
 EXAMPLE = """example:
   faultline run --config /etc/faultline/faultline.toml
@@ -32,21 +37,49 @@ def main(argv: list[str]) -> int:
     trust = _trust(config)
     bundles, refused = _loaded(config, trust)
     with ExitStack() as opened:
-        subscribers = opened.enter_context(EventSocket(Path(config.events.socket)))
+        journal = opened.enter_context(Journal(_store(config, options.config), _say, RING))
+        read = journal.read if journal.stores else None
+        subscribers = opened.enter_context(EventSocket(Path(config.events.socket), journal.earlier, read))
+        journal.earlier = []  # the socket has them
+        control = _control(config)
+        if control is not None:
+            opened.enter_context(control)
         lines = _lines(config, bundles, options.speed, required=options.config is None)
         for line in lines:
             opened.enter_context(line.bus)
         reload = None if options.config is None else Reload(options.config, config, lines, _trust, _say)
-        loop = Loop(config.source, lines, subscribers, notifier, _say, reload=reload, refused=refused)
+        loop = Loop(
+            *(Scribe(config.source, journal.last), lines, journal, subscribers, notifier, _say),
+            reload=reload,
+            refused=refused,
+            control=control,
+            memory=config.memory,
+            boot=BOOT.read_text().strip() if BOOT.exists() else "",
+        )
         _say(
             f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for _, each in bundles)}, "
             f"bus {', '.join(bus.interface for bus in config.bus)}, events on {config.events.socket}"
             + (f", {options.speed:g}x" if options.speed != 1 else "")
         )
-        with Supervisor(notifier, {"loop": loop.heartbeat}, _say):
+        with Supervisor(notifier, {"loop": loop.heartbeat, "store": journal}, _say):
             loop.serve()
             notifier.tell(STOPPING=1)
     return 0
+
+
+def _control(config: Config) -> ControlSocket | None:
+    if config.control is None:
+        return None
+    return ControlSocket(Path(config.control.socket), config.control.clear)
+
+
+def _store(config: Config, path: Path | None) -> Path | None:
+    """Where events are kept; nowhere in a trial, and where the configuration does not say."""
+    if config.store is not None:
+        return Path(config.store.path)
+    if path is not None:
+        _say(f"{path}: no [store]: events are told and not kept")
+    return None
 
 
 def _say(text: str) -> None:
@@ -64,13 +97,14 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     add("--bundle", type=Path, help="without a configuration: the bundle folder")
     add("--bus", help="and the bus: socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     add("--socket", type=Path, help="and where subscribers connect (Unix socket)")
+    add("--control", type=Path, help="and, if wanted, where other processes ask (Unix socket)")
     add("--source", help="the vehicle's name in events (default: the host's)")
     add("--speed", type=float, default=1.0, help="how many times real time the bus runs, for replays")
     options = parser.parse_args(argv)
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
     trial = ("bundle", "bus", "socket")
-    given = [f"--{name}" for name in (*trial, "source") if getattr(options, name) is not None]
+    given = [f"--{name}" for name in (*trial, "control", "source") if getattr(options, name) is not None]
     if options.config is not None:
         if given:
             parser.error(f"--config says that already: leave out {', '.join(given)}")
@@ -82,7 +116,8 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
         bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
         trust=TrustConfig(allow_unsigned=True),
         events=EventsConfig(socket=str(options.socket)),
-        source=options.source or socket.gethostname(),
+        control=ControlConfig(socket=str(options.control)) if options.control else None,
+        source=named(options.source or socket.gethostname(), "--source"),
     )
     return options, config
 
@@ -123,5 +158,6 @@ def _lines(
         here = [bundle for each, bundle in bundles if each.bus == bus.name]
         wanted = {one for bundle in here for one in bundle.table.wanted}
         opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
-        lines.append(Line(bus.name, opened, [watched(bundle, config.source, speed) for bundle in here], _say))
+        watching = [watched(bundle, config.source, speed) for bundle in here]
+        lines.append(Line(bus.name, opened, watching, _say, bus.interface))
     return lines

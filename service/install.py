@@ -30,6 +30,8 @@ START = (
 )
 CONFIG = Path("/etc/faultline/faultline.toml")
 KEYS = CONFIG.parent / "keys"
+OUTPUTS = {"j1939": "j1939", "mqtt": "mqtt", "web": "serve"}
+"""Units of the processes beside the service, which are enabled by whoever wants them, and their commands."""
 BUNDLES = Path("/var/lib/faultline-bundles")
 LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64")
 """Where shared libraries are; one that is not there is no error (`-` in the unit)."""
@@ -109,6 +111,9 @@ def _files(options: argparse.Namespace) -> Iterator[File]:
     yield File(system / "faultline.service", _text("faultline.service", words))
     yield File(system / "faultline-bundle@.service", _text("faultline-bundle@.service", words))
     yield File(CONFIG, _text("faultline.toml", words), keep=True)
+    for output, command in OUTPUTS.items():
+        yield File(system / f"faultline-{output}.service", _text(f"faultline-{output}.service", words))
+        yield File(CONFIG.parent / f"{command}.toml", _text(f"{command}.toml", words), keep=True)
     yield File(Path("/etc/sysctl.d/60-faultline.conf"), _text("sysctl.conf", words))
     yield File(Path("/etc/sysusers.d/faultline.conf"), _text("sysusers.conf", words))
     if options.bitrate is not None:

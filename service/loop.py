@@ -1,23 +1,42 @@
-"""The one loop: frames to the monitors, their events to the subscribers and to standard output.
+"""The one loop: frames to the monitors, their events to the store, then to the subscribers and to standard output.
 
-It receives, decides and serves in turn, each as much as a batch: nothing is handed from thread to thread, and what a
-turn takes (`docs/decisions/015-one-loop.md`) is a small part of what the kernel's queue holds.
+It receives, decides and serves in turn, each as much as a batch: only what is told is handed to another thread, the
+store's. What a turn takes (`docs/decisions/015-one-loop.md`) is a small part of what the kernel's queue holds.
 """
 
+import errno
+import os
+import select
 import selectors
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from types import FrameType
 
 import msgspec
 
+from service.answers import Answerer
 from service.clocks import Clocks
-from service.core.events import Event, encode
-from service.core.health import MEANINGS, SCHEMA, Condition, Conditions, Health, Standing, encode_health
+from service.config import MemoryConfig
+from service.core.health import (
+    MEANINGS,
+    OF_FRAMES,
+    SCHEMA,
+    Condition,
+    Conditions,
+    Health,
+    Standing,
+    decode_health,
+    encode_health,
+)
+from service.outputs.control import ControlSocket
+from service.outputs.journald import Journald
 from service.outputs.socket import EventSocket
+from service.remembering import Remembering
+from service.scribe import Scribe, now
+from service.store.file import Record
+from service.store.journal import Journal
 from service.systemd import Heartbeat, Notifier
 from service.watched import Line
 
@@ -25,17 +44,20 @@ IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
 ASKED_S = 0.005  # how often a bus that wakes nobody is asked
 LOOK_S = 1.0  # how often buses, signals and clocks are looked at
 QUEUED = 64  # batches: more than the longest queue holds
+KEEPING_S = 3.0  # at the end, how long the store may take
 LOSSES_S = 60.0  # how often losses are told where there are new ones
+_AS_USUAL = MemoryConfig()
 ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tenth of a second at most
 
 
 class Loop:
-    """Serves until a signal to stop. `source` is the vehicle's name."""
+    """Serves until a signal to stop."""
 
     def __init__(
         self,
-        source: str,
+        scribe: Scribe,
         lines: Sequence[Line],
+        journal: Journal,
         subscribers: EventSocket,
         notifier: Notifier,
         say: Callable[[str], None],
@@ -43,24 +65,36 @@ class Loop:
         clocks: Clocks | None = None,
         reload: Callable[[Callable[[], None]], None] | None = None,
         refused: Sequence[str] = (),
+        control: ControlSocket | None = None,
+        memory: MemoryConfig = _AS_USUAL,
+        boot: str = "",
     ) -> None:
         """`reload`, where given, is called when SIGHUP asks for it, with what to call so that we count as alive.
 
-        `refused` are the bundles that were left out.
+        `refused` are the bundles that were left out; `boot` is the kernel's identifier of this boot.
         """
-        self._source, self._lines, self._subscribers = source, lines, subscribers
+        self._scribe, self._lines, self._journal, self._subscribers = scribe, lines, journal, subscribers
         self._notifier, self._say, self._clock = notifier, say, clock
         self._clocks = clocks or Clocks()
         self.heartbeat = Heartbeat(ALIVE_S, clock)
-        self._conditions = Conditions()
         self._refused = {Condition("bundle-refused", each) for each in refused}
-        self._since: dict[Condition, str] = {}  # wall clock
+        self._since = _stood(journal.health)  # wall clock
+        self._conditions = Conditions(self._since, clock())
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
         self._registered: dict[Line, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
-        self._seq = 0
+        self._remembering = Remembering(
+            *(scribe, journal, lines, memory, memory.frame_s, boot, clock(), say),
+            standing=lambda: [f"{each.kind}: {each.of}" for each in self._conditions.standing],
+        )
+        self._answerer = Answerer(self._remembering, journal, self._state)
+        self._begun_at, self._told = now(), journal.last
+        self._journald = Journald(clock) if Journald.is_wanted() else None
+        self._control = control
+        if control is not None:
+            control.answers = self._answerer
         self._stopped = self._asked = self._ready = False
         self._reload = reload
-        self._printing = True
+        self._printing = sys.stdout is not None
 
     def serve(self) -> None:
         """Serves until a signal to stop."""
@@ -70,25 +104,40 @@ class Loop:
             signal.signal(signal.SIGHUP, self._ask)
         with selectors.DefaultSelector() as selector:
             self._subscribers.register(selector)
+            if self._control is not None:
+                self._control.register(selector)
+            selector.register(self._journal.fileno(), selectors.EVENT_READ)
             try:
                 while not self._stopped:
-                    for line in self._lines:
-                        self._register(line, selector)
-                    ready = selector.select(self._patience())
-                    self._look_at_clocks()
-                    for line in self._lines:
-                        self._tell(line.listen(self._clock()))
-                        self._register(line, selector)  # now: a subscriber may get the number of one that was closed
-                    self._subscribers.serve(ready)
-                    self._look()
-                    if self._asked:
-                        self._take_up()
-                    self.heartbeat.beat()
-                    if not self._ready:
-                        self._notifier.tell(READY=1)
-                        self._ready = True
+                    self._turn(selector)
             finally:
+                self._tell(self._journal.finish(KEEPING_S))
                 self._tell_losses()
+
+    def _turn(self, selector: selectors.BaseSelector) -> None:
+        """What is heard is decided, kept, told and answered; then it is looked whether all is well."""
+        for line in self._lines:
+            self._register(line, selector)
+        ready = selector.select(self._patience())
+        if self._begins_anew():
+            for line in self._lines:
+                self._register(line, selector)
+        for line in self._lines:
+            for watched, events in line.listen(self._clock()):
+                self._remembering.take(watched, events)
+            self._register(line, selector)  # now: a subscriber may get the number of one that was closed
+        self._tell(self._journal.take())
+        self._subscribers.serve(ready)
+        if self._control is not None:
+            self._control.serve(ready)
+            self._control.tick()
+        self._look()
+        if self._asked:
+            self._take_up()
+        self.heartbeat.beat()
+        if not self._ready:
+            self._notifier.tell(READY=1)
+            self._ready = True
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
         self._stopped = True
@@ -103,6 +152,7 @@ class Loop:
         self._notifier.tell(RELOADING=1, MONOTONIC_USEC=time.monotonic_ns() // 1000, STATUS="loading bundles")
         self._reload(self.heartbeat.beat)
         self._notifier.tell(READY=1)
+        self._clocks.look()  # the time that this took is none in which the process was stopped
 
     def _register(self, line: Line, selector: selectors.BaseSelector) -> None:
         """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
@@ -129,24 +179,37 @@ class Loop:
         if now < self._look_due:
             return
         self._look_due = now + LOOK_S
-        present = self._refused.union(*(line.look(now) for line in self._lines))
+        self._remembering.look(now)
+        present = self._refused.union(self._journal.conditions, *(line.look(now) for line in self._lines))
+        if not all(line.knows(now) for line in self._lines):  # what stood before a restart still may
+            present |= {condition for condition in self._conditions.standing if condition.kind in OF_FRAMES}
         if self._conditions.update(now, present):
-            self._tell_health()
+            self._keep_health()
         standing = "; ".join(_said(condition) for condition in self._conditions.standing)
         self._notifier.tell(STATUS=standing or "listening")
 
-    def _look_at_clocks(self) -> None:
+    def _begins_anew(self) -> bool:
+        """Whether a time is gone in which nobody listened: what was seen before has nothing to do with what comes."""
         moved = self._clocks.look()
         if moved.stepped_s:
             self._say(f"the wall clock was set by {moved.stepped_s:+.0f} s; decisions do not use it")
+        if not moved.slept_s and not moved.stopped_s:
+            return False
+        what = (
+            f"the machine slept for {moved.slept_s:.0f} s"
+            if moved.slept_s
+            else f"this process was stopped for {moved.stopped_s:.0f} s"
+        )
+        self._say(f"{what}; what was seen before is forgotten")
         if moved.slept_s:
-            self._say(f"the machine slept for {moved.slept_s:.0f} s; what was seen before is forgotten")
-            for line in self._lines:
-                for _ in range(QUEUED):
-                    if not line.bus.receive():  # queued before the sleep: of a time that is gone
-                        break
-                for bundle in line.bundles:
-                    bundle.restart()
+            self._remembering.slept()
+        for line in self._lines:
+            for _ in range(QUEUED):
+                if not line.bus.receive():  # queued before that
+                    break
+            for bundle in line.bundles:
+                bundle.restart()
+        return True
 
     def _tell_losses(self) -> None:
         self._losses_due = self._clock() + LOSSES_S
@@ -154,40 +217,52 @@ class Loop:
             if news := line.losses.news():
                 self._say(f"{line.name}: {news}" if len(self._lines) > 1 else news)
 
-    def _tell_health(self) -> None:
-        wall, standing = _now(), self._conditions.standing
+    def _keep_health(self) -> None:
+        standing = self._conditions.standing
+        named, seq, wall = self._scribe.next()
         self._since = {condition: self._since.get(condition, wall) for condition in standing}
         self._say("; ".join(map(_said, standing)) or "all is well with buses and signals")
-        self._seq += 1
-        health = Health(
-            schema=SCHEMA,
-            id=f"{self._source}-{self._seq}",
-            seq=self._seq,
-            wall=wall,
-            conditions=[Standing(kind=each.kind, of=each.of, since=self._since[each]) for each in standing],
-        )
-        self._publish(encode_health(health))
+        health = Health(schema=SCHEMA, id=named, seq=seq, wall=wall, conditions=self._standing())
+        self._journal.put(Record(seq, "health", encode_health(health)))
 
-    def _tell(self, events: list[Event]) -> None:
-        for event in events:
-            self._seq += 1
-            named = f"{self._source}-{self._seq}"
-            self._publish(encode(msgspec.structs.replace(event, id=named, seq=self._seq, wall=_now())))
+    def _standing(self) -> list[Standing]:
+        return [Standing(kind=each.kind, of=each.of, since=self._since.get(each)) for each in self._conditions.standing]
 
-    def _publish(self, line: bytes) -> None:
+    def _state(self) -> tuple[str, str, int, list[Standing]]:
+        """Whose service this is, since when, the number of what was told last, and what stands."""
+        return self._scribe.source, self._begun_at, self._told, self._standing()
+
+    def _tell(self, records: list[Record]) -> None:
         """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
-        self._subscribers.publish(self._seq, line)
-        if self._printing:
-            try:
-                sys.stdout.buffer.write(line)
-                sys.stdout.buffer.flush()
-            except OSError as error:
-                self._printing = False
-                self._say(f"standard output: {error.strerror}; events go on over the socket")
+        for record in records:
+            self._told = record.seq
+            self._subscribers.publish(record)
+            self._answerer.told(record)
+            if self._journald is not None:
+                self._journald.told(record)
+            if self._printing:
+                self._print(record.line)
+
+    def _print(self, line: bytes) -> None:
+        """Never waits: a pipe that nobody empties is one that nobody reads."""
+        try:
+            output = sys.stdout.fileno()
+            for k in range(0, len(line), select.PIPE_BUF):
+                if not select.select([], [output], [], 0.0)[1]:
+                    raise BlockingIOError(errno.EAGAIN, "nobody reads it")
+                os.write(output, line[k : k + select.PIPE_BUF])
+        except OSError as error:
+            self._printing = False
+            self._say(f"standard output: {error.strerror}; events go on over the socket")
 
 
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
+def _stood(told: Record | None) -> dict[Condition, str | None]:
+    """The conditions in what an earlier run told last, and since when; none in what another version told otherwise."""
+    try:
+        standing = decode_health(told.line).conditions if told is not None else []
+    except (msgspec.MsgspecError, ValueError):
+        return {}
+    return {Condition(one.kind, one.of): one.since for one in standing}
 
 
 def _said(condition: Condition) -> str:

@@ -14,6 +14,8 @@ from service.config import Config, load_config
 from service.core.errors import InputError
 from service.watched import FAILURES, Line, Watched
 
+FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
+"""Parts of the configuration that a reload leaves as they are."""
 NOT_TAKEN: tuple[type[Exception], ...] = (InputError, *FAILURES)
 
 
@@ -39,7 +41,11 @@ class Reload:
         except InputError as error:
             self._say(f"not reloaded: {error}")
             return
-        if changed := [name for name in ("source", "bus", "bundle", "events") if _differs(name, config, self._config)]:
+        if changed := [
+            name
+            for name in ("source", "bus", "bundle", "events", "store", "control", "memory")
+            if _differs(name, config, self._config)
+        ]:
             self._say(
                 f"{self._path}: {', '.join(changed)} changed: restart the service for that; bundles are looked at"
             )

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 READY_S = 5.0
 """For so long a manager may be too busy to take that we are ready."""
@@ -62,10 +63,18 @@ class Heartbeat:
         return self._clock() - self._at <= self._lasts
 
 
+class Part(Protocol):
+    """A part of the service that must be alive."""
+
+    @property
+    def fresh(self) -> bool:
+        """Whether it is."""
+
+
 class Supervisor:
     """Feeds the watchdog while all `parts` are alive, from a thread that does nothing else."""
 
-    def __init__(self, notifier: Notifier, parts: Mapping[str, Heartbeat], say: Callable[[str], None]) -> None:
+    def __init__(self, notifier: Notifier, parts: Mapping[str, Part], say: Callable[[str], None]) -> None:
         self._notifier, self._parts, self._say = notifier, parts, say
         self._ended = threading.Event()
         self._silent: list[str] = []

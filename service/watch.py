@@ -11,6 +11,8 @@ import msgspec
 
 from service.core.errors import InputError
 from service.core.events import Diagnosis, Event, decode, schema_of
+from service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
+from service.core.faults import SCHEMA as FAULT
 from service.core.health import MEANINGS, Health, decode_health
 from service.core.health import SCHEMA as HEALTH
 from service.core.manifest import Equation, Fault, Manifest
@@ -31,6 +33,20 @@ WORDS = {
     "cannot_tell": "cannot tell",
 }
 """How a transition reads."""
+
+
+CHANGES: dict[Change, str] = {
+    "pending": "is pending",
+    "confirmed": "is confirmed",
+    "failed": "is there again",
+    "refined": "has other candidates",
+    "withdrawn": "was not it",
+    "passed": "is not there any more",
+    "settled": "was not there for a cycle",
+    "aged": "is forgotten",
+    "displaced": "is forgotten, for want of room",
+}
+"""How what has become of a remembered fault reads."""
 
 
 def main(argv: list[str]) -> int:
@@ -97,8 +113,14 @@ def _connect(path: Path, wait_s: float) -> socket.socket:
 
 def _described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
     try:
-        if schema_of(line) == HEALTH:
+        schema = schema_of(line)
+        if schema == HEALTH:
             return describe_health(decode_health(line))
+        if schema == FAULT:
+            return describe_fault(decode_record(line))
+        if schema == CLEARED:
+            cleared = decode_cleared(line)
+            return f"{'':9}    erased by {cleared.by}: {', '.join(map(str, cleared.numbers)) or 'nothing'}"
         return describe(decode(line), faults, equations)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
         raise InputError(f"{path}: sent no event: {line[:80]!r} ({error})") from error
@@ -144,6 +166,13 @@ def describe_health(health: Health) -> str:
         return f"{'':9}    all is well with buses and signals"
     lines = [f"{each.of} {MEANINGS[each.kind]}, since {each.since}" for each in health.conditions]
     return "\n             ".join([f"{'':9}    buses and signals:", *lines])
+
+
+def describe_fault(record: FaultRecord) -> str:
+    """What has become of a remembered fault, for a person."""
+    fault = record.fault
+    names = " or ".join(" and ".join(each.faults) or "unknown" for each in fault.diagnoses)
+    return f"{'':9}    fault {fault.number} {CHANGES[record.change]}: {names}, status 0x{fault.mask:02X}"
 
 
 def _nothing(event: Event) -> str:

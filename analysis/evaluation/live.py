@@ -6,8 +6,7 @@ import msgspec
 
 from service.bundle import Bundle
 from service.core.errors import InputError
-from service.core.events import Event, decode, schema_of
-from service.core.health import SCHEMA as HEALTH
+from service.core.events import Event, decode, is_about, is_other
 from service.logs import Log
 
 
@@ -22,8 +21,8 @@ def live_events(path: Path, bundle: Bundle, log: Log) -> list[Event]:
     events = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
         try:
-            if schema_of(line) == HEALTH:
-                continue  # of buses and signals
+            if is_other(line):
+                continue  # of buses and signals, or of what is remembered
             events.append(decode(line))
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise InputError(f"{path}: line {number}: not an event: {error}") from error
@@ -32,9 +31,9 @@ def live_events(path: Path, bundle: Bundle, log: Log) -> list[Event]:
                 f"{path}: line {number}: told by bundle {events[-1].bundle[:12]}, not by {bundle.id[:12]}; "
                 "give the bundle that the service ran"
             )
-        if (source := events[-1].id.rpartition("-")[0]) != log.id:
+        if not is_about(events[-1], log.id):
             raise InputError(
-                f"{path}: line {number}: is about {source!r}, not about {log.id!r}; "
+                f"{path}: line {number}: is about {events[-1].id.rpartition('-')[0]!r}, not about {log.id!r}; "
                 f"give the events of this recording (faultline run --source {log.id})"
             )
     if not events:

@@ -70,6 +70,13 @@ def _check_faults(model: Model, where: str) -> None:
         raise ModelError(
             f"{where}: fault {twice} is in two equations; let it define an unknown of its own and use that in both"
         )
+    codes: dict[tuple[int | None, int | None], str] = {}
+    for place, each in entering:
+        if each.spn is not None and codes.setdefault((each.spn, each.fmi), each.component) != each.component:
+            raise ModelError(
+                f"{where}: {place}.spn: {each.spn} with FMI {each.fmi} is the {codes[each.spn, each.fmi]} already; "
+                "give each component a code of its own, one of a manufacturer's (520192 to 524287) where none fits"
+            )
     for k, equation in enumerate(model.equations.values()):
         if equation.fault and equation.disturbance and equation.fault.enters == equation.disturbance.enters:
             raise ModelError(

@@ -216,7 +216,7 @@ def _equation(table: Table, names: Sequence[str]) -> Equation:
         description=table.text("description", ""),
         text=text,
         expression=parse_expression(text, names, table.at("expr")),
-        fault=None if fault is None else _fault(fault, names, fault.text("component")),
+        fault=None if fault is None else _fault(fault, names, fault.text("component"), *_code(fault)),
         disturbance=None if disturbance is None else _fault(disturbance, names, ""),
     )
     table.done()
@@ -228,7 +228,15 @@ def _equation(table: Table, names: Sequence[str]) -> Equation:
     return equation
 
 
-def _fault(table: Table, names: Sequence[str], component: str) -> Fault:
+def _code(table: Table) -> tuple[int | None, int | None]:
+    """Suspect parameter (19 bits, all ones is none) and failure mode (5 bits) of SAE J1939-73."""
+    spn, fmi = table.optional_whole("spn", 1, 2**19 - 2), table.optional_whole("fmi", 0, 31)
+    if (spn is None) != (fmi is None):
+        raise table.fail("spn" if spn is None else "fmi", "is missing; SPN and FMI are one code: give both, or none")
+    return spn, fmi
+
+
+def _fault(table: Table, names: Sequence[str], component: str, spn: int | None = None, fmi: int | None = None) -> Fault:
     name, text = table.text("name"), table.text("enters")
     check_name(name, f"{table.at('name')}: {name!r}")
     if name in names:
@@ -245,6 +253,8 @@ def _fault(table: Table, names: Sequence[str], component: str) -> Fault:
         enters_text=text,
         sizes=table.numbers("sizes"),
         relative_to=table.optional_text("relative_to"),
+        spn=spn,
+        fmi=fmi,
     )
     table.done()
     if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:

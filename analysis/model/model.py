@@ -77,7 +77,8 @@ class Fault:
     """A fault variable, zero when there is no fault; that of a disturbance has no component.
 
     It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
-    are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None.
+    are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. On a J1939 network it
+    is the suspect parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none.
     """
 
     name: str
@@ -88,6 +89,8 @@ class Fault:
     enters_text: str
     sizes: tuple[float, ...]
     relative_to: str | None
+    spn: int | None = None
+    fmi: int | None = None
 
     def absolute(self, size: float, model: "Model") -> float:
         """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""

@@ -43,6 +43,16 @@ class Table:
         self._allowed[key] = None
         return self.number(key) if key in self._data else None
 
+    def optional_whole(self, key: str, least: int, most: int) -> int | None:
+        """A whole number from `least` to `most`, None if absent."""
+        self._allowed[key] = None
+        if key not in self._data:
+            return None
+        value = self._take(key, int, "a whole number", None)
+        if isinstance(value, bool) or not least <= value <= most:
+            raise self.fail(key, f"must be a whole number from {least} to {most}, not {value!r}")
+        return value
+
     def flag(self, key: str) -> bool:
         """True or false, false if absent."""
         return self._take(key, bool, "true or false", False)

@@ -52,6 +52,7 @@ def _equation(equation: Equation) -> dict[str, object]:
                 "name": each.name,
                 **({"component": each.component} if what == "fault" else {}),
                 "description": each.description,
+                **({} if each.spn is None else {"spn": each.spn, "fmi": each.fmi}),
                 "enters": each.enters_text,
                 "sizes": each.sizes,
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),

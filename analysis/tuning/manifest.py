@@ -42,7 +42,8 @@ def manifest_of(
         modes=tuning.modes,
         detectors=tuning.detectors,
         faults=[
-            Fault(name=f.name, component=f.component, description=f.description) for f in bank.model.faults.values()
+            Fault(name=f.name, component=f.component, description=f.description, spn=f.spn, fmi=f.fmi)
+            for f in bank.model.faults.values()
         ],
         disturbances=[
             Disturbance(name=e.disturbance.name, equation=e.name, description=e.disturbance.description)

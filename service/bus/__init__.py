@@ -10,12 +10,14 @@ from service.core.decode import Wanted
 __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 
 
-def open_bus(spec: str, wanted: Iterable[Wanted] = (), *, believe_local: bool = False, required: bool = True) -> Bus:
+def open_bus(
+    spec: str, wanted: Iterable[Wanted] | None = None, *, believe_local: bool = False, required: bool = True
+) -> Bus:
     """The bus that `spec` names: `socketcan:NAME`, `udp_multicast:GROUP:PORT`, or `can:INTERFACE:CHANNEL[:BITRATE]`.
 
-    Of SocketCAN the kernel gives the `wanted` frames only, if there are any (`DecodeTable.wanted`). What processes of
-    this machine send over a real interface is taken only with `believe_local`; an interface that is not `required` may
-    come later.
+    Of SocketCAN the kernel gives the `wanted` frames only (`DecodeTable.wanted`), all where that is None. What
+    processes of this machine send over a real interface is taken only with `believe_local`; an interface that is not
+    `required` may come later.
 
     Raises:
         BusError: the spec is neither, or the bus is not there.

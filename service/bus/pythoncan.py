@@ -118,7 +118,7 @@ class PythonCan(Bus):
         except ERRORS as error:
             told = " ".join(str(error).split())
             raise BusError(f"{self._name}: {told}; name an interface that python-can has, and that is there") from error
-        self._wait, self.trouble = RETRY_S, None
+        self._wait, self.trouble, self.why = RETRY_S, None, ""
 
     def _try_again(self) -> bool:
         now = self._clock()

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 
 from service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
-from service.bus.error_frame import read_error
+from service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
 from service.bus.interface import Interface, interface, losses
 from service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
 from service.core.decode import Wanted
@@ -19,7 +19,8 @@ from service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
-ERROR_CLASSES = 0x1FFF_FFFF & ~0x80  # all but bus errors, which may come as fast as the bus runs
+ERROR_CLASSES = BUS_OFF | RESTARTED | CONTROLLER
+"""Error frames that have any of these are given: bus errors alone may come as fast as the bus runs."""
 
 PATIENCE_S = 1.0  # how long a full sending queue may stay full
 LOOK_S = 1.0  # how often the interface is looked at: what was removed while it was down says nothing
@@ -60,18 +61,18 @@ class SocketCan(Bus):
     def __init__(
         self,
         name: str,
-        wanted: Iterable[Wanted] = (),
+        wanted: Iterable[Wanted] | None = None,
         *,
         believe_local: bool = False,
         required: bool = True,
-        make: "Callable[[str, Iterable[Wanted]], socket.socket] | None" = None,
+        make: "Callable[[str, Iterable[Wanted] | None], socket.socket] | None" = None,
         look: Callable[[str], Interface | None] = interface,
         lost: Callable[[str], int | None] = losses,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self._name = name
-        self._wanted = tuple(wanted)
+        self._wanted = None if wanted is None else tuple(wanted)
         self._believe_local = believe_local
         self._make, self._look, self._lost, self._clock = make or can_socket, look, lost, clock
         self._counted: int | None = None  # what controller and driver had lost at the last look
@@ -218,7 +219,7 @@ class SocketCan(Bus):
         self._read = reader_of(self._socket)
         self._at = self._look(self._name)
         self._local = self._believe_local or (self._at is not None and self._at.virtual)
-        self._wait, self.trouble = RETRY_S, None
+        self._wait, self.trouble, self.why = RETRY_S, None, ""
         self._counted = self._lost(self._name)
         self._due = self._clock() + LOOK_S
 
@@ -235,7 +236,7 @@ class SocketCan(Bus):
     def want(self, wanted: Sequence[Wanted]) -> None:
         """The kernel gives these from now on, and no others."""
         self._wanted = tuple(wanted)
-        if self._socket is not None and self._wanted:
+        if self._socket is not None:
             self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, can_filters(self._wanted))
 
     def send(self, frame: Frame) -> None:
@@ -266,7 +267,7 @@ class SocketCan(Bus):
             self._socket.close()
 
 
-def can_socket(name: str, wanted: Iterable[Wanted]) -> socket.socket:
+def can_socket(name: str, wanted: Iterable[Wanted] | None) -> socket.socket:
     """A raw socket on the interface, which is up; `wanted` as for `service.bus.open_bus`.
 
     Raises:
@@ -292,11 +293,10 @@ def can_socket(name: str, wanted: Iterable[Wanted]) -> socket.socket:
     return sock
 
 
-def _configure(sock: socket.socket, wanted: Iterable[Wanted]) -> None:
+def _configure(sock: socket.socket, wanted: Iterable[Wanted] | None) -> None:
     """Before binding, so that no frame comes unfiltered or unstamped."""
-    filters = can_filters(wanted)
-    if filters:
-        sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, filters)
+    if wanted is not None:
+        sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, can_filters(wanted))
     sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, struct.pack("=I", ERROR_CLASSES))
     sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, 0)
     sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FD_FRAMES, 1)

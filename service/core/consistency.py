@@ -63,6 +63,12 @@ def _names(manifest: Manifest) -> Iterator[str]:
         if any((other.graph, other.test) == (generator.graph, generator.test) for other in generators[:row]):
             yield f"generators[{row}].test: {generator.test!r} is there twice"
     yield from _repeated([fault.name for fault in manifest.faults], "faults", ".name")
+    codes: dict[tuple[int | None, int | None], str] = {}
+    for row, fault in enumerate(manifest.faults):
+        if (fault.spn is None) != (fault.fmi is None):
+            yield f"faults[{row}].spn: SPN and FMI are one code: both, or none"
+        if fault.spn is not None and codes.setdefault((fault.spn, fault.fmi), fault.component) != fault.component:
+            yield f"faults[{row}].spn: {fault.spn} with FMI {fault.fmi} is {codes[fault.spn, fault.fmi]!r} already"
     named = [*(fault.name for fault in manifest.faults), *(each.name for each in manifest.disturbances)]
     yield from _repeated(named, "faults and disturbances")
     yield from _repeated([equation.name for equation in manifest.equations], "equations", ".name")

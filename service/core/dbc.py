@@ -42,6 +42,11 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
         for signal in wanted:
             carriers[signal.name].append(message.name)
         if wanted:
+            if message.is_extended_frame and not _says_formats(database):
+                raise InputError(
+                    f"{where}: does not say whether {message.name} is J1939's: give it the attribute VFrameFormat "
+                    "(J1939PG, or ExtendedCAN), or raw values that mean *not available* would be taken for numbers"
+                )
             if message.protocol == "j1939" and message.length > LONGEST:
                 raise InputError(
                     f"{where}: {message.name} has {message.length} bytes, which come by J1939's transport protocol, "
@@ -54,6 +59,11 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
             layouts[identifier, message.is_extended_frame] = _layout(message, identifier, wanted, units, where)
     _check_carriers(carriers, where)
     return DecodeTable(layouts)
+
+
+def _says_formats(database: Database) -> bool:
+    """Whether it knows the attribute that tells J1939 from other messages of 29 bits."""
+    return database.dbc is not None and "VFrameFormat" in database.dbc.attribute_definitions
 
 
 def _layout(

@@ -22,7 +22,7 @@ from service.core.explaining import Explainer
 from service.core.generators import Residuals
 from service.core.hypotheses import Hypotheses, Look
 from service.core.intermittence import BLOCK_TICKS, Intermittence
-from service.core.manifest import Manifest
+from service.core.manifest import MODES, Manifest
 from service.core.modes import EDGE
 from service.core.signals import Mask, Vector
 from service.core.unlike import Unlike
@@ -215,6 +215,11 @@ class Decision:
     def fired(self) -> Mask:
         """The generators (T,) whose level alarms, whether they can tell now or not; not of those frozen for long."""
         return np.isin(np.arange(len(self._tests)), [*self._detectors.alarmed])
+
+    @property
+    def showing(self) -> list[str]:
+        """The operating modes that have shown what is wrong, since it was suspected."""
+        return [MODES[mode] for mode in np.flatnonzero(self._showing)]
 
     @property
     def alarm(self) -> list[str]:

@@ -97,7 +97,7 @@ class Field:
             quality = j1939_quality(raw, self.cut.length) if j1939 else Quality.GOOD
             number = raw - (1 << self.cut.length) if self.signed and raw >> (self.cut.length - 1) else raw
         value = number * self.scale + self.offset
-        if quality is Quality.GOOD and not self.low <= value <= self.high:
+        if quality is Quality.GOOD and not (self.low <= value <= self.high and isfinite(value)):
             quality = Quality.OUT_OF_RANGE
         return self.name, value, quality
 
@@ -163,7 +163,9 @@ class DecodeTable:
         self._j1939 = {identifier: layout for identifier, layout in extended.items() if layout.j1939}
         self._other = {identifier: layout for identifier, layout in extended.items() if not layout.j1939}
         self._standard = {n: layout for (n, is_extended), layout in layouts.items() if not is_extended}
-        self._groups = {identifier & GROUP_MASK: layout for identifier, layout in self._j1939.items()}
+        self._groups: dict[int, list[Layout]] = {}
+        for identifier, layout in self._j1939.items():
+            self._groups.setdefault(identifier & GROUP_MASK, []).append(layout)
         self._names: dict[int, bytes] = {}  # of devices, by the address that they claimed
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.rejected = Rejected()
@@ -189,7 +191,8 @@ class DecodeTable:
             layout = self._standard.get(can_id)
         if layout is None:
             if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
-                _count(self.rejected.other_source, group.name)
+                for each in group:
+                    _count(self.rejected.other_source, each.name)
             elif is_extended and can_id & GROUP_MASK == CLAIM:
                 self._claimed(can_id & 0xFF, data)
             return []

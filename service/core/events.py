@@ -4,6 +4,7 @@ Source: the CloudEvents idea of (source, id) as identity; the transitions are na
 AUTOSAR diagnostic management.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Literal
 
@@ -65,6 +66,11 @@ def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], in
     return [(tuple(one.faults), one.rank, tuple(one.near)) for one in diagnoses]
 
 
+def is_about(event: Event, source: str) -> bool:
+    """Whether the event is of this vehicle (`<source>-<run>-<seq>`) or recording (`<source>-<seq>`)."""
+    return re.fullmatch(rf"{re.escape(source)}(-[0-9a-f]{{8}})?-\d+", event.id) is not None
+
+
 class _Header(msgspec.Struct):
     """What every record begins with."""
 
@@ -84,6 +90,12 @@ def encode(event: Event) -> bytes:
 def schema_of(line: bytes) -> str:
     """What kind of record a line of JSON is; raises as `decode`."""
     return _HEADER.decode(line).schema
+
+
+def is_other(line: bytes) -> bool:
+    """Whether a line is a record of faultline's and no event: of health, of remembered faults; raises as `decode`."""
+    schema = schema_of(line)
+    return schema.startswith("faultline.") and not schema.startswith("faultline.event/")
 
 
 def decode(line: bytes) -> Event:

@@ -30,6 +30,8 @@ Kind = Literal[
     "unknown-selector",
     "bundle-failed",
     "bundle-refused",
+    "store-failed",
+    "store-reset",
 ]
 
 MEANINGS: dict[Kind, str] = {
@@ -51,8 +53,18 @@ MEANINGS: dict[Kind, str] = {
     "unknown-selector": "is multiplexed by a value that the DBC does not have",
     "bundle-failed": "could not be computed, and has begun anew",
     "bundle-refused": "is damaged, not signed, or not for this faultline: nothing of it runs",
+    "store-failed": "cannot be opened or written: what is told is not kept",
+    "store-reset": "was damaged; it has been put aside and a new one was begun",
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""
+
+OF_FRAMES: frozenset[Kind] = frozenset(
+    (
+        *("no-traffic", "missing", "not-available", "error", "out-of-range", "frozen", "jump"),
+        *("second-sender", "address-claim", "short-frames", "unknown-selector"),
+    )
+)
+"""What only frames, or their absence for a while, can show."""
 
 assert set(MEANINGS) == set(get_args(Kind))
 
@@ -63,7 +75,7 @@ CLEARED_S = 10.0
 
 
 class Condition(msgspec.Struct, frozen=True, order=True):
-    """Something that is wrong with `of`: a bus, a message or a signal."""
+    """Something that is wrong with `of`: a bus, a message, a signal, a bundle or the store."""
 
     kind: Kind
     of: str
@@ -98,11 +110,14 @@ def decode_health(line: bytes) -> Health:
 
 
 class Conditions:
-    """Conditions with their patience. State: those that are, or were lately."""
+    """Conditions with their patience. State: those that are, or were lately.
 
-    def __init__(self) -> None:
+    `told` are those that stood when an earlier run ended, at time `t` [s] of this one: if they are gone, that is news.
+    """
+
+    def __init__(self, told: Iterable[Condition] = (), t: float = 0.0) -> None:
         self._begun: dict[Condition, float] = {}  # seen, not told yet: since when
-        self._seen: dict[Condition, float] = {}  # told: when it was last seen
+        self._seen = dict.fromkeys(told, t)  # told: when it was last seen
 
     @property
     def standing(self) -> Sequence[Condition]:

@@ -191,11 +191,13 @@ def brief(detector: Detector) -> str:
 
 
 class Fault(_Part, frozen=True):
-    """A fault and the component it names."""
+    """A fault and the component it names; on a J1939 network it is the suspect parameter `spn` with the mode `fmi`."""
 
     name: Name
     component: Text
     description: Text
+    spn: Annotated[int, Meta(ge=1, le=524_286)] | None = None
+    fmi: Annotated[int, Meta(ge=0, le=31)] | None = None
 
 
 class Equation(_Part, frozen=True):

@@ -20,7 +20,8 @@ from service.core.telling import Teller
 class Monitor:
     """One vehicle's diagnosis. `source` names the recording or the vehicle, `bundle_id` is the manifest's SHA-256.
 
-    `watch`, where given, is called after each tick with what was seen and decided: for pictures, never for decisions.
+    `watch`, where given, is called after each tick with what was seen and decided: for freeze frames and pictures,
+    never for decisions.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class Monitor:
         )
         self._decision = Decision(manifest)
         self._teller = Teller(source, bundle_id, manifest.period_s)
-        self._watch = watch
+        self.watch = watch
         self._quality: Qualities | None = None
 
     def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Event]:
@@ -91,6 +92,6 @@ class Monitor:
             self._quality = tick.quality
             self._decision.update(tick.number, tick.mode, tick.residuals)
             events += self._teller.update(tick.number, self._decision)
-            if self._watch is not None:
-                self._watch(tick, self._decision)
+            if self.watch is not None:
+                self.watch(tick, self._decision)
         return events

@@ -11,6 +11,8 @@ import numpy as np
 from service.core.manifest import Input
 from service.core.signals import Qualities, Quality, Vector
 
+_NO_NUMBER = (Quality.MISSING, Quality.NOT_AVAILABLE, Quality.ERROR, Quality.RESERVED)
+
 
 class Sampler:
     """Holds the latest value of every input; `sample(t)` reads them all at a tick.
@@ -67,7 +69,8 @@ class Sampler:
         self._heard[column] = value
         gap = t - self._time[column]
         away = gap > channel.maximum_age_s  # nobody knows what it was meanwhile
-        if value != before or away or not channel.lower < value < channel.upper:
+        unknown = away or self._quality[column] in _NO_NUMBER
+        if value != before or unknown or not channel.lower < value < channel.upper:
             self._changed[column] = t
         if channel.frozen_s is not None and t - self._changed[column] > channel.frozen_s:
             return Quality.FROZEN

@@ -1,6 +1,8 @@
 """How the frames of one table come: which do not, which come from more than one, which are not as the DBC says."""
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from service.core.decode import DecodeTable, Layout
 from service.core.health import Condition, Kind
@@ -8,15 +10,19 @@ from service.core.manifest import Input
 from service.core.signals import Qualities, Quality
 
 WINDOW_S = 10.0
-"""Frames are counted over so long."""
-TOO_MANY = 1.5
-"""More than so many times as many frames as the DBC's cycle time allows are of more than one sender."""
+"""What is wrong with frames is told for so long after the last one."""
+TOO_MANY: Mapping[float, float] = {3.0: 1.5, 10.0: 1.5, 60.0: 1.25}
+"""Within so many seconds, of real time, more than so many times as many frames as the DBC's cycle time allows are of
+more than one sender: two are seen within three seconds, and one that adds every third frame within a minute."""
 SLACK = 3
 """Frames more that a window may have: its ends, and one that waited."""
+COUNTED_S = 1.0
+"""Frames are counted so often."""
 EXPECTED_S = 30.0
 """With the ignition on every sender has spoken by then."""
-
-DOUBTFUL = ("second-sender", "address-claim")
+SILENT_S, QUIET_S = 5.0, 2.0
+"""All senders together are silent for a reason of their own, as the ignition: after `QUIET_S` no single signal is
+missing, after `SILENT_S` nothing comes any more; later where messages come less often than every second."""
 
 _WORTH: Mapping[int, Kind] = {
     Quality.MISSING: "missing",
@@ -31,52 +37,90 @@ _WORTH: Mapping[int, Kind] = {
 """What is `DOUBTED` has been found here."""
 
 
-class Traffic:
-    """Looks at a table's counts now and then. State: the counts at the last window's end."""
+class _Count(NamedTuple):
+    """Counts by what and message, of all frames up to time `t` [s]."""
 
-    def __init__(self, table: DecodeTable, inputs: Sequence[Input], begin_s: float) -> None:
+    t: float
+    by: Mapping[str, Mapping[str, int]]
+
+
+class Traffic:
+    """Looks at a table's counts now and then. State: the counts of the last minute.
+
+    Frames are counted by the time at which they came, which may be long before they are taken. `speed` is how many
+    times real time goes by: a sender that is held up is held up in real time.
+    """
+
+    def __init__(self, table: DecodeTable, inputs: Sequence[Input], begin_s: float, speed: float = 1.0) -> None:
         self._table = table
         self._signals = [channel.signal for channel in inputs]
         self._messages = {layout.name: layout for layout in table.layouts}
-        self._begin = self._heard = begin_s
-        self._total = sum(table.taken.values())
-        self._counts = self._snapshot()
-        self._found: set[Condition] = set()
+        self._heard: float | None = None  # when the last expected frame came
+        self._begin, self._stretch = begin_s, max(1.0, speed)
+        slowest = max((layout.period_s or 0.0 for layout in table.layouts), default=0.0)
+        self._quiet_s, self._silent_s = max(QUIET_S, 2.0 * slowest), max(SILENT_S, 3.0 * slowest)
+        self._total = self._expected()
+        self._counts = deque([_Count(begin_s, self._counted())])
+        self._doubted: frozenset[str] = frozenset()
+
+    def note(self, t: float) -> None:
+        """All frames up to time `t` [s] have been decoded, if there were any."""
+        if (total := self._expected()) > self._total:
+            self._total, self._heard = total, t
+        if t - self._counts[-1].t >= self._stretch * COUNTED_S:
+            self._counts.append(_Count(t, self._counted()))
+            while t - self._counts[1].t >= self._stretch * max(TOO_MANY):
+                self._counts.popleft()
 
     def look(self, t: float, quality: Qualities | None) -> set[Condition]:
         """What is wrong at time `t` [s], with what the signals (nz,) were worth at the last tick, if there was one."""
-        total = sum(self._table.taken.values())
-        if total > self._total:
-            self._total, self._heard = total, t
-        if t - self._begin >= WINDOW_S:
-            before, self._counts = self._counts, self._snapshot()
-            self._found = {*self._in_window(t - self._begin, before)}
-            self._begin = t
-        if t - self._heard >= EXPECTED_S:
-            return self._found | {Condition("no-traffic", ", ".join(self._messages))}
-        worth = [] if quality is None else zip(self._signals, quality.tolist(), strict=True)
-        return self._found | {Condition(_WORTH[q], signal) for signal, q in worth if q in _WORTH}
+        silent = t - (self._begin if self._heard is None else self._heard)
+        crowded, claimed, others = {*self._crowded()}, {*self._more("claimed")}, {*self._more("other_source")}
+        self._doubted = frozenset(s for name in crowded | claimed for s in self._messages[name].signals)
+        strangers = {name for name in others if not _is_proprietary(self._messages[name])}
+        found = {Condition("second-sender", name) for name in crowded | strangers}
+        found |= {Condition("address-claim", name) for name in claimed}
+        found |= {Condition("short-frames", name) for name in self._more("short")}
+        found |= {Condition("unknown-selector", name) for name in self._more("unknown_selector")}
+        if silent >= (EXPECTED_S if self._heard is None else self._silent_s):
+            return found | {Condition("no-traffic", ", ".join(self._messages))}
+        if quality is None or silent >= self._quiet_s:
+            return found
+        worth = zip(self._signals, quality.tolist(), strict=True)
+        return found | {Condition(_WORTH[q], signal) for signal, q in worth if q in _WORTH}
 
     @property
     def doubted(self) -> frozenset[str]:
-        """The signals of messages that are not surely their sender's, as far as the last window showed."""
-        doubted = [self._messages[each.of] for each in self._found if each.kind in DOUBTFUL]
-        return frozenset(signal for layout in doubted for signal in layout.signals)
+        """The signals of messages that are not surely their sender's, as of the last look."""
+        return self._doubted
 
-    def _in_window(self, seconds: float, before: Mapping[str, Mapping[str, int]]) -> Iterator[Condition]:
-        now = self._counts
-        for name, layout in self._messages.items():
-            more = {what: counts.get(name, 0) - before[what].get(name, 0) for what, counts in now.items()}
-            if _too_many(layout, more["taken"], seconds) or (more["other_source"] and not _is_proprietary(layout)):
-                yield Condition("second-sender", name)
-            if more["claimed"]:
-                yield Condition("address-claim", name)
-            if more["short"]:
-                yield Condition("short-frames", name)
-            if more["unknown_selector"]:
-                yield Condition("unknown-selector", name)
+    def _expected(self) -> int:
+        """Frames that came of those that should, whole or not."""
+        return sum(self._table.taken.values()) + sum(self._table.rejected.short.values())
 
-    def _snapshot(self) -> dict[str, dict[str, int]]:
+    def _crowded(self) -> Iterator[str]:
+        """Messages that come more often than one sender sends them."""
+        now = self._counts[-1]
+        for window, times in TOO_MANY.items():
+            if now.t - self._counts[0].t < self._stretch * window:
+                break  # what waited for us to begin is no crowd
+            before = self._before(self._stretch * window)
+            for name, layout in self._messages.items():
+                more = now.by["taken"][name] - before.by["taken"][name]
+                if layout.period_s is not None and more > times * (now.t - before.t) / layout.period_s + SLACK:
+                    yield name
+
+    def _more(self, what: str) -> Iterator[str]:
+        """Messages of which such frames came lately."""
+        before, counts = self._before(WINDOW_S).by[what], self._counted()[what]
+        return (name for name in self._messages if counts.get(name, 0) > before.get(name, 0))
+
+    def _before(self, seconds: float) -> _Count:
+        """The counts so long ago, or the first there are."""
+        until = self._counts[-1].t - seconds
+        return next((each for each in reversed(self._counts) if each.t <= until), self._counts[0])
+
+    def _counted(self) -> dict[str, dict[str, int]]:
         rejected = self._table.rejected
         counts = {
             "taken": self._table.taken,
@@ -86,10 +130,6 @@ class Traffic:
             "claimed": rejected.claimed,
         }
         return {what: dict(each) for what, each in counts.items()}
-
-
-def _too_many(layout: Layout, count: int, seconds: float) -> bool:
-    return layout.period_s is not None and count > TOO_MANY * seconds / layout.period_s + SLACK
 
 
 def _is_proprietary(layout: Layout) -> bool:

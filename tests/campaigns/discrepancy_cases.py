@@ -143,8 +143,8 @@ def sample() -> list[Case]:
         wanted = {name: _size(name, size) for name in effects}
         return next(case for case in of_a if case.kind == kind and case.effects == wanted)
 
-    alone = ("closing_delay", "stiff_hose", "sensor_lag", "cake_growth")  # and full_lift is a story's
-    hidden = [first("hidden", [name]) for name in alone] + [first("hidden", ["pump_slip"], 2.0)]
+    alone = ("sensor_lag", "cake_growth")  # and full_lift is a story's
+    hidden = [first("hidden", [name]) for name in alone]
     outside = first("outside", ["stiff_hose"])
     return [*hidden, outside, *[c for c in of_a if c.kind == "two"][:1], *[c for c in of_a if c.kind == "nothing"][:2]]
 

@@ -1,6 +1,6 @@
 """What the service's process does in the endurance campaign; only what a vehicle has is imported here.
 
-    python tests/campaigns/endured.py soak HOURS | fuzz FRAMES SEED
+    python tests/campaigns/endured.py soak HOURS | fuzz FRAMES SEED | rate SECONDS FOREIGN
 
 Each time that it has looked at itself, a line of JSON goes to standard error: standard output has the events.
 """
@@ -10,22 +10,33 @@ import os
 import random
 import signal
 import socket
+import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from service.bundle import load_bundle
 from service.bus import Bus
-from service.bus.base import BATCH
+from service.bus.base import BATCH, QUEUE
+from service.bus.interface import Interface
+from service.bus.reader import CLASSIC
+from service.bus.socketcan import EFF_FLAG, SocketCan
 from service.logs import Frame, open_log
 from service.loop import Loop
 from service.outputs.socket import EventSocket
+from service.scribe import Scribe
+from service.store.journal import Journal
 from service.systemd import Notifier
 from service.watched import Line, watched
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+VIRTUAL = Interface(3, is_can=True, is_up=True, virtual=True)
+SO_SNDBUFFORCE = 32  # asm-generic/socket.h
+STEP_S = 0.01  # what a second brings is sent in so small parts
 LOOKS = 50
 """How often a process looks at itself."""
 
@@ -88,10 +99,15 @@ class Playback(Bus):
 def soak(hours: float) -> None:
     """The daemon's loop with a bundle, a bus and a subscriber, so many hours of log time."""
     bundle = load_bundle(GOLDEN / "bundle")
-    with TemporaryDirectory() as folder, EventSocket(Path(folder) / "s") as subscribers:
+    with (
+        TemporaryDirectory() as folder,
+        Journal(Path(folder) / "events.sqlite", print) as journal,
+        EventSocket(Path(folder) / "s") as subscribers,
+    ):
         bus = Playback(hours)
         line = Line("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
-        loop = Loop("truck", [line], subscribers, Notifier({}), lambda _: None, lambda: bus.now)
+        scribe = Scribe("truck", journal.last)
+        loop = Loop(scribe, [line], journal, subscribers, Notifier({}), lambda _: None, lambda: bus.now)
         threading.Thread(target=subscriber, args=(Path(folder) / "s",), daemon=True).start()
         loop.serve()
         bus.close()
@@ -139,16 +155,84 @@ def fuzz(count: int, seed: int) -> None:
     frames = mutated(random.Random(seed), recorded)  # noqa: S311 no secret
     for k in range(1, count + 1):
         frame = next(frames)
-        made.frame(frame)
+        list(made.hear([frame]))
+        made.taken()
         if k % 500 == 0:
             made.look(frame.t)
         if k % (count // LOOKS) == 0:
             looked(float(k))
 
 
+def rate(seconds: float, foreign: int) -> None:
+    """So many foreign frames a second beside the recording, in real time, with no kernel's filter before decoding."""
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with suppress(PermissionError):  # as long a queue as `faultline install` lets the service have; else the usual one
+        there.setsockopt(socket.SOL_SOCKET, SO_SNDBUFFORCE, QUEUE)
+    command = [sys.executable, __file__, "send", str(seconds), str(foreign), str(there.fileno())]
+    bundle = load_bundle(GOLDEN / "bundle")
+    with (
+        SocketCan("can0", make=lambda *_: here, look=lambda _: VIRTUAL, lost=lambda _: None) as bus,
+        TemporaryDirectory() as folder,
+        Journal(Path(folder) / "events.sqlite", print) as journal,
+        EventSocket(Path(folder) / "s") as subscribers,
+    ):
+        line = Line("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
+        loop = Loop(Scribe("truck", journal.last), [line], journal, subscribers, Notifier({}), lambda _: None)
+        sender = subprocess.Popen(command, pass_fds=[there.fileno()], stdout=subprocess.PIPE, text=True)
+
+        def wait() -> None:
+            sender.wait()
+            time.sleep(1.0)
+            signal.raise_signal(signal.SIGTERM)
+
+        threading.Thread(target=wait, daemon=True).start()
+        begin, busy = time.monotonic(), time.process_time()
+        loop.serve()
+        share = (time.process_time() - busy) / (time.monotonic() - begin - 1.0)
+        assert sender.stdout is not None
+        said = json.loads(sender.stdout.read())
+    there.close()
+    fresh = load_bundle(GOLDEN / "bundle").table
+    for t, can_id, is_extended, data in open_log(GOLDEN / "log").relative():
+        if t <= seconds - STEP_S:
+            fresh.decode(can_id, is_extended, data)
+    wanted, taken = (sum(table.taken.values()) for table in (fresh, bundle.table))
+    print(json.dumps({**said, "wanted": wanted, "taken": taken, "share": share}), file=sys.stderr)
+
+
+def send(seconds: float, foreign: int, descriptor: int) -> None:
+    """The other end: sends what is due, and counts what the queue does not take."""
+    frames = [frame for frame in open_log(GOLDEN / "log").relative() if frame[0] < seconds]
+    stranger = CLASSIC.pack(0x123, 8, bytes(8))
+    sent = {"ours": 0, "foreign": 0, "full": 0}
+    with socket.socket(fileno=descriptor) as out:
+        out.setblocking(False)
+
+        def put(content: bytes, whose: str) -> None:
+            try:
+                out.send(content)
+                sent[whose] += 1
+            except BlockingIOError:
+                sent["full"] += 1
+
+        begin, k = time.monotonic(), 0
+        for step in range(round(seconds / STEP_S)):
+            time.sleep(max(0.0, begin + STEP_S * step - time.monotonic()))
+            while k < len(frames) and frames[k][0] <= STEP_S * step:
+                put(CLASSIC.pack(frames[k][1] | EFF_FLAG, len(frames[k][3]), frames[k][3]), "ours")
+                k += 1
+            for _ in range(round(foreign * STEP_S)):
+                put(stranger, "foreign")
+    print(json.dumps(sent))
+
+
 if __name__ == "__main__":
     what, number, *more = sys.argv[1:]
     if what == "soak":
         soak(float(number))
+    elif what == "rate":
+        rate(float(number), int(more[0]))
+    elif what == "send":
+        send(float(number), int(more[0]), int(more[1]))
     else:
         fuzz(int(number), int(more[0]))

@@ -22,6 +22,8 @@ from diagnosis_cases import Set, request
 from diagnosis_shop import Workshop, run_of, said, watched
 from results_page import digest, head_commit
 
+from service.core.errors import InputError
+
 Record = dict[str, Any]
 
 DRIVE_S = 3600.0
@@ -72,8 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     there = {(record["vehicle"], record["hour"]) for record in same}
     shops = workshops(shard(options.vehicles, options.shard), options.effects, code, options.tuning)
     with get_context("spawn").Pool(options.processes) as pool:
-        pool.map(_made, shops)  # each once, before two processes want the same
-        wanted = [(s, k) for k in range(options.hours) for s in shops if (s.number, k) not in there]
+        made = pool.map(_made, shops)  # each once, before two processes want the same
+        served = [shop for shop, is_made in zip(shops, made, strict=True) if is_made]
+        wanted = [(s, k) for k in range(options.hours) for s in served if (s.number, k) not in there]
         for record in pool.imap_unordered(_hour, wanted):
             with path.open("ab") as out:
                 out.write(msgspec.json.encode({**record, **stamp}) + b"\n")
@@ -81,8 +84,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_page(options.results)
 
 
-def _made(shop: Workshop) -> None:
-    shop.bundle()
+def _made(shop: Workshop) -> bool:
+    """Whether there is a bundle; one that the workshop's tuning refuses is not put into service."""
+    try:
+        shop.bundle()
+    except InputError as error:
+        print(f"truck-{shop.number} is left out: {error}", flush=True)
+        return False
+    return True
 
 
 if __name__ == "__main__":

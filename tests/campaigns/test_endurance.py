@@ -2,7 +2,8 @@
 
 import os
 
-from endurance import page, run
+import pytest
+from endurance import Said, line_rate, page, run
 
 
 def test_an_hour_of_log_time_takes_no_more_memory_than_its_beginning() -> None:
@@ -17,5 +18,10 @@ def test_mutated_frames_raise_nothing_and_leave_nothing() -> None:
     print("seed", seed)
     fuzzed = run("fuzz", "100000", str(seed))
     assert fuzzed.later.rss[-1] - fuzzed.later.rss[0] < 3.0
-    text = page(fuzzed, fuzzed, seed, "5 % of a core", "0123456")
+    text = page(fuzzed, fuzzed, seed, Said("9 passed", "none of 77", "5 % of a core"), "0123456")
     assert "| 100000 mutated frames" in text
+
+
+@pytest.mark.alone
+def test_none_is_lost_beside_eight_thousand_foreign_frames_a_second() -> None:
+    assert line_rate(5.0, 8000).startswith("none of 7")

@@ -49,8 +49,12 @@ ln -sfn ../guest.service $units/multi-user.target.wants/guest.service
 mkdir -p $ROOT/etc/systemd/network
 ln -sfn /lib/systemd/system/systemd-networkd.service $units/multi-user.target.wants/systemd-networkd.service
 if [ -b /dev/ubda ]; then # what lasts through a power cut
-	mkdir -p $ROOT/var/lib/faultline-bundles
-	mount -t ext4 /dev/ubda $ROOT/var/lib/faultline-bundles
+	mkdir -p $ROOT/disk $ROOT/var/lib/faultline-bundles $ROOT/var/lib/private
+	mount -t ext4 /dev/ubda $ROOT/disk
+	mkdir -p $ROOT/disk/bundles $ROOT/disk/private
+	chmod 700 $ROOT/disk/private
+	mount --bind $ROOT/disk/bundles $ROOT/var/lib/faultline-bundles
+	mount --bind $ROOT/disk/private $ROOT/var/lib/private
 fi
 mount -t proc proc $ROOT/proc
 mount -t devtmpfs dev $ROOT/dev 2>/dev/null || true

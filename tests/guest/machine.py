@@ -37,7 +37,7 @@ class NoGuestError(Exception):
 
 @dataclass(frozen=True)
 class Guest:
-    """`share` is /vm in the guest, `environment` the vehicle's; `disk` lasts and is its folder of bundles."""
+    """`share` is /vm in the guest, `environment` the vehicle's; `disk` lasts: its bundles and the service's state."""
 
     share: Path
     environment: Path

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -246,3 +247,11 @@ def test_show_and_verify(bundle: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "fA_du" in out
     assert bundles.main(["show", "--json", str(bundle)]) == 0
     assert json.loads(capsys.readouterr().out)["schema"] == "faultline.bundle/5"
+
+
+def test_nothing_is_left_in_the_home_folder_and_nobody_is_called(tmp_path: Path) -> None:
+    """onnxruntime would keep a device id there, and look up its maker's server: the first in no time at all."""
+    clean = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
+    verify = [str(Path(sys.executable).with_name("faultline")), "bundle", "verify", str(GOLDEN)]
+    subprocess.run(verify, check=True, env={**clean, "HOME": str(tmp_path)}, stdout=subprocess.DEVNULL)
+    assert list(tmp_path.rglob("*")) == []

@@ -1,6 +1,7 @@
 """Random damage and random nonsense: every bundle is refused in one line, or runs. A failure prints its seed."""
 
 import json
+import os
 import random
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 from made_bundle import GOLDEN, copied, put, refused, runs, write
 
-SEEDS = 200
+SEEDS = int(os.environ.get("SEEDS", "200"))  # `make campaign-endurance` has more
 INFINITE = "a number that JSON can write and no float can hold"
 ODD: list[Any] = [0, -1, INFINITE, "", [], None, "x" * 100_000]
 
@@ -43,6 +44,15 @@ def test_a_flipped_bit_anywhere_is_refused(bundle: Path, name: str) -> None:
         if content != whole:
             (bundle / name).write_bytes(content)
             refused(bundle, "copy the bundle again from its source")
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in GOLDEN.iterdir()))
+def test_a_file_that_ends_early_is_refused(bundle: Path, name: str) -> None:
+    whole = (bundle / name).read_bytes()
+    for seed in range(SEEDS):
+        print("seed", seed)
+        (bundle / name).write_bytes(whole[: random.Random(seed).randrange(len(whole))])  # noqa: S311
+        refused(bundle, "copy the bundle again from its source")
 
 
 def test_nonsense_in_a_sealed_manifest_is_refused_or_runs(bundle: Path) -> None:

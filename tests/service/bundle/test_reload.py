@@ -63,7 +63,7 @@ class Service:
     def hears(self, begin_s: float, end_s: float) -> list[Event]:
         """The events that the recording makes between two of its times."""
         (watched_bundle,) = self.line.bundles
-        return [event for frame in frames(begin_s, end_s) for event in watched_bundle.frame(frame)]
+        return [event for frame in frames(begin_s, end_s) for event in watched_bundle.hear([frame])]
 
 
 def frames(begin_s: float, end_s: float) -> Iterator[Frame]:

@@ -6,6 +6,7 @@ import socket
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import cast
 
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from service.bus import BusError, open_bus, socketcan, socketcan_available
 from service.bus.base import BATCH, Counts
-from service.bus.interface import Interface
+from service.bus.interface import Interface, interface
 from service.bus.reader import unpack
 from service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
 from service.core.decode import Wanted
@@ -458,6 +459,23 @@ def test_kernel_filters_tell_11_from_29_bits_and_ignore_the_priority() -> None:
     assert not _passes(filters, 0x4000_0123)
     assert not _passes(filters, EXTENDED | 0x4000_0000 | 0x18FF103D)
     assert can_filters([]) == b""
+
+
+@pytest.mark.parametrize(
+    ("mtu", "device", "virtual"), [("72", False, True), ("16", False, False), ("16", True, False), ("72", True, False)]
+)
+def test_an_interface_without_a_device_or_can_fd_is_a_serial_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mtu: str, device: bool, virtual: bool
+) -> None:
+    """What processes of this machine send is taken for the vehicle's on a virtual interface only."""
+    monkeypatch.setattr("service.bus.interface.SYS", tmp_path)
+    folder = tmp_path / "can0"
+    folder.mkdir()
+    for name, text in (("ifindex", "3"), ("type", "280"), ("flags", "0x41"), ("mtu", mtu)):
+        (folder / name).write_text(f"{text}\n")
+    if device:
+        (folder / "device").mkdir()
+    assert interface("can0") == Interface(3, True, True, virtual)
 
 
 @given(st.binary(max_size=100))

@@ -287,7 +287,42 @@ BO_ {first} ONE: 8 A
  SG_ one : 0|16@1+ (1,0) [0|0] "Pa" A
 BO_ {second} TWO: 8 A
  SG_ two : 0|16@1+ (1,0) [0|0] "Pa" A
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "ExtendedCAN";
 """
+
+
+def test_29_bits_of_which_nobody_says_what_they_are_are_refused() -> None:
+    """J1939's *not available* would be the largest number that there is."""
+    silent = "".join(line for line in DBC.splitlines(keepends=True) if "VFrameFormat" not in line)
+    with pytest.raises(InputError, match="does not say whether UDS_ECU is J1939's: give it the attribute VFrameFormat"):
+        compile_dbc(silent, {"n_p": "1/s"}, "uds.dbc")
+
+
+def test_what_comes_in_parts_or_of_others_changes_nothing() -> None:
+    """TP.CM and TP.DT of the very sender, whole, with a lie about their size, out of order, broken off."""
+    table = compile_dbc(DBC, UNITS, "uds.dbc")
+    session = (
+        "20 0e 00 02 ff 10 ff 00",
+        "01 ff ff ff ff ff ff ff",
+        "02 00 00 00 00 00 00 00",
+        "ff 00 ff ff ff 10 ff 00",
+    )
+    lie = ("20 ff ff ff ff 10 ff 00", "09 00 00 00 00 00 00 00", "01 00 00 00 00 00 00 00")
+    for frame in (*session, *lie):
+        for group in (0x1CECFF00, 0x1CEBFF00):
+            assert table.decode(group | 0x3D, True, bytes.fromhex(frame)) == []
+    assert sum(table.taken.values()) + table.rejected.total == 0
+
+
+def test_a_number_that_its_scale_makes_too_large_is_none() -> None:
+    text = (
+        'VERSION ""\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n SG_ big : 0|64@1- (1000,0) [0|0] "Pa" A\n'
+        "SIG_VALTYPE_ 256 big : 2;\n"
+    )
+    table = compile_dbc(text, {"big": "Pa"}, "m.dbc")
+    assert [q for _, _, q in table.decode(256, False, struct.pack("<d", 1e306))] == [Quality.OUT_OF_RANGE]
+    assert [q for _, _, q in table.decode(256, False, struct.pack("<d", 1e300))] == [Quality.GOOD]
 
 
 def test_a_message_that_comes_in_parts_is_refused() -> None:

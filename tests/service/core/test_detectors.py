@@ -5,8 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.core.detectors.bank import detector
 from service.core.detectors.cusum import Cusum
-from service.core.manifest import Input, Modes
+from service.core.detectors.threshold import Threshold
+from service.core.manifest import MODES as MODE_NAMES
+from service.core.manifest import CusumDetector, Input, Modes, Side
 from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
 
@@ -42,6 +45,39 @@ def test_sign_tells_the_direction() -> None:
             cusum.update(tick, 2.0 * direction)
         assert cusum.alarm
         assert cusum.sign == direction
+
+
+def test_a_sum_that_is_exactly_the_threshold_alarms() -> None:
+    cusum = Cusum(nu=1.0, J=4.0)
+    cusum.update(0, 3.0)
+    assert not cusum.alarm
+    cusum.update(1, 3.0)
+    assert (cusum.alarm, cusum.value) == (True, 1.0)
+
+
+@pytest.mark.parametrize(("side", "heard"), [("above", 1), ("below", -1)])
+def test_one_side_is_deaf_to_the_other(side: Side, heard: int) -> None:
+    """As the manifest says, through the bank."""
+    for direction in (1, -1):
+        level, one = [0.0] * len(MODE_NAMES), [1.0] * len(MODE_NAMES)
+        made = detector(CusumDetector(generator="t02.ode", offset=level, scale=one, nu=0.5, J=3.0, side=side))
+        for tick in range(20):
+            made.update(tick, 2.0 * direction)
+        assert made.alarm == (direction == heard)
+
+
+def test_a_threshold_alarms_from_its_value_on_with_the_residuals_sign() -> None:
+    for s, alarm, sign in ((4.0, True, 1), (-4.0, True, -1), (3.999, False, 1), (0.5, False, 1), (-0.5, False, -1)):
+        threshold = Threshold(J=4.0, hold_ticks=2)
+        threshold.update(7, s)
+        assert (threshold.alarm, threshold.sign) == (alarm, sign)
+    threshold = Threshold(J=4.0, hold_ticks=2)
+    threshold.update(7, 0.0)
+    assert threshold.sign == 0
+    threshold.update(8, 2.0)
+    assert threshold.since is None, "half of J is not above half of J"
+    threshold.update(9, 2.1)
+    assert threshold.since == 9
 
 
 INPUTS = [Input(signal=name, unit="1", maximum_age_s=1.0, lower=0.0, upper=100.0) for name in ("dc_dose", "n_p")]

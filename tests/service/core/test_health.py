@@ -65,15 +65,15 @@ class Road:
 
     def __init__(self) -> None:
         self.table: DecodeTable = compile_dbc(DBC, SIGNALS, "uds.dbc")
-        inputs = [Input(signal=name, unit="Pa", maximum_age_s=1.0, lower=0.0, upper=1e7) for name in SIGNALS]
-        self.traffic = Traffic(self.table, inputs, 0.0)
+        self.inputs = [Input(signal=name, unit="Pa", maximum_age_s=1.0, lower=0.0, upper=1e7) for name in SIGNALS]
+        self.traffic = Traffic(self.table, self.inputs, 0.0)
         self.t = 0.0
-        self.quality = np.zeros(len(inputs), dtype=np.int8)
+        self.quality = np.zeros(len(self.inputs), dtype=np.int8)
 
-    def drive(self, seconds: float, times: float = 1.0, frame: bytes = bytes(8), source: int = 0) -> set[Condition]:
+    def drive(self, seconds: float, times: float = 1.0, frame: bytes = bytes(8)) -> set[Condition]:
         """What is found at the end of so many seconds in which frames come `times` as often as they should."""
         found: set[Condition] = set()
-        due = {ECU ^ source: [self.t, 0.2], BROADCAST ^ source: [self.t, 0.05]}
+        due = {ECU: [self.t, 0.2], BROADCAST: [self.t, 0.05]}
         for _ in range(round(seconds)):
             self.t += 1.0
             for can_id, (at, period) in due.items():
@@ -81,6 +81,7 @@ class Road:
                     self.table.decode(can_id, True, frame)
                     at += period / times
                 due[can_id][0] = at
+            self.traffic.note(self.t)
             found = self.traffic.look(self.t, self.quality)
         return found
 
@@ -96,14 +97,14 @@ def test_ordinary_traffic_is_no_condition() -> None:
 def test_twice_as_many_frames_are_of_two_senders_until_one_stops() -> None:
     road = Road()
     assert kinds(road.drive(3 * WINDOW_S, 2.0)) == {"second-sender": {"UDS_ECU", "A1SCRDSI1"}}
-    assert road.drive(2 * WINDOW_S) == set()
+    assert road.drive(7 * WINDOW_S) == set()
 
 
 def test_signals_of_two_senders_are_doubted() -> None:
     road = Road()
     road.drive(3 * WINDOW_S, 2.0)
     assert road.traffic.doubted == {*SIGNALS}
-    road.drive(2 * WINDOW_S)
+    road.drive(7 * WINDOW_S)
     assert road.traffic.doubted == frozenset()
 
 
@@ -119,19 +120,38 @@ def test_another_device_that_claims_the_senders_address_is_told() -> None:
     assert road.drive(2 * WINDOW_S) == set()
     road.table.decode(CLAIM, True, b"another.")
     road.table.decode(CLAIM + 1, True, b"somebody")
-    found = road.drive(WINDOW_S + 1)
+    found = road.drive(WINDOW_S - 1)
     assert {each.kind for each in found} == {"address-claim"}
     assert "UDS_ECU" in {each.of for each in found}
     assert "y_p_du" in road.traffic.doubted
     assert road.drive(2 * WINDOW_S) == set()
 
 
+def test_claims_are_counted_by_address_and_name() -> None:
+    """Who claims again what it has is nobody else; what is no NAME says nothing; each address has its own."""
+    table = Road().table
+
+    def claimed(address: int, name: bytes) -> int:
+        before = table.rejected.claimed.get("UDS_ECU", 0)
+        table.decode(0x18EEFF00 | address, True, name)
+        return table.rejected.claimed.get("UDS_ECU", 0) - before
+
+    assert [claimed(0x3D, b"the first"[:8]), claimed(0xF9, b"another.")] == [0, 0]
+    assert [claimed(0x3D, b"short"), claimed(0x3D, b"the firs")] == [0, 0]
+    assert [claimed(0x3D, b"another."), claimed(0x3D, b"another."), claimed(0x3D, b"the firs")] == [1, 0, 1]
+    assert claimed(0x3E, b"nobody's") == 0
+
+
 def test_a_second_source_is_told_of_groups_that_mean_the_same_of_everybody() -> None:
     """A proprietary group of another sender may be anything."""
     road = Road()
-    road.drive(1.0)
-    road.drive(WINDOW_S, source=1)
-    assert kinds(road.drive(WINDOW_S, source=1)) == {"second-sender": {"A1SCRDSI1"}}
+    for _ in range(20):
+        road.drive(1.0)
+        for can_id in (ECU, BROADCAST):
+            road.table.decode(can_id ^ 1, True, bytes(8))
+    assert kinds(road.drive(1.0)) == {"second-sender": {"A1SCRDSI1"}}
+    assert road.traffic.doubted == frozenset(), "the DBC's own sender is known by its address"
+    assert road.drive(2 * WINDOW_S) == set()
 
 
 def test_short_frames_are_told_by_message() -> None:
@@ -141,11 +161,78 @@ def test_short_frames_are_told_by_message() -> None:
 
 
 def test_no_frame_at_all_is_one_condition_not_one_of_every_signal() -> None:
+    """Before the ignition and after it; its being turned off is no fault of each sensor."""
     road = Road()
     road.quality[:] = Quality.MISSING
-    assert road.drive(EXPECTED_S - 1, 0.0) == {Condition("missing", name) for name in SIGNALS}
+    assert road.drive(EXPECTED_S - 1, 0.0) == set()
     assert kinds(road.drive(2.0, 0.0)) == {"no-traffic": {"UDS_ECU, A1SCRDSI1"}}
     assert kinds(road.drive(1.0)) == {"missing": {*SIGNALS}}
+    road.quality[:] = Quality.LATE
+    assert {each.kind for _ in range(3) for each in road.drive(1.0, 0.0)} <= {"missing"}
+    assert road.drive(1.0, 0.0) == set()
+    assert kinds(road.drive(2.0, 0.0)) == {"no-traffic": {"UDS_ECU, A1SCRDSI1"}}
+
+
+def test_two_senders_are_seen_within_three_seconds() -> None:
+    road = Road()
+    road.drive(60.0)
+    assert kinds(road.drive(3.0, 2.0)) == {"second-sender": {"UDS_ECU", "A1SCRDSI1"}}
+
+
+def test_every_third_frame_more_is_seen_within_a_minute() -> None:
+    road = Road()
+    road.drive(120.0)
+    assert road.drive(60.0, 1.1) == set(), "a clock that is fast is no second sender"
+    assert kinds(road.drive(70.0, 4 / 3)) == {"second-sender": {"UDS_ECU", "A1SCRDSI1"}}
+
+
+def test_what_waited_for_the_beginning_is_no_crowd() -> None:
+    """Controllers say much when they start, and a device's queue is emptied at once."""
+    road = Road()
+    for _ in range(10):
+        assert not road.drive(1.0, 1.35)
+    road = Road()
+    for _ in range(100):
+        road.table.decode(BROADCAST, True, bytes(8))
+    assert not road.drive(9.0)
+
+
+def test_messages_that_come_seldom_are_waited_for() -> None:
+    road = Road()
+    slow = DBC.replace('BA_ "GenMsgCycleTime" BO_ 2566852669 200;', 'BA_ "GenMsgCycleTime" BO_ 2566852669 10000;')
+    assert slow != DBC
+    table = compile_dbc(slow, {"y_p_du": "Pa"}, "uds.dbc")
+    traffic = Traffic(table, road.inputs[:1], 0.0)
+    for second in range(60):
+        if second % 10 == 0:
+            table.decode(ECU, True, bytes(8))
+        traffic.note(float(second))
+        assert traffic.look(float(second), road.quality[:1]) == set()
+
+
+def test_frames_that_waited_are_counted_when_they_came() -> None:
+    """The process was held up for eight seconds; frames have the kernel's stamps."""
+    road = Road()
+    road.drive(60.0)
+    for k in range(1, 9):
+        for can_id, count in ((ECU, 5), (BROADCAST, 20)):
+            for _ in range(count):
+                road.table.decode(can_id, True, bytes(8))
+        road.traffic.note(60.0 + k)
+    assert road.traffic.look(68.0, road.quality) == set()
+
+
+def test_at_twenty_times_real_time_a_stutter_of_the_sender_is_none() -> None:
+    """A tenth of a second without a frame and then all of them, which is two seconds of log time."""
+    road = Road()
+    road.traffic = Traffic(road.table, road.inputs, 0.0, 20.0)
+    road.drive(60.0)
+    for k in range(1, 60):
+        for can_id, count in ((ECU, 5), (BROADCAST, 20)):
+            for _ in range(2 * count * (k % 2)):
+                road.table.decode(can_id, True, bytes(8))
+        road.traffic.note(60.0 + k)
+        assert not {each.kind for each in road.traffic.look(60.0 + k, road.quality)} & {"second-sender"}
 
 
 @pytest.mark.parametrize("quality", [q for q in Quality if q not in (Quality.GOOD, Quality.DOUBTED)])

@@ -2,6 +2,7 @@
 
 import msgspec
 import numpy as np
+import pytest
 
 from service.core.manifest import Input
 from service.core.sampling import Sampler
@@ -82,6 +83,15 @@ def test_what_rests_outside_the_operating_region_is_not_frozen() -> None:
 def test_a_value_that_was_away_is_not_frozen_when_it_is_back() -> None:
     """Nobody knows what it was meanwhile."""
     assert heard((0.0, 3.0), (0.5, 3.0), (20.0, 3.0), (20.5, 3.0)) == ["GOOD"] * 4
+
+
+@pytest.mark.parametrize("quality", [Quality.NOT_AVAILABLE, Quality.ERROR, Quality.RESERVED])
+def test_a_value_that_was_not_available_is_not_frozen_when_it_is_back(quality: Quality) -> None:
+    """The same as before by chance, after a time in which its sender said that it has none."""
+    sampler = Sampler(STRICT)
+    for k in range(20):
+        sampler.receive("a", 0.5 * k, 3.0 if k < 2 or k >= 18 else 0.0, Quality.GOOD if k < 2 or k >= 18 else quality)
+    assert [Quality(int(q)) for q in sampler.sample(9.5)[1]] == [Quality.GOOD]
 
 
 def test_what_is_doubted_is_not_good_until_it_no_longer_is() -> None:

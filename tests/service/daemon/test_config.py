@@ -1,13 +1,15 @@
 """The configuration: what is taken, and where errors are."""
 
+import os
 import socket
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.config import LARGEST, ConfigError, load_config
+from service.config import load_config
+from service.strict import LARGEST, ConfigError
 
 GOOD = """\
 source = "truck-17"
@@ -62,8 +64,12 @@ def test_a_whole_configuration(tmp_path: Path) -> None:
     [
         ("believe_local = true", "believe_local = 1", ":10: bus[1].believe_local: Expected `bool`, got `int`"),
         ("believe_local", "belief", ":10: bus[1].belief: Object contains unknown field `belief`"),
-        ('bus = "powertrain"', 'bus = "power"', ":14: there is no bus 'power'; those are powertrain, body"),
-        ('name = "body"', 'name = "powertrain"', ":8: bus 'powertrain' is there twice; rename one"),
+        (
+            'bus = "powertrain"',
+            'bus = "power"',
+            ":14: bundle[0].bus: there is no bus 'power'; those are powertrain, body",
+        ),
+        ('name = "body"', 'name = "powertrain"', ":8: bus[1].name: bus 'powertrain' is there twice; rename one"),
         ('name = "body"', 'name = "a/b"', ":8: bus[1].name: Expected `str` matching regex"),
         ('"truck-17"', '"a/+/#"', ":1: source: Expected `str` matching regex"),
         ('"truck-17"', "17", ":1: source: Expected `str`, got `int`"),
@@ -78,7 +84,7 @@ def test_a_whole_configuration(tmp_path: Path) -> None:
         (
             "[events]",
             '[[bundle]]\npath = "/var/lib/faultline/bundles/uds"\nbus = "body"\n[events]',
-            ":17: this bundle is",
+            ":17: bundle[1].path: this bundle is",
         ),
     ],
 )
@@ -96,6 +102,7 @@ def test_what_is_no_configuration_is_refused(tmp_path: Path) -> None:
         load_config(tmp_path / "absent.toml")
 
 
+@settings(max_examples=int(os.environ.get("SEEDS", "200")))
 @given(st.data())
 def test_no_damage_breaks_the_reader(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     raw = bytearray(GOOD.encode())

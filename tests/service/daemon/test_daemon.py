@@ -11,24 +11,27 @@ from typing import cast
 
 import pytest
 
-from service.bundle import Bundle
+from service.bundle import Bundle, load_bundle
 from service.bus import Bus, BusError
 from service.bus.base import Counts
 from service.bus.losses import Losses
 from service.clocks import Clocks
 from service.core.decode import DecodeTable, Rejected
 from service.core.events import Event
-from service.core.health import decode_health
+from service.core.health import SCHEMA, Condition, Health, Standing, decode_health, encode_health
 from service.core.monitor import Monitor
 from service.core.traffic import Traffic
 from service.daemon import main
 from service.logs import Frame
 from service.loop import LOSSES_S, Loop
 from service.outputs.socket import EventSocket
+from service.scribe import Scribe
+from service.store.file import Record
+from service.store.journal import Journal
 from service.systemd import Notifier
 from service.watched import LAG_S, Line, Watched
 
-BUNDLE = cast(Bundle, SimpleNamespace(table=DecodeTable({})))
+BUNDLE = load_bundle(Path(__file__).resolve().parents[2] / "golden" / "bundle")._replace(table=DecodeTable({}))
 
 
 class Clock:
@@ -109,13 +112,13 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
     def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
-        heard, calm = Heard(), SimpleNamespace(look=lambda *_: set(), doubted=frozenset())
-        with Script(*steps) as bus, EventSocket(tmp_path / "s") as subscribers:
+        heard, calm = Heard(), SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted=frozenset())
+        with Script(*steps) as bus, Journal(None, say) as journal, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
             made = cast(tuple[Monitor, Traffic], (heard, calm))
             line = Line("bus", bus, [Watched(BUNDLE, lambda _: made, speed)], say)
             with pytest.raises(BusError):
-                Loop("truck", [line], subscribers, Notifier({}), say, clock).serve()
+                Loop(Scribe("truck", journal.last, ""), [line], journal, subscribers, Notifier({}), say, clock).serve()
         return heard.told
 
     return run
@@ -237,7 +240,9 @@ class Wire(Bus):
 class Told:
     """A loop of made parts that is turned by a script of acts, a second of its clock apart."""
 
-    def __init__(self, tmp_path: Path, clock: Clock, buses: int = 1) -> None:
+    def __init__(
+        self, tmp_path: Path, clock: Clock, buses: int = 1, store: Path | None = None, name: str = "truck"
+    ) -> None:
         self.clock, self.said = clock, list[str]()
         self.path = tmp_path / "told"
         self.wires = [Wire() for _ in range(buses)]
@@ -247,13 +252,16 @@ class Told:
         self.sleeps = 0.0
         lines = [Line(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
         kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
-        self.loop = Loop("truck", lines, self.subscribers, Notifier({}), self.said.append, clock, kernel)
+        self.journal = Journal(store, self.said.append)
+        scribe = Scribe(name, self.journal.last, "")
+        self.loop = Loop(scribe, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel)
 
     def watched(self, k: int) -> Watched:
         def make(_: Bundle) -> tuple[Monitor, Traffic]:
             self.restarts[k] += 1
             return cast(
-                tuple[Monitor, Traffic], (self.heard[k], SimpleNamespace(look=lambda *_: set(), doubted=frozenset()))
+                tuple[Monitor, Traffic],
+                (self.heard[k], SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted=frozenset())),
             )
 
         return Watched(BUNDLE, make, 1.0)
@@ -272,7 +280,7 @@ class Told:
                 act()
 
         self.loop._look = look  # type: ignore[method-assign]
-        with self.subscribers:
+        with self.journal, self.subscribers:
             self.loop.serve()
 
 
@@ -355,3 +363,102 @@ def test_after_a_sleep_everything_begins_anew(told: Callable[[int], Told]) -> No
     assert [t for what, t in made.heard[0].told if what == "frame"][-1] == 0.0
     assert any("the machine slept for 3600 s" in text for text in made.said)
     wire.close()
+
+
+def test_what_an_earlier_run_said_stands_until_this_one_says_otherwise(
+    told: Callable[[int], Told], tmp_path: Path, clock: Clock, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    """A bus that was gone when the process was killed, and is there when it is back: subscribers must hear of it."""
+    store = tmp_path / "events.sqlite"
+    first = Told(tmp_path, clock, store=store, name="truck-a")
+    first.run(lambda: first.wires[0].put(frame(101.0)), first.wires[0].pull, *[nothing] * 5)
+    second = Told(tmp_path, clock, store=store, name="truck-b")
+    second.run(*[nothing] * 12)
+    lines = [decode_health(line) for line in capfdbinary.readouterr().out.splitlines()]
+    assert [[(each.kind, each.of) for each in line.conditions] for line in lines] == [[("bus-removed", "can0")], []]
+    assert [(line.seq, line.id) for line in lines] == [(1, "truck-a-1"), (2, "truck-b-2")]
+    second.wires[0].close()
+
+
+def test_after_a_stop_of_the_process_everything_begins_anew(told: Callable[[int], Told]) -> None:
+    """Ten hours of ticks at once would take minutes, in which nobody is served."""
+    made = told(1)
+    [wire] = made.wires
+
+    def stop() -> None:
+        made.clock.now += 36_000.0
+        wire.put(frame(101.0))
+
+    made.run(lambda: wire.put(frame(100.0)), stop, nothing, lambda: wire.put(frame(36_105.0)), nothing)
+    assert made.restarts == [2]
+    assert [t for what, t in made.heard[0].told if what == "frame"][-1] == 0.0
+    assert any("this process was stopped for 36001 s" in text for text in made.said)
+    wire.close()
+
+
+def test_a_bus_that_is_lost_in_the_flush_after_a_sleep_and_its_descriptor_taken_by_the_other(
+    told: Callable[[int], Told],
+) -> None:
+    made = told(2)
+    one, other = made.wires
+
+    def sleep() -> None:
+        made.sleeps += 3600.0
+        taken = other.receive
+
+        def lost() -> list[Frame]:
+            other.receive = taken  # type: ignore[method-assign]
+            other.pull()
+            one.pull()
+            one.plug()
+            return []
+
+        other.receive = lost  # type: ignore[method-assign]
+
+    made.run(nothing, sleep, nothing, nothing, other.plug, lambda: other.put(frame(105.0)), nothing)
+    assert [t for what, t in made.heard[1].told if what == "frame"] == [0.0]
+    for wire in made.wires:
+        wire.close()
+
+
+def test_a_standard_output_that_nobody_empties_holds_nobody_up(
+    told: Callable[[int], Told], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = told(1)
+    read, write = os.pipe()
+    with os.fdopen(write, "w") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        lines = [Record(k, "event", b"x" * 9999 + b"\n") for k in range(1, 20)]
+        made.run(nothing, lambda: made.loop._tell(lines), nothing)
+    os.close(read)
+    assert made.said == ["standard output: nobody reads it; events go on over the socket"]
+    made.wires[0].close()
+
+
+def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
+    told: Callable[[int], Told], tmp_path: Path, clock: Clock, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    """What only frames can show is not known to be gone because this process has just begun."""
+    store = tmp_path / "events.sqlite"
+    silent = Condition("no-traffic", "ALL")
+    line = encode_health(
+        Health(
+            schema=SCHEMA,
+            id="truck-a-1",
+            seq=1,
+            wall=None,
+            conditions=[Standing(kind=silent.kind, of=silent.of, since="before")],
+        )
+    )
+    with Journal(store, print) as earlier:
+        earlier.put(Record(1, "health", line))
+        earlier.finish(10.0)
+    made = Told(tmp_path, clock, store=store, name="truck-b")
+    found: list[Condition] = []
+    traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted=frozenset())
+    watched = Watched(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
+    made.loop._lines[0].bundles[:] = [watched]
+    made.loop._remembering.observed["uds4"].watched = watched
+    made.run(*[nothing] * 29, lambda: found.append(silent), *[nothing] * 20)
+    assert capfdbinary.readouterr().out == b"", "it stands, as before: nothing is news"
+    made.wires[0].close()

@@ -7,7 +7,9 @@ import pytest
 
 from service.config import load_config
 from service.core.errors import InputError
-from service.install import main
+from service.install import OUTPUTS, main
+from service.j1939.config import load_config as load_j1939
+from service.mqtt.config import load_config as load_mqtt
 
 WORDS = ["--prefix", "/opt/faultline", "--base", "/usr"]
 BUNDLE_UNIT = "etc/systemd/system/faultline-bundle@.service"
@@ -28,8 +30,18 @@ def test_a_root_gets_unit_configuration_and_settings(tmp_path: Path) -> None:
     assert main([*WORDS, "--root", str(tmp_path), "--interface", "can1", "--bitrate", "250000"]) == 0
     written = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     network = "etc/systemd/network/60-faultline-can1.network"
+    outputs = [f"etc/systemd/system/faultline-{name}.service" for name in OUTPUTS]
+    outputs += [f"etc/faultline/{command}.toml" for command in OUTPUTS.values()]
     assert written == sorted(
-        [UNIT, BUNDLE_UNIT, CONFIG, "etc/sysctl.d/60-faultline.conf", "etc/sysusers.d/faultline.conf", network]
+        [
+            UNIT,
+            BUNDLE_UNIT,
+            CONFIG,
+            "etc/sysctl.d/60-faultline.conf",
+            "etc/sysusers.d/faultline.conf",
+            network,
+            *outputs,
+        ]
     )
     config = load_config(tmp_path / CONFIG)
     assert [bus.interface for bus in config.bus] == ["socketcan:can1"]
@@ -51,6 +63,26 @@ def test_the_unit_runs_the_environment_and_depends_on_no_interface(tmp_path: Pat
     assert (unit["Type"], unit["Restart"], unit["WatchdogSec"]) == (["notify"], ["always"], ["10s"])
     assert unit["RestrictAddressFamilies"] == ["AF_CAN AF_UNIX"]
     assert unit["CapabilityBoundingSet"] == [""]
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_units_of_the_outputs_are_as_strict_as_the_services(tmp_path: Path, output: str) -> None:
+    main([*WORDS, "--root", str(tmp_path)])
+    ours, theirs = (
+        (tmp_path / f"etc/systemd/system/{name}.service").read_text().splitlines()
+        for name in ("faultline", f"faultline-{output}")
+    )
+    strict = ours[ours.index("NoNewPrivileges=yes") : ours.index("SystemCallErrorNumber=EPERM") + 1]
+    assert [line for line in theirs if line in strict] == strict
+    assert f"/faultline {OUTPUTS[output]} --config /etc/faultline/{OUTPUTS[output]}.toml" in "\n".join(theirs)
+
+
+def test_the_outputs_configurations_are_taken_by_them(tmp_path: Path) -> None:
+    main([*WORDS, "--root", str(tmp_path), "--interface", "can1"])
+    folder = tmp_path / "etc" / "faultline"
+    assert load_mqtt(folder / "mqtt.toml").host == "localhost"
+    with pytest.raises(InputError, match="transmitting is off"):
+        load_j1939(folder / "j1939.toml")
 
 
 def test_a_configuration_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,9 +7,14 @@ from typing import get_args
 import msgspec
 
 from service.core.events import SCHEMA, Diagnosis, Event, Transition
+from service.core.faults import CLEARED, Change, Fault
+from service.core.faults import SCHEMA as FAULT
+from service.core.frame import SCHEMA as FRAME
+from service.core.frame import Excerpt, Frame, Input, Verdict
 from service.core.health import CLEARED_S, MEANINGS, RAISED_S
 from service.core.health import SCHEMA as HEALTH
 from service.outputs.socket import RING
+from service.store.file import KEPT
 
 PAGE = (Path(__file__).parents[3] / "docs" / "events.md").read_text()
 
@@ -31,8 +36,26 @@ def test_names_every_transition() -> None:
 
 def test_names_the_schema_and_the_ring() -> None:
     assert f"Schema `{SCHEMA}`" in PAGE
-    assert f"the latest {RING}" in PAGE
-    assert f"falls {RING} events behind" in PAGE
+    assert f"the latest {RING} records" in PAGE
+    for kept in KEPT.values():
+        assert f"{kept:,}" in PAGE
+
+
+def test_names_every_field_and_change_of_a_fault() -> None:
+    rows = _rows("Faults")
+    fields = [field.name for field in msgspec.structs.fields(Fault)]
+    assert rows[-len(get_args(Change)) :] == list(get_args(Change))
+    assert [row for row in rows if row in fields] == fields
+    assert f"`{FAULT}`" in PAGE
+    assert f"`{CLEARED}`" in PAGE
+
+
+def test_names_every_field_of_a_freeze_frame() -> None:
+    text = PAGE.partition("## Freeze frames\n")[2].partition("\n## ")[0]
+    for struct in (Frame, Input, Verdict, Excerpt):
+        for field in msgspec.structs.fields(struct):
+            assert f"`{field.name}`" in text, field.name
+    assert f"`{FRAME}`" in text
 
 
 def test_names_every_condition() -> None:

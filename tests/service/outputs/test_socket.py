@@ -4,15 +4,19 @@ import os
 import selectors
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from service.core.errors import InputError
 from service.core.events import SCHEMA, Event, decode, encode
+from service.outputs import lines
 from service.outputs import socket as module
-from service.outputs.socket import EventSocket
+from service.outputs.socket import EventSocket, Read
+from service.store.file import Record
+from service.store.journal import Page
 
 
 def event(seq: int) -> Event:
@@ -35,10 +39,10 @@ def event(seq: int) -> Event:
 class Loop:
     """The daemon's loop, turned by hand."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, earlier: Sequence[Record] = (), read: Read | None = None) -> None:
         self.path = path
         self.selector = selectors.DefaultSelector()
-        self.events = EventSocket(path)
+        self.events = EventSocket(path, earlier, read)
         self.events.register(self.selector)
         self.clients: list[socket.socket] = []
 
@@ -48,7 +52,7 @@ class Loop:
             self.events.serve(ready)
 
     def publish(self, told: Event) -> None:
-        self.events.publish(told.seq, encode(told))
+        self.events.publish(Record(told.seq, "event", encode(told)))
 
     def client(self, request: bytes = b"") -> socket.socket:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -145,7 +149,17 @@ def test_the_ring_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     loop.close()
 
 
-def test_a_slow_client_is_dropped_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def all_of(loop: Loop, slow: socket.socket, last: int) -> list[int]:
+    """What a client gets that begins to read now, until the event of number `last`."""
+    slow.setblocking(True)
+    content = b""
+    while not content.endswith(b"\n") or decode(content.splitlines()[-1]).seq < last:
+        loop.events.serve(loop.selector.select(0))
+        content += slow.recv(65536)
+    return [decode(line).seq for line in content.splitlines()]
+
+
+def test_a_slow_client_holds_up_nobody_and_sees_what_it_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RING", 50)
     loop = Loop(tmp_path / "e.sock")
     slow, quick = loop.client(b"{}\n"), loop.client(b"{}\n")
@@ -154,11 +168,59 @@ def test_a_slow_client_is_dropped_and_no_other(tmp_path: Path, monkeypatch: pyte
         loop.publish(event(seq))
         got += received(quick)
     assert got == list(range(1, 5001))
-    slow.setblocking(True)
-    content = b""
-    while part := slow.recv(65536):  # ends, because the server has closed it
-        content += part
-    assert 0 < content.count(b"\n") < 5000
+    seen = all_of(loop, slow, 5000)
+    gap = next(k for k, (one, other) in enumerate(pairwise(seen)) if other != one + 1)
+    assert seen == [*range(1, seen[gap] + 1), *range(4951, 5001)]
+    loop.close()
+
+
+class Store:
+    """Gives pages of what was told, at once or when it is told to; as the journal does."""
+
+    def __init__(self, seqs: Sequence[int]) -> None:
+        self.records = [Record(seq, "event", encode(event(seq))) for seq in seqs]
+        self.waiting: list[Callable[[], None]] = []
+        self.at_once, self.fails = True, False
+
+    def read(self, page: Page, then: Callable[[list[Record] | None], None]) -> None:
+        assert page.after is not None
+        found = [each for each in self.records if each.seq > page.after][: page.most]
+        self.waiting.append(lambda: then(None if self.fails else found))
+        if self.at_once:
+            self.waiting.pop()()
+
+
+def test_who_is_behind_the_ring_reads_from_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RING", 50)
+    store = Store(range(1, 5001))
+    loop = Loop(tmp_path / "e.sock", read=store.read)
+    slow = loop.client(b"{}\n")
+    for seq in range(1, 5001):
+        loop.publish(event(seq))
+    assert all_of(loop, slow, 5000) == list(range(1, 5001))
+    for after in (0, 17, 4949, 4950, 4951):
+        assert all_of(loop, loop.client(b'{"after":%d}\n' % after), 5000) == list(range(after + 1, 5001))
+    assert all_of(loop, loop.client(b'{"after":"truck-300"}\n'), 5000) == list(range(301, 5001))
+    assert all_of(loop, loop.client(b'{"after":"bus-300"}\n'), 5000) == list(range(1, 5001))  # no such id
+    loop.close()
+
+
+def test_a_store_that_is_slow_or_fails_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RING", 5)
+    store = Store(range(1, 21))
+    store.at_once = False
+    loop = Loop(tmp_path / "e.sock", read=store.read)
+    for seq in range(1, 21):
+        loop.publish(event(seq))
+    behind, quick, gone = loop.client(b'{"after":3}\n'), loop.client(b"{}\n"), loop.client(b'{"after":"truck-2"}\n')
+    gone.close()
+    loop.turn()
+    loop.publish(event(21))
+    assert (received(behind), received(quick)) == ([], [21])
+    store.fails = True
+    for answer in store.waiting:
+        answer()
+    assert received(behind) == [17, 18, 19, 20, 21]  # the gap shows in the numbers
     loop.close()
 
 
@@ -175,7 +237,8 @@ def test_a_client_that_reads_late_misses_nothing_within_the_ring(loop: Loop) -> 
 
 
 @pytest.mark.parametrize(
-    "request_line", [b"hello\n", b"[]\n", b'{"after":"x"}\n', b'{"before":1}\n', b"\xff\n", b"x" * 5000]
+    "request_line",
+    [b"hello\n", b"[]\n", b'{"before":1}\n', b'{"after":"\xff"}\n', b'{"\xff":1}\n', b"\xff\n", b"x" * 5000],
 )
 def test_a_request_that_makes_no_sense_is_answered_and_ended(loop: Loop, request_line: bytes) -> None:
     sock = loop.client(request_line)
@@ -195,12 +258,62 @@ def test_clients_may_leave_at_any_time(loop: Loop) -> None:
 
 
 def test_too_many_clients_are_turned_away(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CLIENTS", 1)
+    monkeypatch.setattr(lines, "CLIENTS", 1)
     first, second = loop.client(b"{}\n"), loop.client(b"{}\n")
     loop.publish(event(1))
     assert received(first) == [1]
     assert second.recv(100) == b'{"error":"too many clients"}\n'
     assert ended(second)
+
+
+def test_who_asks_for_nothing_makes_room(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many silent clients as there is room for, which would keep everybody else out for ever."""
+    monkeypatch.setattr(lines, "CLIENTS", 2)
+    silent = [loop.client(), loop.client()]
+    assert loop.client(b"{}\n").recv(100) == b'{"error":"too many clients"}\n'
+    monkeypatch.setattr(lines, "SILENT_S", 0.0)
+    good = loop.client(b"{}\n")
+    loop.publish(event(1))
+    assert received(good) == [1]
+    assert silent[0].recv(100) == b'{"error":"too many clients"}\n'
+    assert ended(silent[0])
+    assert not ended(silent[1])
+
+
+def test_who_goes_on_talking_is_sent_away(loop: Loop) -> None:
+    """It would keep the loop at full turn."""
+    sock = loop.client(b"{}\n")
+    sock.sendall(b"and another thing\n")
+    loop.turn()
+    assert sock.recv(100) == b'{"error":"one line is all that is asked"}\n'
+    assert ended(sock)
+
+
+def test_what_came_after_an_id_can_be_asked_for(tmp_path: Path) -> None:
+    """Of an earlier run too; an id that is not known gets everything, whatever its number."""
+    earlier = [Record(seq, "event", encode(event(seq))) for seq in (7, 8)]
+    loop = Loop(tmp_path / "e.sock", earlier)
+    loop.publish(event(9))
+    for after, expected in (("truck-7", [8, 9]), ("truck-9", []), ("other-8", [7, 8, 9]), ("truck", [7, 8, 9])):
+        assert received(loop.client(b'{"after":"%s"}\n' % after.encode())) == expected
+    assert received(loop.client(b'{"after":7}\n')) == [8, 9]
+    assert received(loop.client(b"{}\n")) == []
+    loop.close()
+
+
+def test_an_id_that_another_record_names_too_is_its_own(tmp_path: Path) -> None:
+    late = Record(50, "fault", b'{"schema":"faultline.fault/1","id":"truck-50","seq":50,"first":{"id":"truck-17",}}\n')
+    made = EventSocket(tmp_path / "e.sock", [late], Store([]).read)
+    asked: list[Page] = []
+    made._read_store = lambda page, _: asked.append(page)
+    with selectors.DefaultSelector() as selector, socket.socket(socket.AF_UNIX) as sock:
+        made.register(selector)
+        sock.connect(str(tmp_path / "e.sock"))
+        sock.sendall(b'{"after":"truck-17"}\n')
+        while ready := selector.select(0):
+            made.serve(ready)
+        made.close()
+    assert asked == [Page(1, after=16)], "it is looked for in the store"
 
 
 def test_keys_of_others_are_left_alone(loop: Loop) -> None:

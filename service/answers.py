@@ -1,0 +1,228 @@
+"""What other processes may ask (docs/control.md): the fault memory, the state, what names mean, live values."""
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from service.core.health import Standing
+from service.core.manifest import MODES
+from service.core.signals import Quality
+from service.outputs.control import Asker, Live, Question, RefusedError
+from service.remembering import Observed, Remembering
+from service.scribe import now
+from service.store.file import Record
+from service.store.journal import Journal, Page
+
+LIVE = "faultline.live/1"
+try:
+    VERSION = version("faultline")
+except PackageNotFoundError:  # a checkout that is not installed
+    VERSION = "unknown"
+LARGEST_PAGE = 500
+
+Then = Callable[[Mapping[str, Any]], None]
+
+
+class Answerer:
+    """Answers from the loop's thread. `state` gives what the loop knows: source, since, seq, conditions."""
+
+    def __init__(
+        self, remembering: Remembering, journal: Journal, state: Callable[[], tuple[str, str, int, list[Standing]]]
+    ) -> None:
+        self._remembering, self._journal, self._state = remembering, journal, state
+        self._waiting: list[tuple[int, Mapping[str, Any], Then]] = []  # erased, and not told yet
+
+    def answer(self, question: Question, asker: Asker, then: Then) -> None:
+        """Calls `then` with the answer, now or later; raises `RefusedError`."""
+        match question.ask:
+            case "faults":
+                then(self._faults())
+            case "fault":
+                then(self._fault(question.number))
+            case "clear":
+                self._clear(question.number, asker, then)
+            case "state":
+                then(self._standing())
+            case "records":
+                self._records(question, then)
+            case "system":
+                then(_system(self._observed(question.name)))
+            case "live":
+                raise AssertionError("is served by the socket")
+
+    def live(self, name: str | None) -> Live:
+        """What gives the newest tick of a system; raises `RefusedError`."""
+        here = self._observed(name)
+        return lambda sent: _live(here, sent)
+
+    def told(self, record: Record) -> None:
+        """A record was told: who erased faults with it may know whether that is kept."""
+        for seq, answer, then in [each for each in self._waiting if each[0] == record.seq]:
+            if self._journal.path is None or self._journal.has(seq):
+                then(answer)
+            else:
+                message = "erased, but the disk has not taken that: after a restart it may be there again"
+                then({"error": {"code": "not-kept", "message": message}})
+        self._waiting = [each for each in self._waiting if each[0] != record.seq]
+
+    def _faults(self) -> Mapping[str, Any]:
+        memory = self._remembering.memory
+        return {
+            "faults": [*memory.faults.values()],
+            "overflow": memory.remembered.overflow,
+            "seq": self._state()[2],
+        }
+
+    def _fault(self, number: int | None) -> Mapping[str, Any]:
+        faults = self._remembering.memory.faults
+        if number is None:
+            raise RefusedError("bad-request", "name the fault by its `number`")
+        if number not in faults:
+            raise RefusedError("unknown", f"no fault {number} is remembered")
+        frames = self._remembering.frames(number)
+        return {
+            "fault": faults[number],
+            "frames": {"first": frames.get("first"), "latest": frames.get("latest")},
+        }
+
+    def _clear(self, number: int | None, asker: Asker, then: Then) -> None:
+        if not asker.may_clear:
+            raise RefusedError("not-allowed", f"{asker.user} may not erase faults: see [control] clear")
+        if number is not None and number not in self._remembering.memory.faults:
+            raise RefusedError("unknown", f"no fault {number} is remembered")
+        cleared = self._remembering.clear(number, asker.user)
+        self._waiting.append((cleared.seq, {"cleared": cleared.numbers, "id": cleared.id}, then))
+
+    def _standing(self) -> Mapping[str, Any]:
+        source, since, seq, conditions = self._state()
+        journal, observed = self._journal, self._remembering.observed.values()
+        return {
+            "source": source,
+            "version": VERSION,
+            "since": since,
+            "wall": now(),
+            "cycle": self._remembering.cycle,
+            "seq": seq,
+            "conditions": conditions,
+            "store": {
+                "path": None if journal.path is None else str(journal.path),
+                "kept": journal.kept_up_to,
+                "failing": bool(journal.conditions),
+            },
+            "buses": [
+                {
+                    "name": line.name,
+                    "interface": line.interface,
+                    "frames": line.bus.counts.frames,
+                    "dropped": line.bus.dropped,
+                    "errors": line.bus.counts.errors,
+                    "trouble": line.bus.trouble,
+                }
+                for line in self._remembering.lines
+            ],
+            "systems": [_standing_of(each) for each in observed],
+        }
+
+    def _records(self, question: Question, then: Then) -> None:
+        most = 100 if question.count is None else question.count
+        if not 1 <= most <= LARGEST_PAGE:
+            raise RefusedError("bad-request", f"`count` must be 1 to {LARGEST_PAGE}")
+        if question.after is not None and question.before is not None:
+            raise RefusedError("bad-request", "ask for what came `after` a number, or `before` one")
+        for number in (question.after, question.before):
+            if number is not None and not 0 <= number < 2**63:
+                raise RefusedError("bad-request", f"{number} is no number of a record")
+
+        def found(records: list[Record] | None) -> None:
+            if records is None:
+                then({"error": {"code": "busy", "message": "there is no store, or it cannot be read now"}})
+            else:
+                then({"records": [msgspec.Raw(record.line.rstrip()) for record in records]})
+
+        self._journal.read(Page(most, question.after, question.before), found)
+
+    def _observed(self, name: str | None) -> Observed:
+        observed = self._remembering.observed
+        if name is None and len(observed) == 1:
+            return next(iter(observed.values()))
+        if name not in observed:
+            raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(observed)}")
+        return observed[name]
+
+
+def _standing_of(here: Observed) -> Mapping[str, Any]:
+    latest = here.recorder.latest
+    return {
+        "name": here.name,
+        "bundle": here.bundle.id,
+        "bus": here.line.name,
+        "tick": latest.tick if latest else None,
+        "alarm": latest.alarm if latest else [],
+        "cannot_tell": latest.cannot_tell
+        if latest
+        else [generator.test for generator in here.bundle.manifest.generators],
+        "suspected": latest.suspicious if latest else False,
+        "diagnoses": latest.diagnoses if latest else [],
+    }
+
+
+def _system(here: Observed) -> Mapping[str, Any]:
+    """What the names of a bundle mean, for who shows live values."""
+    manifest = here.bundle.manifest
+    return {
+        "name": here.name,
+        "bundle": here.bundle.id,
+        "version": manifest.version,
+        "sensor_set": manifest.sensor_set,
+        "period_s": manifest.period_s,
+        "modes": MODES,
+        "inputs": [
+            {"signal": each.signal, "unit": each.unit, "lower": each.lower, "upper": each.upper}
+            for each in manifest.inputs
+        ],
+        "generators": [
+            {
+                "name": each.name,
+                "test": each.test,
+                "predicts": each.predicts,
+                "inputs": each.inputs,
+                "faults": each.faults,
+            }
+            for each in manifest.generators
+        ],
+        "faults": manifest.faults,
+        "disturbances": manifest.disturbances,
+        "equations": manifest.equations,
+    }
+
+
+def _live(here: Observed, sent: int) -> tuple[int, bytes] | None:
+    latest = here.recorder.latest
+    if latest is None or latest.tick == sent:
+        return None
+    line = {
+        "schema": LIVE,
+        "system": here.name,
+        "tick": latest.tick,
+        "t_s": round(latest.tick * here.bundle.manifest.period_s, 3),
+        "mode": MODES[latest.mode],
+        "z": _numbers(latest.z),
+        "quality": [Quality(each).name.lower() for each in latest.quality],
+        "y_hat": _numbers(latest.y_hat),
+        "r": _numbers(latest.r),
+        "sigma": _numbers(latest.sigma),
+        "sums": _numbers(latest.sums),
+        "usable": latest.usable.tolist(),
+        "alarm": latest.alarm,
+        "cannot_tell": latest.cannot_tell,
+        "suspected": latest.suspicious,
+        "diagnoses": latest.diagnoses,
+    }
+    return latest.tick, msgspec.json.encode(line) + b"\n"
+
+
+def _numbers(values: Any) -> list[float | None]:
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

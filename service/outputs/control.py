@@ -1,0 +1,167 @@
+"""Questions of other processes, over a Unix stream socket; for who asks see docs/control.md.
+
+A connection asks as often as it likes, one question at a time. Who asks for live values is sent the newest when it can
+take them: what lies between is left out.
+"""
+
+import os
+import pwd
+import selectors
+import socket
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, cast
+
+import msgspec
+
+from service.outputs.lines import Client, LineServer
+
+Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
+_PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
+
+
+class Question(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One line that a client sends."""
+
+    ask: Literal["faults", "fault", "clear", "state", "records", "system", "live"]
+    number: int | None = None
+    name: str | None = None
+    after: int | None = None
+    before: int | None = None
+    count: int | None = None
+
+
+class RefusedError(Exception):
+    """A question that is not answered: why, for a program and for a person."""
+
+    def __init__(self, code: Code, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Asker(NamedTuple):
+    """Who asks: the user, as the kernel says it, and whether it may erase faults."""
+
+    user: str
+    may_clear: bool
+
+
+Live = Callable[[int], tuple[int, bytes] | None]
+"""The newest tick, by its number, as a line; None where it is the one of the number given."""
+
+
+class Answers(Protocol):
+    """Who knows the answers."""
+
+    def answer(self, question: Question, asker: Asker, then: Callable[[Mapping[str, Any]], None]) -> None:
+        """Calls `then` with the answer, now or from the loop later on; raises `RefusedError`."""
+
+    def live(self, name: str | None) -> Live:
+        """What gives the newest tick of a system; raises `RefusedError`."""
+
+
+class _Connection(Client):
+    def __init__(self, sock: socket.socket) -> None:
+        super().__init__(sock)
+        self.is_waiting = False
+        self.live: Live | None = None
+        self.sent = -1  # number of the tick that was sent last
+        uid = _PEER.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))[1]
+        self.uid: int = uid
+
+
+class ControlSocket(LineServer):
+    """Serves `answers`; the users named in `clear`, root and our own may erase faults.
+
+    Raises:
+        InputError: the path cannot be used, or another process serves it.
+    """
+
+    def __init__(self, path: Path, clear: Sequence[str] = ()) -> None:
+        super().__init__(path)
+        self._clear = frozenset(clear)
+        self.answers: Answers | None = None
+
+    def __enter__(self) -> "ControlSocket":
+        return self
+
+    def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
+        """As any; and takes what was asked while an answer was on its way."""
+        super().serve(ready)
+        for client in list(self._clients):
+            if client.request:
+                self._take(client)
+
+    def tick(self) -> None:
+        """There may be new live values."""
+        for client in list(self._clients):
+            if cast(_Connection, client).live is not None and not client.rest:
+                self._flush(client)
+
+    def _made(self, sock: socket.socket) -> Client:
+        return _Connection(sock)
+
+    def _take(self, client: Client) -> None:
+        """Not while an answer is on its way: the next question waits for its turn."""
+        connection = cast(_Connection, client)
+        if connection.live is not None:
+            self._refuse(client, "live values are the last that is asked")
+        while client in self._clients and not connection.is_waiting and not client.rest:
+            before = client.request
+            super()._take(client)
+            if client.request == before:
+                return
+
+    def _asked(self, client: Client, line: bytes) -> None:
+        connection = cast(_Connection, client)
+        try:
+            self._answer(connection, _question(line))
+        except RefusedError as refused:
+            self._say(connection, {"error": {"code": refused.code, "message": str(refused)}})
+
+    def _answer(self, client: _Connection, question: Question) -> None:
+        if self.answers is None:
+            raise RefusedError("busy", "the service is starting")
+        if question.ask == "live":
+            client.live = self.answers.live(question.name)
+            self._flush(client)
+            return
+        client.is_waiting = True
+        self.answers.answer(question, _asker(client.uid, self._clear), lambda answer: self._say(client, answer))
+
+    def _say(self, client: _Connection, answer: Mapping[str, Any]) -> None:
+        if client not in self._clients:
+            return
+        client.is_waiting = False
+        client.rest += msgspec.json.encode(answer) + b"\n"
+        self._flush(client)
+
+    def _next(self, client: Client) -> bytes | None:
+        connection = cast(_Connection, client)
+        found = connection.live(connection.sent) if connection.live is not None else None
+        if found is None:
+            return None
+        connection.sent = found[0]
+        return found[1]
+
+    def _refuse(self, client: Client, reason: str) -> None:
+        code: Code = "busy" if reason == "too many clients" else "bad-request"
+        client.rest += msgspec.json.encode({"error": {"code": code, "message": reason}}) + b"\n"
+        self._send(client)
+        self._drop(client)
+
+
+def _question(line: bytes) -> Question:
+    try:
+        return msgspec.json.decode(line, type=Question)
+    except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
+        raise RefusedError("bad-request", str(error)) from error
+
+
+def _asker(uid: int, clear: frozenset[str]) -> Asker:
+    try:
+        user = pwd.getpwuid(uid).pw_name
+    except KeyError:
+        user = str(uid)
+    return Asker(user, uid in (0, os.geteuid()) or user in clear)

@@ -1,0 +1,113 @@
+"""Alarms as entries of the system's journal, with fields that `journalctl` finds: `journalctl SPN=3362`.
+
+Source: systemd's native journal protocol: a datagram of lines FIELD=value. Every kind of change has a message id
+(`journalctl MESSAGE_ID=...`, docs/service.md). What only refines what was told is left to the events.
+"""
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from service.core.events import schema_of
+from service.core.faults import CLEARED, SCHEMA, Change, decode_cleared, decode_record
+from service.store.file import Record
+
+SOCKET = Path("/run/systemd/journal/socket")
+MESSAGES: dict[Change | None, tuple[str, int, str]] = {
+    "pending": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a01", 5, "may be faulty"),
+    "confirmed": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a02", 4, "is faulty"),
+    "failed": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a03", 4, "is faulty again"),
+    "passed": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a04", 5, "is not faulty any more"),
+    "aged": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a05", 6, "is forgotten"),
+    "displaced": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a06", 5, "is forgotten for want of room"),
+    None: ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a07", 5, "erased"),
+}
+"""Message id, priority (syslog(3)) and words of a change; None is faults that a person has erased."""
+
+MOST, WITHIN_S = 20, 60.0
+"""So many entries in so long [s]; what is more is counted and said once."""
+
+
+class Journald:
+    """Sends what is told, without ever waiting. `clock` is the monotonic time [s]."""
+
+    def __init__(self, clock: Callable[[], float], path: Path = SOCKET) -> None:
+        self._clock, self._path = clock, str(path)
+        self._since, self._sent, self._left_out = clock(), 0, 0
+
+    @staticmethod
+    def is_wanted() -> bool:
+        """Whether what we say goes to a journal: systemd.exec(5), `$JOURNAL_STREAM`."""
+        return "JOURNAL_STREAM" in os.environ and SOCKET.exists()
+
+    def told(self, record: Record) -> None:
+        """Takes a record that subscribers are told."""
+        if record.about != "fault" or (fields := _fields(record)) is None:
+            return
+        if self._clock() - self._since >= WITHIN_S:
+            self._since, self._sent = self._clock(), 0
+        if self._sent >= MOST:
+            self._left_out += 1
+            return
+        self._sent += 1
+        if self._left_out:
+            fields["FAULTLINE_LEFT_OUT"] = str(self._left_out)
+        if self._send(fields):
+            self._left_out = 0
+
+    def _send(self, fields: dict[str, str]) -> bool:
+        text = "".join(f"{name}={value}\n" for name, value in fields.items())
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sock:
+                sock.sendto(text.encode(), self._path)
+        except OSError:  # no journal, or one that is behind: the events and the store have it all
+            self._left_out += 1
+            return False
+        return True
+
+
+def _fields(record: Record) -> dict[str, str] | None:
+    """What an entry says; None of what is not worth one."""
+    if schema_of(record.line) == CLEARED:
+        cleared = decode_cleared(record.line)
+        return _entry(
+            None, record, f"{', '.join(map(str, cleared.numbers)) or 'nothing'}", {"FAULTLINE_BY": cleared.by}
+        )
+    if schema_of(record.line) != SCHEMA:
+        return None
+    told = decode_record(record.line)
+    if told.change not in MESSAGES:
+        return None
+    fault = told.fault
+    fields = {
+        "FAULTLINE_NUMBER": str(fault.number),
+        "FAULTLINE_SYSTEM": fault.system,
+        "FAULTLINE_COMPONENTS": ", ".join(fault.components),
+        "FAULTLINE_STATUS": f"0x{fault.mask:02X}",
+    }
+    if len(fault.dtcs) == 1:
+        fields |= {"SPN": str(fault.dtcs[0].spn), "FMI": str(fault.dtcs[0].fmi)}
+    what = " or ".join(fault.components) or "something unknown"
+    return _entry(told.change, record, f"{fault.system}: {what}", fields)
+
+
+def _entry(change: Change | None, record: Record, what: str, fields: dict[str, str]) -> dict[str, str]:
+    message, priority, words = MESSAGES[change]
+    named = msgspec.json.decode(record.line, type=_Named).id
+    return {
+        "MESSAGE": f"{what} {words}",
+        "MESSAGE_ID": message,
+        "PRIORITY": str(priority),
+        "SYSLOG_IDENTIFIER": "faultline",
+        "FAULTLINE_ID": named,
+        "FAULTLINE_SEQ": str(record.seq),
+        "FAULTLINE_CHANGE": change or "cleared",
+        **fields,
+    }
+
+
+class _Named(msgspec.Struct):
+    id: str

@@ -1,0 +1,215 @@
+"""Lines of JSON over a Unix stream socket, from one selectors loop: any number of clients, none can hold it up.
+
+A client is sent what it takes, and asked for no more than a line at a time; what is waiting for it is bounded by who
+derives from this.
+"""
+
+import os
+import selectors
+import socket
+import stat
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+
+from service.core.errors import InputError
+
+CLIENTS = 32  # more are turned away
+SILENT_S = 5.0  # who has asked for nothing after so long makes room for others
+REQUEST_SIZE = 4096  # bytes of a client's line
+MODE = 0o660  # the daemon's user and group
+
+
+class Client:
+    """A connection: what it has sent of its line, and what of a line is half sent to it."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.sock = sock
+        self.since = time.monotonic()
+        self.request = b""
+        self.rest = b""
+        self.has_asked = False
+
+
+class LineServer(ABC):
+    """Listens at a path.
+
+    Raises:
+        InputError: the path cannot be used, or another process serves it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._listener = _listen(path)
+        self._selector: selectors.BaseSelector | None = None
+        self._clients: list[Client] = []
+
+    def __enter__(self) -> "LineServer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def register(self, selector: selectors.BaseSelector) -> None:
+        """Puts the listening socket, and later each client's, into the loop's selector."""
+        self._selector = selector
+        selector.register(self._listener, selectors.EVENT_READ, self)
+
+    def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
+        """Does what a `select` found to do; keys of others are left alone."""
+        for key, events in ready:
+            if key.data is self:
+                self._accept()
+            elif isinstance(key.data, Client) and key.data in self._clients:
+                if events & selectors.EVENT_READ:
+                    self._read(key.data)
+                if events & selectors.EVENT_WRITE and key.data in self._clients:
+                    self._flush(key.data)
+
+    def close(self) -> None:
+        """Ends every connection and removes the socket file."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._forget(self._listener)
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+
+    @abstractmethod
+    def _asked(self, client: Client, line: bytes) -> None:
+        """The client has sent a line."""
+
+    @abstractmethod
+    def _next(self, client: Client) -> bytes | None:
+        """What the client is to be sent next, None for nothing now."""
+
+    def _made(self, sock: socket.socket) -> Client:
+        """The client of a new connection."""
+        return Client(sock)
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._listener.accept()
+        except OSError:  # gone again, or no descriptor left: the loop must go on either way
+            return
+        sock.setblocking(False)
+        client = self._made(sock)
+        self._clients.append(client)
+        if self._selector is not None:
+            self._selector.register(sock, selectors.EVENT_READ, client)
+        if len(self._clients) > CLIENTS:
+            silent = [each for each in self._clients if not each.has_asked and client.since - each.since > SILENT_S]
+            self._refuse(silent[0] if silent else client, "too many clients")
+
+    def _read(self, client: Client) -> None:
+        try:
+            content = client.sock.recv(REQUEST_SIZE)
+        except BlockingIOError:
+            return
+        except OSError:
+            content = b""
+        if not content:
+            self._drop(client)
+            return
+        client.request += content
+        if len(client.request) > 2 * REQUEST_SIZE:
+            self._refuse(client, "asks faster than it takes answers")
+            return
+        self._take(client)
+
+    def _take(self, client: Client) -> None:
+        """Takes what the client has asked, if that is a whole line."""
+        line, end, rest = client.request.partition(b"\n")
+        if end:
+            client.request, client.has_asked = rest, True
+            self._asked(client, line)
+        elif len(client.request) >= REQUEST_SIZE:
+            self._refuse(client, "the request has no end")
+
+    def _refuse(self, client: Client, reason: str) -> None:
+        client.rest += msgspec.json.encode({"error": reason}) + b"\n"
+        self._send(client)
+        self._drop(client)
+
+    def _flush(self, client: Client) -> None:
+        """Sends until the client takes no more or has all."""
+        while client in self._clients:
+            if client.rest:
+                if not self._send(client):
+                    return
+            elif (line := self._next(client)) is not None:
+                client.rest = line
+            else:
+                if client in self._clients and not client.rest:
+                    self._want(client, selectors.EVENT_READ)
+                return
+
+    def _send(self, client: Client) -> bool:
+        """Whether the client took all of `rest`."""
+        try:
+            sent = client.sock.send(client.rest)
+        except BlockingIOError:
+            sent = 0
+        except OSError:  # the other end is gone
+            self._drop(client)
+            return False
+        client.rest = client.rest[sent:]
+        if client.rest:
+            self._want(client, selectors.EVENT_READ | selectors.EVENT_WRITE)
+        return not client.rest
+
+    def _want(self, client: Client, events: int) -> None:
+        if self._selector is not None:
+            self._selector.modify(client.sock, events, client)
+
+    def _drop(self, client: Client) -> None:
+        if client in self._clients:
+            self._clients.remove(client)
+            self._forget(client.sock)
+            client.sock.close()
+
+    def _forget(self, sock: socket.socket) -> None:
+        """Out of the selector, if that is still open and knows it."""
+        known = self._selector.get_map() if self._selector is not None else None
+        if self._selector is not None and known is not None and sock in known:
+            self._selector.unregister(sock)
+
+
+def _listen(path: Path) -> socket.socket:
+    """A listening socket at `path`; the file that a dead process left there is replaced."""
+    _clear(path)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    mask = os.umask(~MODE & 0o777)
+    try:
+        listener.bind(str(path))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise InputError(f"{path}: cannot listen there: {error.strerror or error}; give another --socket") from error
+    finally:
+        os.umask(mask)
+    listener.setblocking(False)
+    return listener
+
+
+def _clear(path: Path) -> None:
+    try:
+        if not stat.S_ISSOCK(path.stat().st_mode):
+            raise InputError(f"{path}: is there already and is no socket; give another --socket")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; give another --socket") from error
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}; give another --socket") from error
+        else:
+            raise InputError(f"{path}: another process serves events there; stop it or give another --socket")

@@ -1,0 +1,35 @@
+"""Numbers and dates what is told; all records of a run are one sequence."""
+
+import secrets
+from datetime import UTC, datetime
+
+import msgspec
+
+from service.core.events import Event
+
+
+class Scribe:
+    """Ids are `source`, the vehicle's name, eight digits drawn for this run, and a number, which goes on from `last`.
+
+    No id is used twice, whatever becomes of the store.
+    """
+
+    def __init__(self, source: str, last: int, run: str | None = None) -> None:
+        self.source, self.last = source, last
+        run = secrets.token_hex(4) if run is None else run
+        self._prefix = f"{source}-{run}" if run else source
+
+    def next(self) -> tuple[str, int, str]:
+        """Id, number and wall clock (RFC 3339) of the next record."""
+        self.last += 1
+        return f"{self._prefix}-{self.last}", self.last, now()
+
+    def event(self, event: Event) -> Event:
+        """The event, numbered and dated."""
+        named, seq, wall = self.next()
+        return msgspec.structs.replace(event, id=named, seq=seq, wall=wall)
+
+
+def now() -> str:
+    """The wall clock (RFC 3339)."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,224 @@
+"""The store's file: records of what was told, and what is remembered, in SQLite.
+
+A commit that has returned survives a power cut (`journal_mode=WAL`, `synchronous=FULL`; with NORMAL all that was
+acknowledged since the last checkpoint is lost). One process has it, exclusively: others ask the service.
+"""
+
+import sqlite3
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, NamedTuple, get_args
+
+from service.core.errors import InputError
+
+VERSION = 2  # 1 had no table `kept`
+
+About = Literal["event", "health", "fault"]
+KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000}
+"""The latest so many are kept. Each kind has its own number: a loose plug must not push out faults."""
+PRUNED = 256  # records between two looks whether there are too many
+ASIDE = 3  # damaged files that are left
+ENDLESS = 2**63 - 1  # larger than any number
+NOTHING: Mapping[str, bytes | None] = MappingProxyType({})
+LOCKED_S = 5.0  # who looks at the file with a tool of his own has so long
+
+_TABLES = """
+CREATE TABLE record (
+    seq INTEGER PRIMARY KEY,
+    about TEXT NOT NULL,
+    line BLOB NOT NULL
+) STRICT;
+CREATE INDEX record_about ON record (about, seq);
+"""
+_KEPT = """
+CREATE TABLE kept (
+    name TEXT PRIMARY KEY,
+    value BLOB NOT NULL
+) STRICT, WITHOUT ROWID;
+"""
+
+_NO_DAMAGE = (
+    *(sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR),
+    *(sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_AUTH, sqlite3.SQLITE_NOMEM),
+)
+"""What is wrong is not the file, but what it is on, or who else has it: the last byte of SQLite's codes."""
+
+
+class StoreError(InputError):
+    """A store that cannot be opened."""
+
+
+class Record(NamedTuple):
+    """One line of JSON that is told, newline included, with its number and what it is about."""
+
+    seq: int
+    about: About
+    line: bytes
+
+
+class StoreFile:
+    """An open store; of one thread at a time.
+
+    Of what is in it, `last` is the number of the latest record (0: none), `earlier` are the latest `remembered` ones,
+    oldest first, `health` is the latest on health, and `kept` is what is remembered, by name. `aside` is where a
+    damaged one was put, None where it was whole.
+
+    Raises:
+        StoreError: it cannot be opened or made, or another process has it, or it is another program's or a newer one's.
+    """
+
+    def __init__(self, path: Path, remembered: int = 0) -> None:
+        self.path, self._remembered = path, remembered
+        self.last, self.earlier = 0, list[Record]()
+        self.health: Record | None = None
+        self.kept: dict[str, bytes] = {}
+        self.aside: Path | None = None
+        self._since_pruned = PRUNED  # however short a run is
+        self._db: sqlite3.Connection
+        self._begin()
+
+    def append(self, records: Sequence[Record], kept: Mapping[str, bytes | None] = NOTHING) -> None:
+        """Adds the records, and sets or erases (None) what is `kept`, all or nothing; on return it is on the disk.
+
+        A record that is there already stays as it is.
+
+        Raises:
+            sqlite3.Error: nothing was added, or all; `is_damage` says whether it is the file that is broken.
+        """
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            self._db.executemany("INSERT OR IGNORE INTO record VALUES (?, ?, ?)", records)
+            for name, value in kept.items():
+                if value is None:
+                    self._db.execute("DELETE FROM kept WHERE name = ?", (name,))
+                else:
+                    self._db.execute("INSERT OR REPLACE INTO kept VALUES (?, ?)", (name, value))
+            if self._since_pruned >= PRUNED:
+                self._prune()
+            self._db.execute("COMMIT")
+        except sqlite3.Error:
+            with suppress(sqlite3.Error):  # SQLite may have rolled back by itself
+                self._db.execute("ROLLBACK")
+            raise
+        self._since_pruned = self._since_pruned + len(records) if self._since_pruned < PRUNED else 0
+
+    def again(self) -> None:
+        """Opens it once more; what is damaged is put aside and a new one begun. Raises as the constructor."""
+        self.close()
+        self.aside = None
+        self._begin()
+
+    def close(self) -> None:
+        """Ends it; what was added stays whether it is called or not."""
+        with suppress(sqlite3.Error):
+            self._db.close()
+
+    def before(self, seq: int | None, count: int) -> list[Record]:
+        """The latest records, before number `seq` where that is given; oldest first."""
+        rows = self._db.execute(
+            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC LIMIT ?",
+            (ENDLESS if seq is None else seq, count),
+        )
+        return [Record(*row) for row in rows][::-1]
+
+    def after(self, seq: int, count: int) -> list[Record]:
+        """The records after number `seq`, oldest first."""
+        rows = self._db.execute("SELECT seq, about, line FROM record WHERE seq > ? ORDER BY seq LIMIT ?", (seq, count))
+        return [Record(*row) for row in rows]
+
+    def _prune(self) -> None:
+        for about in get_args(About):
+            self._db.execute(
+                "DELETE FROM record WHERE about = ?1 AND seq <= "
+                "(SELECT seq FROM record WHERE about = ?1 ORDER BY seq DESC LIMIT 1 OFFSET ?2)",
+                (about, KEPT[about]),
+            )
+
+    def _begin(self) -> None:
+        try:
+            try:
+                self._read()
+            except sqlite3.Error as error:
+                if not is_damage(error):
+                    raise
+                self.aside = _put_aside(self.path)
+                self._read()
+        except (OSError, sqlite3.Error) as error:
+            reason = "another process has it" if "locked" in str(error) else str(error)
+            before = f"was damaged and is now {self.aside}; a new one " if self.aside else ""
+            raise StoreError(
+                f"{self.path}: {before}cannot be used: {reason}; mend that or give another path"
+            ) from error
+
+    def _read(self) -> None:
+        """Opens it and reads what is in it; an error in that is damage that the check did not see."""
+        self._db = _open(self.path)
+        try:
+            self.earlier = self.before(None, self._remembered)
+            self.kept = dict(self._db.execute("SELECT name, value FROM kept"))
+            self.last = self._db.execute("SELECT coalesce(max(seq), 0) FROM record").fetchone()[0]
+            row = self._db.execute("SELECT * FROM record WHERE about = 'health' ORDER BY seq DESC LIMIT 1").fetchone()
+            self.health = Record(*row) if row else None
+        except sqlite3.Error:
+            self.close()
+            raise
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether it is the file that is broken."""
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _NO_DAMAGE
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    """The database, whole and ours alone; raises sqlite3.Error where it is damaged or cannot be used."""
+    db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=LOCKED_S)
+    try:
+        db.execute("PRAGMA locking_mode=EXCLUSIVE")  # also keeps the log's index in memory, not in a file
+        db.execute("PRAGMA temp_store=MEMORY")
+        is_new = _is_new(db, path)
+        db.execute("PRAGMA journal_mode=WAL")
+        db.execute("PRAGMA synchronous=FULL")
+        if is_new:
+            db.executescript(f"BEGIN EXCLUSIVE; {_TABLES} {_KEPT} PRAGMA user_version={VERSION}; COMMIT;")
+        elif db.execute("PRAGMA user_version").fetchone()[0] < VERSION:
+            db.executescript(f"BEGIN EXCLUSIVE; {_KEPT} PRAGMA user_version={VERSION}; COMMIT;")
+        db.execute("BEGIN EXCLUSIVE")  # from now on it is ours
+        db.execute("COMMIT")
+    except BaseException:
+        db.close()
+        raise
+    return db
+
+
+def _is_new(db: sqlite3.Connection, path: Path) -> bool:
+    """Whether nothing is in it; what is there must be whole, and of this faultline or an older one. Changes nothing."""
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    if version > VERSION:
+        raise StoreError(
+            f"{path}: is of a newer faultline (version {version}, this one knows {VERSION}); "
+            "nothing was changed: update, or give another path"
+        )
+    found = db.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if found != "ok":
+        raise sqlite3.DatabaseError(found)
+    if version == 0 and db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
+        raise StoreError(f"{path}: is another program's database; nothing was changed: give another path")
+    return bool(version == 0)
+
+
+def _put_aside(path: Path) -> Path:
+    """Renames a damaged store and its log; of older ones the latest are left."""
+    stem = f"{path.name}.damaged-"
+    numbers = sorted(
+        int(tail) for each in path.parent.glob(f"{stem}*") if (tail := each.name.removeprefix(stem)).isdecimal()
+    )
+    for number in numbers[: -(ASIDE - 1)]:
+        for suffix in ("", "-wal"):
+            path.with_name(f"{stem}{number}{suffix}").unlink(missing_ok=True)
+    aside = path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
+    for suffix in ("", "-wal"):
+        with suppress(FileNotFoundError):
+            path.with_name(f"{path.name}{suffix}").rename(aside.with_name(f"{aside.name}{suffix}"))
+    return aside

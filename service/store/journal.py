@@ -1,0 +1,304 @@
+"""Kept before it is told: records wait here until they are on the disk, which has a thread of its own.
+
+A disk that is full, slow or broken keeps no alarm back: what it has not taken within `PATIENCE_S` is told all the
+same, as is that it was not kept; the disk is tried again, with all of it. What is remembered besides goes to the disk
+with the record that it was put with, or with a later one; all of it is in memory too, and is written anew where a store
+had to be begun anew.
+"""
+
+import os
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from service.core.health import Condition
+from service.store.file import NOTHING, Record, StoreError, StoreFile, is_damage
+
+OPENED_S = 10.0
+"""So long the start waits for a disk that hangs; then it goes on without a store."""
+PATIENCE_S = 2.0
+"""So long a record waits for the disk before it is told without."""
+RETRY_S = 5.0
+BATCH = 256  # records of one commit
+ASKED = 100  # questions that wait for the disk
+PENDING = 10_000  # records that wait for a disk that does not take them; then the oldest are given up
+
+
+class Page(NamedTuple):
+    """So many records: those after a number, or the latest before one (before None: of all)."""
+
+    most: int
+    after: int | None = None
+    before: int | None = None
+
+    def of(self, file: StoreFile) -> list[Record]:
+        """Those of a store; raises sqlite3.Error."""
+        if self.after is not None:
+            return file.after(self.after, self.most)
+        return file.before(self.before, self.most)
+
+
+class _Asked(NamedTuple):
+    page: Page
+    then: Callable[[list[Record] | None], None]
+
+
+class Journal:
+    """Records in the order in which they were put. `path` None keeps nothing: all is told at once.
+
+    Of earlier runs, `last` is the number of the latest record, `health` the latest on health, and `earlier` are the
+    latest `remembered` of all. `kept` is what is remembered now, by name: of the thread that puts.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        say: Callable[[str], None],
+        remembered: int = 0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.path, self._say, self._clock = path, say, clock
+        self.last, self.earlier = 0, list[Record]()
+        self.health: Record | None = None
+        self.kept: dict[str, bytes] = {}
+        self._dirty: dict[str, bytes | None] = {}  # what the disk has not taken of that
+        self._asked: deque[_Asked] = deque()
+        self._answers: deque[tuple[_Asked, list[Record] | None]] = deque()
+        self._waiting: deque[tuple[float, Record]] = deque()  # not told yet, and since when
+        self._pending: deque[Record] = deque()  # not on the disk yet
+        self._kept = 0  # number up to which all is on the disk, or given up
+        self._given_up = 0
+        self._failing = self._late = self._ended = False
+        self._reset = False
+        self._changed = threading.Condition()
+        self._wake = os.eventfd(
+            0, os.EFD_NONBLOCK | os.EFD_CLOEXEC
+        )  # never closed: a disk that hangs may still wake us
+        self._thread: threading.Thread | None = None
+        if path is not None:
+            self._begin(path, remembered)
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.finish(0.0)
+
+    def fileno(self) -> int:
+        """Readable when there may be something to take."""
+        return self._wake
+
+    @property
+    def fresh(self) -> bool:
+        """Whether it works as far as it can: a disk that hangs or fails is a condition, a thread that died a defect."""
+        return self._thread is None or self._ended or self._thread.is_alive()
+
+    def put(self, *records: Record, kept: Mapping[str, bytes | None] = NOTHING) -> None:
+        """Takes records to keep and then to tell, and what is to be remembered, or no more (None), from then on."""
+        now = self._clock()
+        with self._changed:
+            for name, value in kept.items():
+                if value is None:
+                    self.kept.pop(name, None)
+                else:
+                    self.kept[name] = value
+            self._waiting.extend((now, record) for record in records)
+            if self._thread is None:
+                return
+            self._dirty.update(kept)
+            self._pending.extend(records)
+            while len(self._pending) > PENDING:
+                self._kept = self._pending.popleft().seq
+                self._given_up += 1
+            self._changed.notify()
+
+    def remember(self, kept: Mapping[str, bytes | None]) -> None:
+        """Takes what is to be remembered, or no more (None), of which nobody is told."""
+        self.put(kept=kept)
+
+    @property
+    def stores(self) -> bool:
+        """Whether there is a store, which may fail."""
+        return self._thread is not None
+
+    @property
+    def kept_up_to(self) -> int:
+        """The number up to which all that was put is on the disk, or was given up."""
+        return max(self._kept, self.last)
+
+    def has(self, seq: int) -> bool:
+        """Whether the record of that number, which was taken, is on the disk."""
+        with self._changed:
+            return self._thread is not None and not self._failing and seq <= self._kept
+
+    def read(self, page: Page, then: Callable[[list[Record] | None], None]) -> None:
+        """Asks for records of the store; `then` is called from within `take` with them, with None where none can be."""
+        with self._changed:
+            if self._thread is not None and len(self._asked) < ASKED:
+                self._asked.append(_Asked(page, then))
+                self._changed.notify()
+            else:
+                self._answers.append((_Asked(page, then), None))
+                os.eventfd_write(self._wake, 1)
+
+    def take(self) -> list[Record]:
+        """Those that are to be told now: they are on the disk, or it does not take them."""
+        with suppress(BlockingIOError):
+            os.eventfd_read(self._wake)
+        while self._answers:
+            asked, records = self._answers.popleft()
+            asked.then(records)
+        now, taken, was_late = self._clock(), list[Record](), self._late
+        with self._changed:
+            keeps = self._thread is not None and not self._failing
+            while self._waiting:
+                since, record = self._waiting[0]
+                if keeps and record.seq > self._kept:
+                    if now - since < PATIENCE_S:
+                        break
+                    self._late = True
+                self._waiting.popleft()
+                taken.append(record)
+        if self._late and not was_late:
+            self._say(f"{self.path}: takes longer than {PATIENCE_S:.0f} s; events are told before they are kept")
+        return taken
+
+    @property
+    def conditions(self) -> set[Condition]:
+        """What is wrong with the store."""
+        if self.path is None:
+            return set()
+        found = set()
+        if self._thread is None or self._failing or self._late:
+            found.add(Condition("store-failed", str(self.path)))
+        if self._reset:
+            found.add(Condition("store-reset", str(self.path)))
+        return found
+
+    def finish(self, within_s: float) -> list[Record]:
+        """Ends it after what waits is kept, but after `within_s` [s] anyway; gives what has not been told."""
+        if self._thread is not None:
+            with self._changed:
+                self._ended = True
+                self._changed.notify()
+            self._thread.join(within_s)
+        with self._changed:
+            left = [record for _, record in self._waiting]
+            self._waiting.clear()
+        return left
+
+    def _begin(self, path: Path, remembered: int) -> None:
+        """Opens the store in its thread, and waits for that."""
+        opened: list[StoreFile | Exception] = []
+
+        def run() -> None:
+            file: StoreFile | Exception
+            try:
+                file = StoreFile(path, remembered)
+            except Exception as error:  # noqa: BLE001 whatever it is, the service goes on without
+                file = error
+            with self._changed:
+                opened.append(file)
+                self._changed.notify_all()
+                in_time = opened[0] is file
+            if isinstance(file, StoreFile):
+                if in_time:
+                    self._run(file)
+                else:
+                    file.close()
+
+        thread = threading.Thread(target=run, name="store", daemon=True)
+        thread.start()
+        with self._changed:
+            if not self._changed.wait_for(lambda: opened, OPENED_S):
+                opened.append(StoreError(f"{path}: cannot be opened within {OPENED_S:.0f} s"))
+        file = opened[0]
+        if isinstance(file, Exception):
+            self._say(f"events are told and not kept, until a restart: {file}")
+            return
+        self._thread = thread
+        self.last, self.earlier, self.health, self.kept = file.last, file.earlier, file.health, file.kept
+        file.earlier, file.kept = [], {}
+        self._note_aside(file)
+
+    def _note_aside(self, file: StoreFile) -> None:
+        if file.aside is not None:
+            self._reset = True
+            self._say(f"{file.path}: was damaged, is now {file.aside}; a new store was begun")
+
+    def _run(self, file: StoreFile) -> None:
+        """The disk's thread."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._pending or self._dirty or self._asked or self._ended)
+                asked = self._asked.popleft() if self._asked else None
+                batch, kept = [*islice(self._pending, BATCH)], {**self._dirty}
+                if not (batch or kept or asked):
+                    break
+            failed = self._keep(file, batch, kept) if batch or kept else ""
+            for text in self._done(batch, kept, failed):
+                self._say(text)
+            if asked:
+                self._answer(file, asked)
+            if failed:
+                with self._changed:
+                    if self._changed.wait_for(lambda: self._ended, RETRY_S):
+                        break
+        file.close()
+
+    def _answer(self, file: StoreFile, asked: "_Asked") -> None:
+        try:
+            records = asked.page.of(file)
+        except sqlite3.Error as error:
+            self._say(f"{self.path}: cannot be read: {error}")
+            records = None
+        self._answers.append((asked, records))
+        os.eventfd_write(self._wake, 1)
+
+    def _keep(self, file: StoreFile, batch: list[Record], kept: Mapping[str, bytes | None]) -> str:
+        """Puts records on the disk; why it did not take them, or nothing."""
+        try:
+            try:
+                file.append(batch, kept)
+            except sqlite3.Error as error:
+                if not is_damage(error):
+                    raise
+                try:
+                    file.again()
+                finally:
+                    self._note_aside(file)
+                    with self._changed:  # a new store has nothing of it, until it was written once
+                        everything = self._dirty = {**self.kept, **self._dirty}
+                file.append(batch, {**everything})
+        except Exception as error:  # noqa: BLE001 the thread must not die of it: the next try may succeed
+            return str(error) or type(error).__name__
+        return ""
+
+    def _done(self, batch: list[Record], kept: Mapping[str, bytes | None], failed: str) -> list[str]:
+        """What a try to keep a batch has come to; `failed` says why it did not. What is to be said of that."""
+        said = []
+        with self._changed:
+            if failed and not self._failing:
+                said.append(f"{self.path}: {failed}; events are told and not kept, it is tried again")
+            if not failed:
+                while batch and self._pending and self._pending[0].seq <= batch[-1].seq:
+                    self._pending.popleft()
+                for name, value in kept.items():
+                    if self._dirty.get(name, kept) is value:  # not put anew meanwhile
+                        del self._dirty[name]
+                self._kept = max(self._kept, *(each.seq for each in batch[-1:]), 0)
+                if self._failing or self._late:
+                    said.append(f"{self.path}: keeps events again")
+                if self._given_up:
+                    said.append(f"{self.path}: {self._given_up} events were told and are not kept, as too many waited")
+                    self._given_up = 0
+                self._late = False
+            self._failing = bool(failed)
+        os.eventfd_write(self._wake, 1)
+        return said

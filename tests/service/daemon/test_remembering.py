@@ -1,0 +1,476 @@
+"""The golden recording through the fault memory: what is told, kept, asked for, and there again after a restart."""
+
+import json
+import os
+import selectors
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import msgspec
+import pytest
+
+from service import faults as command
+from service.answers import Answerer
+from service.asking import Control, ControlError
+from service.bundle import load_bundle
+from service.bus import Bus
+from service.bus.base import Counts
+from service.cli import main
+from service.core.errors import InputError
+from service.core.faults import Fault, decode_cleared, decode_record
+from service.core.frame import Frame
+from service.core.memory import Rules
+from service.logs import Frame as CanFrame
+from service.logs import open_log
+from service.outputs.control import ControlSocket
+from service.remembering import Remembering
+from service.scribe import Scribe
+from service.store.file import Record, StoreFile
+from service.store.journal import Journal
+from service.watched import Line, watched
+
+GOLDEN = Path(__file__).resolve().parents[2] / "golden"
+FRAMES = [CanFrame(t, n, extended, data) for t, n, extended, data in open_log(GOLDEN / "log").relative()]
+
+
+@pytest.fixture(autouse=True)
+def journals() -> Iterator[None]:
+    """Ends the disk's thread of each vehicle that a test has made."""
+    yield
+    while OPEN:
+        OPEN.pop().finish(5.0)
+
+
+OPEN: list[Journal] = []
+
+
+class Vehicle:
+    """A service without a loop: what a log says goes through bundle, memory and store."""
+
+    def __init__(self, path: Path | None, run: str = "1") -> None:
+        self.said: list[str] = []
+        self.journal = Journal(path, self.said.append)
+        OPEN.append(self.journal)
+        self.watched = watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)
+        self.bus = SimpleNamespace(counts=Counts(), dropped=3, trouble=None)
+        self.line = Line("powertrain", cast(Bus, self.bus), [self.watched], self.said.append, "socketcan:can0")
+        self.remembering = self.made(run)
+        self.told: list[Record] = []
+
+    def made(self, run: str) -> Remembering:
+        return Remembering(
+            *(Scribe("truck", self.journal.last, run), self.journal, [self.line], Rules(), 10.0, "boot", 0.0),
+            self.said.append,
+            standing=lambda: ["error-passive: powertrain"],
+        )
+
+    def hear(self, until_s: float = 1e9) -> "Vehicle":
+        """Drives through the golden recording."""
+        self.bus.counts.frames += 1
+        self.remembering.look(0.0)
+        for k, frame in enumerate(FRAMES):
+            if frame.t <= until_s:
+                self.remembering.take(self.watched, list(self.watched.hear([frame])))
+            if k % 100 == 0:
+                self.remembering.look(1.0)
+        return self
+
+    def of(self, about: str) -> list[bytes]:
+        self.told += self.journal.finish(10.0)
+        return [each.line for each in self.told if each.about == about]
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store in which the golden recording's fault is remembered."""
+    path = tmp_path_factory.mktemp("driven") / "store.sqlite"
+    vehicle = Vehicle(path).hear()
+    vehicle.journal.finish(10.0)
+    assert not vehicle.said
+    return path
+
+
+def copied(path: Path, folder: Path) -> Path:
+    (folder / "store.sqlite").write_bytes(path.read_bytes())
+    return folder / "store.sqlite"
+
+
+def test_a_fault_is_told_with_the_event_that_it_is_of() -> None:
+    vehicle = Vehicle(None).hear()
+    vehicle.told += vehicle.journal.take()
+    records = [json.loads(each.line) for each in vehicle.told]
+    assert [record["seq"] for record in records] == list(range(1, len(records) + 1))
+    occurred = next(k for k, record in enumerate(records) if record.get("transition") == "occurred")
+    confirmed = decode_record(vehicle.told[occurred + 1].line)
+    assert confirmed.change == "confirmed"
+    assert confirmed.fault.first.id == records[occurred]["id"]
+    assert confirmed.fault.first.cycle == 1
+    assert confirmed.fault.system == "uds4"
+    assert [decode_record(line).change for line in vehicle.of("fault")] == ["confirmed", "refined"]
+
+
+def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
+    vehicle = Vehicle(None).hear()
+    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=Frame)
+    assert frame.complete
+    assert (frame.tick, frame.mode, frame.alarm) == (415, "idle", ["t02", "t06", "t09"])
+    assert frame.conditions == ["error-passive: powertrain"]
+    assert frame.counters["dropped"] == 3
+    excerpt = frame.excerpt
+    assert (excerpt.first_tick, len(excerpt.mode)) == (415 - 50, 101)
+    assert {*map(len, excerpt.signals.values()), *map(len, excerpt.residuals.values())} == {101}
+    assert [each.signal for each in frame.inputs] == ["y_p_tp", "y_p_ap", "y_p_du", "n_p", "dc_dose"]
+    at = excerpt.signals["y_p_du"][50]
+    assert at == next(each.value for each in frame.inputs if each.signal == "y_p_du")
+    assert {each.test for each in frame.tests if each.verdict == "alarm"} == {"t02", "t06", "t09"}
+
+
+def test_a_frame_whose_drive_ends_early_says_so() -> None:
+    vehicle = Vehicle(None).hear(until_s=90.0)
+    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=Frame)
+    assert not frame.complete
+    assert frame.excerpt.first_tick + len(frame.excerpt.mode) - 1 == frame.tick
+
+
+def test_everything_is_there_after_a_restart(driven: Path, tmp_path: Path) -> None:
+    again = Vehicle(copied(driven, tmp_path), run="2")
+    (fault,) = again.remembering.memory.faults.values()
+    assert fault.status.test_failed
+    assert again.remembering.cycle == 1
+    assert again.journal.last == decode_record(again.journal.earlier[-1].line).seq if again.journal.earlier else True
+    again.hear()
+    (fault,) = again.remembering.memory.faults.values()
+    assert (fault.number, fault.occurrences) == (1, 1), "the same one, that nobody has repaired"
+    assert [decode_record(line).change for line in again.of("fault")] == ["refined", "refined"]
+    assert "frame/1/latest" not in again.journal.kept
+
+
+def test_what_cannot_be_read_is_kept_apart(driven: Path, tmp_path: Path) -> None:
+    path = copied(driven, tmp_path)
+    store = StoreFile(path)
+    store.append([], {"fault/2": b'{"number":"two"}', "cycle": b"\xff", "memory": b"[]"})
+    store.close()
+    vehicle = Vehicle(path)
+    assert [*vehicle.remembering.memory.faults] == [1]
+    vehicle.journal.finish(10.0)
+    left = StoreFile(path).kept
+    assert {"unreadable/fault/2", "unreadable/cycle", "unreadable/memory"} < {*left}
+    assert "fault/2" not in left
+    assert len(vehicle.said) == 3
+    assert all("cannot be read" in text and "it is kept as unreadable/" in text for text in vehicle.said)
+
+
+def test_a_bundle_that_is_taken_up_goes_on_with_its_faults(driven: Path, tmp_path: Path) -> None:
+    vehicle = Vehicle(copied(driven, tmp_path))
+    bundle = load_bundle(GOLDEN / "bundle")
+    vehicle.watched.take_up(bundle._replace(id="f" * 64))
+    vehicle.remembering.take(vehicle.watched, [])
+    assert vehicle.remembering.observed["uds4"].system.bundle == "f" * 64
+    assert [*vehicle.remembering.memory.faults] == [1]
+
+
+def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
+    vehicle = Vehicle(None)
+    other = Line("trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print)
+    vehicle.line.bundles[:] = [vehicle.watched]
+    both = Remembering(
+        *(Scribe("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
+    )
+    assert [*both.observed] == ["uds4@powertrain", "uds4@trailer"]
+
+
+class Served:
+    """The control socket of a vehicle, in a thread that turns as the loop does."""
+
+    def __init__(self, vehicle: Vehicle, path: Path, clear: tuple[str, ...] = ()) -> None:
+        self.vehicle, self.path = vehicle, path
+        self.socket = ControlSocket(path, clear)
+        self.answers = Answerer(
+            vehicle.remembering, vehicle.journal, lambda: ("truck", "2026-11-23T12:00:00Z", vehicle.journal.last, [])
+        )
+        self.socket.answers = self.answers
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._turn)
+        self._thread.start()
+
+    def _turn(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            self.socket.register(selector)
+            selector.register(self.vehicle.journal.fileno(), selectors.EVENT_READ)
+            while not self._stop.is_set():
+                ready = selector.select(0.02)
+                for record in self.vehicle.journal.take():
+                    self.answers.told(record)
+                self.socket.serve(ready)
+                self.socket.tick()
+            self.socket.close()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def served(driven: Path, tmp_path: Path) -> Iterator[Served]:
+    made = Served(Vehicle(copied(driven, tmp_path)), tmp_path / "control.sock")
+    yield made
+    made.close()
+    made.vehicle.journal.finish(5.0)
+
+
+def test_faults_can_be_asked_for(served: Served) -> None:
+    with Control(served.path) as control:
+        answer = control.ask("faults")
+        (fault,) = msgspec.convert(answer["faults"], list[Fault])
+        assert (answer["overflow"], fault.number) == (False, 1)
+        detail = control.ask("fault", number=1)
+        assert msgspec.convert(detail["frames"]["first"], Frame).complete
+        assert detail["frames"]["latest"] is None
+        with pytest.raises(ControlError, match="no fault 2 is remembered") as refused:
+            control.ask("fault", number=2)
+        assert refused.value.code == "unknown"
+        with pytest.raises(ControlError, match="name the fault"):
+            control.ask("fault")
+
+
+def test_state_and_meanings_can_be_asked_for(served: Served) -> None:
+    with Control(served.path) as control:
+        state = control.ask("state")
+        assert (state["source"], state["cycle"]) == ("truck", 1)
+        assert state["store"]["failing"] is False
+        assert state["buses"] == [
+            {
+                "name": "powertrain",
+                "interface": "socketcan:can0",
+                "frames": 0,
+                "dropped": 3,
+                "errors": 0,
+                "trouble": None,
+            }
+        ]
+        (system,) = state["systems"]
+        assert (system["name"], system["tick"], len(system["cannot_tell"])) == ("uds4", None, 10)
+        meaning = control.ask("system", name="uds4")
+        assert meaning["inputs"][0]["unit"] == "Pa"
+        assert {"name": "t02.ode", "test": "t02"}.items() <= meaning["generators"][0].items()
+        assert {each["name"] for each in meaning["faults"]} >= {"fA_t", "fA_du"}
+        with pytest.raises(ControlError, match="there is no system 'brakes'; those are uds4"):
+            control.ask("system", name="brakes")
+
+
+def test_what_was_told_can_be_asked_for_in_pages(served: Served) -> None:
+    with Control(served.path) as control:
+        everything = control.ask("records", after=0)["records"]
+        assert [record["seq"] for record in everything] == list(range(1, len(everything) + 1))
+        assert control.ask("records", after=2, count=3)["records"] == everything[2:5]
+        assert control.ask("records", before=6, count=2)["records"] == everything[3:5]
+        assert control.ask("records", count=1)["records"] == everything[-1:]
+        for wrong in ({"count": 501}, {"count": 0}, {"after": -1}, {"after": 1, "before": 2}, {"before": 2**63}):
+            with pytest.raises(ControlError) as refused:
+                control.ask("records", **wrong)
+            assert refused.value.code == "bad-request"
+
+
+def test_erasing_is_answered_once_it_is_on_the_disk(served: Served) -> None:
+    with Control(served.path) as control:
+        answer = control.ask("clear", number=1)
+        assert answer["cleared"] == [1]
+        assert control.ask("faults")["faults"] == []
+        last = control.ask("records", count=1)["records"][0]
+        assert (last["schema"], last["numbers"], last["id"]) == ("faultline.cleared/1", [1], answer["id"])
+        assert decode_cleared(json.dumps(last).encode()).by
+        assert control.ask("clear")["cleared"] == []
+    served.vehicle.journal.finish(5.0)
+    kept = StoreFile(cast(Path, served.vehicle.journal.path)).kept
+    assert not [name for name in kept if name.startswith(("fault/", "frame/"))]
+
+
+def test_erasing_that_the_disk_does_not_take_is_said(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(StoreFile, "append", full)
+    with Control(served.path) as control, pytest.raises(ControlError, match="the disk has not taken that") as refused:
+        control.ask("clear", number=1)
+    assert refused.value.code == "not-kept"
+
+
+def test_only_who_may_can_erase(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 4711)
+    monkeypatch.setattr("service.outputs.control._asker", lambda *_: SimpleNamespace(user="mallory", may_clear=False))
+    with Control(served.path) as control, pytest.raises(ControlError, match="mallory may not erase faults") as refused:
+        control.ask("clear", number=1)
+    assert refused.value.code == "not-allowed"
+    assert [*served.vehicle.remembering.memory.faults] == [1]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"hello\n",
+        b"[]\n",
+        b'{"ask":"everything"}\n',
+        b'{"ask":"fault","number":"3"}\n',
+        b'{"ask":"faults","x":1}\n',
+        b"\xff\n",
+    ],
+)
+def test_what_makes_no_sense_is_answered_and_the_connection_goes_on(served: Served, line: bytes) -> None:
+    with socket.socket(socket.AF_UNIX) as sock, sock.makefile("rb") as lines:
+        sock.settimeout(5)
+        sock.connect(str(served.path))
+        sock.sendall(line + b'{"ask":"faults"}\n')
+        assert json.loads(lines.readline())["error"]["code"] == "bad-request"
+        assert json.loads(lines.readline())["faults"]
+
+
+def test_live_values_are_the_newest(served: Served) -> None:
+    with Control(served.path) as control:
+        ticks = control.live("uds4")
+        first: list[dict[str, Any]] = []
+        listener = threading.Thread(target=lambda: first.extend(next(ticks) for _ in range(2)))
+        listener.start()
+        served.vehicle.hear(until_s=20.0)
+        while listener.is_alive():
+            served.vehicle.hear(until_s=0.0)
+            listener.join(0.05)
+            served.vehicle.remembering.take(served.vehicle.watched, list(served.vehicle.watched.hear(_later(20.0))))
+    assert first[1]["tick"] > first[0]["tick"]
+    assert len(first[0]["z"]) == len(first[0]["quality"]) == 5
+    assert len(first[0]["r"]) == len(first[0]["sums"]) == 10
+
+
+_CLOCK = [0.0]
+
+
+def _later(begin: float) -> list[CanFrame]:
+    """The recording goes on for half a second."""
+    _CLOCK[0] += 0.5
+    return [frame for frame in FRAMES if begin + _CLOCK[0] - 0.5 < frame.t <= begin + _CLOCK[0]]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = main(["faults", *arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_the_command_lists_shows_and_erases(served: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    at = ("--control", str(served.path))
+    code, out, _ = run(capsys, "list", *at)
+    assert code == 1
+    assert out.splitlines()[0] == "1. uds4: is there, confirmed, status 0xAF, SPN 520192 FMI 11"
+    code, out, _ = run(capsys, "show", "1", *at)
+    assert code == 0
+    assert "components: dosing unit filter, pressure sensor after the pump" in out
+    assert "when it was told first:" in out
+    assert "of y_p_du" in out
+    code, out, _ = run(capsys, "list", "--json", *at)
+    assert (code, len(json.loads(out)["faults"])) == (1, 1)
+    assert run(capsys, "clear", "1", *at)[:2] == (0, "erased: 1\n")
+    assert run(capsys, "list", *at)[:2] == (0, "no fault is remembered\n")
+    assert run(capsys, "clear", "--all", *at)[:2] == (0, "nothing was remembered\n")
+
+
+def test_the_export_is_everything(
+    served: Served, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "PAGE", 3)
+    code, out, _ = run(capsys, "export", "--control", str(served.path))
+    document = json.loads(out)
+    assert code == 0
+    assert (document["schema"], document["state"]["source"]) == ("faultline.export/1", "truck")
+    assert document["faults"][0]["frames"]["first"]["complete"]
+    assert [record["seq"] for record in document["records"]] == list(range(1, len(document["records"]) + 1))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["list", "--control", "/nowhere/control.sock"],
+            "control.sock: No such file or directory; is the service",
+        ),
+        (["show", "7"], "no fault 7 is remembered"),
+        (["clear", "7"], "no fault 7 is remembered"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(
+    served: Served, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    given = arguments if "--control" in arguments else [*arguments, "--control", str(served.path)]
+    code, _, err = run(capsys, *given)
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_service_that_breaks_off_is_said(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "c"))
+        listener.listen()
+
+        def serve(answer: bytes) -> Callable[[], None]:
+            def once() -> None:
+                with listener.accept()[0] as sock:
+                    sock.recv(4096)
+                    sock.sendall(answer)
+
+            return once
+
+        for answer, said in ((b'{"fau', "it broke off"), (b"hello\n", "sent no answer")):
+            thread = threading.Thread(target=serve(answer))
+            thread.start()
+            with Control(tmp_path / "c") as control, pytest.raises(InputError, match=said):
+                control.ask("faults")
+            thread.join()
+
+
+def test_questions_at_once_are_answered_one_after_the_other(served: Served) -> None:
+    with socket.socket(socket.AF_UNIX) as sock, sock.makefile("rb") as lines:
+        sock.settimeout(10)
+        sock.connect(str(served.path))
+        sock.sendall(b"\n" * 2000 + b'{"ask":"faults"}\n' * 200)
+        answers = [json.loads(lines.readline()) for _ in range(2200)]
+    assert [*map(list, answers)] == [["error"]] * 2000 + [["faults", "overflow", "seq"]] * 200
+
+
+def test_who_asks_and_does_not_read_is_sent_away(served: Served) -> None:
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.settimeout(10)
+        sock.connect(str(served.path))
+        with pytest.raises(OSError, match=r"Broken pipe|reset"):
+            sock.sendall(b'{"ask":"fault","number":1}\n' * 1_000_000)
+    with Control(served.path) as control:
+        assert control.ask("faults")["faults"]
+
+
+def test_bundles_of_one_name_on_one_bus_are_told_apart() -> None:
+    vehicle = Vehicle(None)
+    vehicle.line.bundles.append(watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0))
+    both = vehicle.made("2")
+    assert [*both.observed] == ["uds4@powertrain", "uds4@powertrain-2"]
+    for each in vehicle.line.bundles:
+        both.take(each, [])
+
+
+def test_no_number_is_used_twice_whatever_was_lost(driven: Path, tmp_path: Path) -> None:
+    path = copied(driven, tmp_path)
+    store = StoreFile(path)
+    store.append([], {"memory": None})
+    store.close()
+    assert Vehicle(path).remembering.memory.remembered.number == 2
+
+
+def test_what_is_erased_and_still_there_has_a_freeze_frame_again() -> None:
+    vehicle = Vehicle(None).hear(until_s=95.0)
+    vehicle.remembering.clear(1, "root")
+    for frame in FRAMES:
+        if 95.0 < frame.t <= 100.0:
+            vehicle.remembering.take(vehicle.watched, list(vehicle.watched.hear([frame])))
+    assert [*vehicle.remembering.memory.faults] == [2]
+    assert vehicle.remembering.frames(2)["first"]
