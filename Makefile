@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench clean
 .PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
-.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation
+.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation campaign-compose campaign-alarms
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -13,6 +13,7 @@ demo: .venv/.demo  ## the main job, end to end, with a picture
 # the machine comes after, by itself.
 WORKERS ?= 3
 test: lint  ## everything that CI checks
+	@bash tests/broker.sh
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" -n $(WORKERS) --dist worksteal
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m alone
 
@@ -53,6 +54,12 @@ campaign-rivals: .venv/.test  ## other methods on the recordings of campaign-dia
 
 campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated frames; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/endurance.py
+
+campaign-alarms: .venv/.test  ## 200 kills at random instants: is every alarm told to everybody? writes docs/results
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/alarms.py
+
+campaign-compose:  ## images built and brought up in a container engine, as root; writes docs/results
+	@bash tests/campaigns/compose.sh
 
 campaign-mutation: .venv/.test .venv-mutation/.done  ## which changes of the code no test notices; writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/mutation.py

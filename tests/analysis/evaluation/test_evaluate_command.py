@@ -186,6 +186,13 @@ def test_the_truth_of_another_recording_is_refused(tmp_path: Path) -> None:
         evaluate(truth=truth)
 
 
+def test_what_a_service_told_of_the_recording_is_judged(tmp_path: Path) -> None:
+    """Its ids have the run in them besides."""
+    path = tmp_path / "events.jsonl"
+    path.write_text(EVENTS.read_text().replace('"id":"golden-', '"id":"golden-d4ba119b-'))
+    assert evaluate("--events", path) == evaluate("--events", EVENTS)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -194,6 +201,7 @@ def test_the_truth_of_another_recording_is_refused(tmp_path: Path) -> None:
         (EVENTS.read_text() + "half a line {", r"line \d+: not an event: JSON is malformed"),
         ("", "holds no event, not even that the service started; was it running"),
         (EVENTS.read_text().replace('"id":"golden-', '"id":"other-'), "is about 'other', not about 'golden'"),
+        (EVENTS.read_text().replace('"id":"golden-', '"id":"golden-2-'), "is about 'golden-2', not about 'golden'"),
         (re.sub('"bundle":"[0-9a-f]{12}', '"bundle":"' + 12 * "0", EVENTS.read_text()), "told by bundle 000000000000"),
     ],
 )

@@ -1,0 +1,42 @@
+"""Tell faults as J1939 trouble codes (DM1, DM2) on a vehicle's bus."""
+
+import argparse
+import sys
+from contextlib import closing, suppress
+from pathlib import Path
+
+from service.j1939.config import load_config
+from service.j1939.loop import Loop
+from service.j1939.memory import Memory
+from service.j1939.node import Node
+from service.j1939.wire import Wire
+from service.systemd import Notifier, Supervisor
+
+EXAMPLE = """example:
+  faultline j1939 --config /etc/faultline/j1939.toml
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the node until SIGTERM or SIGINT; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        "faultline j1939", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--config", type=Path, required=True, help="the configuration (TOML), which must allow sending")
+    config = load_config(parser.parse_args(argv).config)
+    name, notifier = config.name.value, Notifier()
+    with (
+        closing(Wire(config.interface, config.addresses)) as wire,
+        closing(Memory(Path(config.control), Path(config.events), _say)) as memory,
+    ):
+        loop = Loop(Node(name, config.addresses), wire, memory, notifier, _say)
+        _say(f"NAME {name:016X}, {config.interface}, asks {config.control}")
+        with Supervisor(notifier, {"loop": loop.heartbeat}, _say):
+            loop.serve()
+            notifier.tell(STOPPING=1)
+    return 0
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+        print(f"faultline j1939: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,98 @@
+"""The configuration of `faultline j1939`: a TOML file, strict, whose errors name the line.
+
+[j1939]
+interface = "socketcan:can0"                       # or udp_multicast:GROUP:PORT, for trials
+control = "/run/faultline/control.sock"            # where the service is asked
+events = "/run/faultline/events.sock"              # where it tells that something has changed
+addresses = [144, 145]                             # the preferred one first
+transmit = true                                    # without it nothing is sent
+
+[j1939.name]                                       # SAE J1939-81
+identity_number = 1                                # of this device, no other one's
+manufacturer_code = 0                              # assigned by SAE
+function = 0                                       # what the device is for, of SAE's list
+# ecu_instance, function_instance, vehicle_system, vehicle_system_instance, industry_group = 0
+# arbitrary_address_capable = true                 # may take the other addresses; needed where there are any
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from service.j1939.claim import CONTENDED
+from service.j1939.name import name_of
+from service.strict import Part, Path_, Read, Step, read
+
+INTERFACE = r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z"
+
+
+class NameConfig(Part, frozen=True):
+    """The fields of the NAME, in the widths that they have there."""
+
+    identity_number: Annotated[int, Meta(ge=0, le=0x1F_FFFF)]
+    manufacturer_code: Annotated[int, Meta(ge=0, le=0x7FF)]
+    function: Annotated[int, Meta(ge=0, le=0xFF)]
+    ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0
+    function_instance: Annotated[int, Meta(ge=0, le=31)] = 0
+    vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0
+    vehicle_system_instance: Annotated[int, Meta(ge=0, le=15)] = 0
+    industry_group: Annotated[int, Meta(ge=0, le=7)] = 0
+    arbitrary_address_capable: bool = False
+
+    @property
+    def value(self) -> int:
+        """The NAME."""
+        return name_of(**{key: int(value) for key, value in msgspec.structs.asdict(self).items()})
+
+
+class J1939Config(Part, frozen=True):
+    """The table `[j1939]`."""
+
+    interface: Annotated[str, Meta(pattern=INTERFACE)]
+    control: Path_
+    events: Path_
+    addresses: Annotated[list[Annotated[int, Meta(ge=0, le=253)]], Meta(min_length=1, max_length=120)]
+    name: NameConfig
+    transmit: bool = False
+
+
+class _File(Part, frozen=True):
+    j1939: J1939Config
+
+
+def load_config(path: Path) -> J1939Config:
+    """The configuration in the file at `path`.
+
+    Raises:
+        ConfigError: it cannot be read, is no TOML, says what makes no sense, or that nothing may be transmitted; the
+            message names the line.
+    """
+    file = read(path, _File, _explained)
+    _check(file)
+    return file.said.j1939
+
+
+def _explained(message: str, steps: list[Step]) -> tuple[str, list[Step]]:
+    if steps == ["j1939", "interface"]:
+        message = "give socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials"
+    return message, steps
+
+
+def _check(file: Read[_File]) -> None:
+    """What the parts must say of each other."""
+    config = file.said.j1939
+    addresses = config.addresses
+    if len(addresses) > 1 and not config.name.arbitrary_address_capable:
+        message = "a NAME that is not arbitrary_address_capable has one address; leave the others out, or set it"
+        raise file.wrong(["j1939", "addresses"], message)
+    for k, address in enumerate(addresses):
+        if addresses.index(address) != k:
+            raise file.wrong(["j1939", "addresses", k], f"{address} is there twice; remove one")
+        if k and address not in CONTENDED:
+            message = f"{address} is assigned to a function; after the preferred address only 128 to 247"
+            raise file.wrong(["j1939", "addresses", k], message)
+    if not config.transmit:
+        message = "transmitting is off: set transmit = true here if this device may send on the vehicle's bus"
+        raise file.wrong(["j1939", "transmit"], message)

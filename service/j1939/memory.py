@@ -1,0 +1,132 @@
+"""The service's fault memory, as its two sockets tell it: asked when anything was told, and now and then.
+
+What was answered last is good for `KEEP_S` after the service is gone, and then nothing is known: that is not the same
+as no fault, and DM1 must not say so.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from service.core.faults import Fault
+from service.j1939.dtcs import Known, known, left_out, unsent
+from service.j1939.lines import Lines
+
+ASK_S, ASK_BLIND_S = 10.0, 1.0
+"""How often it is asked without being told that anything has changed: with the events, and without."""
+PATIENCE_S = 2.0
+"""In which an answer comes."""
+KEEP_S = 5.0
+OLDEST_S = ASK_S + PATIENCE_S + KEEP_S
+"""Nothing older is known, whatever happens: this process may have been stopped."""
+QUESTION = b'{"ask":"faults"}\n'
+
+
+class _Answer(msgspec.Struct):
+    """Of docs/control.md: what is remembered, or why not."""
+
+    faults: list[Fault] | None = None
+    error: dict[str, Any] | None = None
+
+
+_decoder = msgspec.json.Decoder(_Answer)
+
+
+class Memory:
+    """`known` is what is on the bus, None where nobody knows. `say` is told, once, what a person should know."""
+
+    def __init__(self, control: Path, events: Path, say: Callable[[str], None]) -> None:
+        self._where = control
+        self._control, self._events = Lines(control), Lines(events, b"{}\n")
+        self._say = say
+        self.known: Known | None = None
+        self._asked: float | None = None  # when; None: not, or answered
+        self._due = 0.0
+        self._failing: float | None = None  # since when
+        self._answered = 0.0
+        self._told: dict[int, str] = {}
+        self._too_many = 0
+        self._whys: set[str] = set()  # what was said since it answered last
+
+    def filenos(self) -> list[int]:
+        """To wait for."""
+        return [number for lines in (self._control, self._events) if (number := lines.fileno()) >= 0]
+
+    @property
+    def due(self) -> float:
+        """When there is something to do, if nothing comes before [s]."""
+        dues = [self._events.due, self._control.due]
+        if self._control.is_connected:
+            dues.append(self._due if self._asked is None else self._asked + PATIENCE_S)
+        if self._failing is not None and self.known is not None:
+            dues.append(self._failing + KEEP_S)
+        return min(due for due in dues if due is not None)
+
+    def take(self, now: float) -> None:
+        """Reads what came, asks where that is due, and forgets what is too old."""
+        before = self._events.connections
+        if self._events.take(now) or self._events.connections != before:
+            self._due = now
+        before = self._control.connections
+        for line in self._control.take(now):
+            self._answer(line, now)
+        if self._control.connections != before:
+            self._asked, self._due = None, now
+        if self._asked is not None and now >= self._asked + PATIENCE_S:
+            self._fail(f"does not answer within {PATIENCE_S:g} s", self._asked)
+            self._control.drop(now)
+        elif self._control.is_gone:
+            self._fail("is not there", now)
+        elif self._asked is None and now >= self._due and self._control.send(QUESTION, now):
+            self._asked, self._due = now, now + (ASK_S if self._events.is_connected else ASK_BLIND_S)
+        if not self._control.is_connected:
+            self._asked = None
+        if now >= self._answered + OLDEST_S or (self._failing is not None and now >= self._failing + KEEP_S):
+            self.known = None
+
+    def close(self) -> None:
+        """Ends both connections."""
+        self._control.close()
+        self._events.close()
+
+    def _answer(self, line: bytes, now: float) -> None:
+        if self._asked is None:  # to nothing that we asked
+            return
+        self._asked = None
+        try:
+            answer = _decoder.decode(line)
+        except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+            answer, why = _Answer(), f"gave no answer that is understood ({error})"
+        else:
+            why = f"refused ({(answer.error or {}).get('message', 'it did not say why')})"
+        if answer.faults is None:
+            self._fail(why, now)
+            self._due = now + ASK_BLIND_S
+            return
+        if self._whys:
+            self._say(f"{self._where}: the service answers")
+        self._whys.clear()
+        self._failing, self._answered = None, now
+        self.known = known(answer.faults)
+        self._warn(answer.faults)
+
+    def _fail(self, why: str, since: float) -> None:
+        if self._failing is None:
+            self._failing = since
+        if why not in self._whys:
+            self._whys.add(why)
+            self._say(f"{self._where}: the service {why}: without an answer for {KEEP_S:g} s DM1 is not sent")
+
+    def _warn(self, faults: list[Fault]) -> None:
+        """Of what is not on the bus, once."""
+        now = unsent(faults)
+        for number, text in now.items():
+            if self._told.get(number) != text:
+                self._say(text)
+        self._told = now
+        too_many = left_out(self.known) if self.known is not None else 0
+        if too_many > self._too_many:
+            self._say(f"{too_many} codes are more than a message has room for; the oldest faults' are sent")
+        self._too_many = too_many

@@ -1,0 +1,59 @@
+"""Hand what is told to a fleet's MQTT 5 broker."""
+
+import argparse
+import signal
+import sys
+import time
+from contextlib import closing, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from service.mqtt import config as format_of_the_file
+from service.mqtt.access import context, password
+from service.mqtt.bridge import Bridge
+from service.mqtt.config import load_config
+from service.mqtt.cursor import CursorFile
+from service.mqtt.patience import Said
+from service.systemd import Notifier, Supervisor
+
+EXAMPLE = """example:
+  faultline mqtt --config /etc/faultline/mqtt.toml
+
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs until SIGTERM or SIGINT; returns the exit code."""
+    layout = (format_of_the_file.__doc__ or "").partition("\n\n")[2]
+    parser = argparse.ArgumentParser(
+        "faultline mqtt",
+        description=__doc__,
+        epilog=f"{EXAMPLE}the file:\n\n{layout}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--config", type=Path, required=True, help="the configuration, as below")
+    options = parser.parse_args(argv)
+    config = load_config(options.config)
+    password(config)  # what cannot be read now is said now; for each connection it is read anew
+    if config.tls is not None:
+        context(config.tls)
+    notifier = Notifier()
+    with closing(CursorFile(Path(config.cursor))) as file:
+        bridge = Bridge(config, file, _version(), notifier, Said(_say, time.monotonic))
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: bridge.stop())
+        with Supervisor(notifier, {"loop": bridge.heartbeat}, _say):
+            bridge.serve()
+    return 0
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+        print(f"faultline mqtt: {text}", file=sys.stderr, flush=True)
+
+
+def _version() -> str:
+    try:
+        return version("faultline")
+    except PackageNotFoundError:
+        return "unknown"

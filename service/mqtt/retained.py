@@ -1,0 +1,38 @@
+"""All that is retained of a vehicle: the states of its faults, and its health."""
+
+from service.mqtt.ask import Remembered, State
+from service.mqtt.cursor import Cursor
+from service.mqtt.outbox import Publication
+from service.mqtt.patience import Say
+from service.mqtt.records import Record, RecordError
+from service.mqtt.states import FaultStates
+from service.mqtt.topics import Topics
+from service.mqtt.vehicle_health import VehicleHealth
+
+
+class Retained:
+    """What it is to be, from the records and from what the daemon answers."""
+
+    def __init__(self, kept: Cursor, version: str, say: Say) -> None:
+        self.faults = FaultStates(kept.faults)
+        self.health = VehicleHealth(version, kept.lost)
+        self._say = say
+
+    def connected(self) -> None:
+        """A connection to the broker has begun."""
+        self.faults.connected()
+        self.health.connected()
+
+    def after(self, record: Record, topics: Topics) -> list[Publication]:
+        """What the record changes of the faults; health is `due` by itself."""
+        try:
+            self.health.after(record)
+            return self.faults.after(record, topics)
+        except RecordError as error:
+            self._say(f"record {record.id} changes no state, it is not as its schema says: {error}", "schema")
+            return []
+
+    def now(self, state: State, remembered: Remembered, epoch: int, topics: Topics) -> list[Publication]:
+        """What makes it right again, as the daemon says what stands and what it remembers."""
+        self.health.now(state.conditions, epoch, state.seq)
+        return self.faults.remembered(remembered.faults, epoch, remembered.seq, topics)

@@ -1,0 +1,61 @@
+"""The retained topic of the vehicle's health: whether it can be heard at all, and what keeps it from telling."""
+
+import msgspec
+
+from service.mqtt.outbox import Publication
+from service.mqtt.records import HEALTH, Record, conditions_in
+from service.mqtt.states import Moment
+from service.mqtt.topics import Topics
+
+_UNKNOWN = msgspec.Raw(b"null")
+
+
+class _Status(msgspec.Struct):
+    status: str
+    conditions: msgspec.Raw
+    lost: int
+    version: str
+
+
+class VehicleHealth:
+    """What is said of it: of `version` of faultline, with `lost` records that were never delivered, ever."""
+
+    def __init__(self, version: str, lost: int) -> None:
+        self._version = version
+        self.lost = lost
+        self.daemon_is_there = False
+        self._conditions = _UNKNOWN
+        self._moment = Moment()
+        self._published: Publication | None = None
+
+    def after(self, record: Record) -> None:
+        """Takes the conditions of a record on health, if it is news; raises RecordError where it has none."""
+        if record.schema == HEALTH and not self._moment.contains(record):
+            self._conditions = conditions_in(record)
+
+    def now(self, conditions: msgspec.Raw, epoch: int, seq: int) -> None:
+        """The daemon says what stands now, up to number `seq`."""
+        self._moment.reached(epoch, seq)
+        self._conditions = conditions
+
+    def connected(self) -> None:
+        """A connection to the broker has begun: what it holds is not ours, or says that we are offline."""
+        self._published = None
+
+    def due(self, topics: Topics) -> Publication | None:
+        """What is to be published now; None where it was."""
+        wanted = self._publication("online" if self.daemon_is_there else "daemon-away", topics)
+        if wanted == self._published:
+            return None
+        self._published = wanted
+        return wanted
+
+    def offline(self, topics: Topics) -> Publication:
+        """What is left behind, by us or as our will."""
+        return self._publication("offline", topics)
+
+    def _publication(self, status: str, topics: Topics) -> Publication:
+        """Conditions that stood when the daemon was heard last are not those that stand."""
+        conditions = self._conditions if status == "online" else _UNKNOWN
+        content = _Status(status=status, conditions=conditions, lost=self.lost, version=self._version)
+        return Publication(topic=topics.health, payload=msgspec.json.encode(content), retain=True, of="health")

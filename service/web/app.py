@@ -1,0 +1,86 @@
+"""The application: the routes by path, what wires them to the daemon, and the gate before all of them."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from service.web.asking import AwayError, Control, GarbledError, RefusedError
+from service.web.events import Hub
+from service.web.limits import Gate, Limits
+from service.web.live import Live
+from service.web.metrics import Counts
+from service.web.problems import RequestError, told
+from service.web.routes import Routes
+from service.web.settings import Settings
+from service.web.stream import Stream, Streams
+from service.web.tokens import Tokens
+from service.web.vehicle import Vehicle
+from service.web.waiting import Ending
+
+Handler = Callable[[Request], Awaitable[Response | Stream]]
+
+
+def application(
+    settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
+) -> ASGIApp:
+    """All of it, for a daemon at the settings' sockets."""
+    control = Control(settings.control, limits.answer_s, limits.clear_s)
+    hub = Hub(settings.events, control, counts, say)
+    streams = Streams(limits, counts, ending)
+    guarded = settings.allow_remote
+    routes = Routes(Vehicle(control), hub, Live(control, ending, say), streams, tokens, guarded=guarded)
+    return Gate(_app(routes, hub, ending), limits, counts, settings.hosts, tokens if guarded else None)
+
+
+def table(routes: Routes) -> list[Route]:
+    """The routes by path."""
+    return [
+        _route("/", GET=routes.index),
+        _route("/static/{name:path}", GET=routes.static),
+        _route("/metrics", GET=routes.metrics),
+        _route("/v1/openapi.json", GET=routes.document),
+        _route("/v1/health", GET=routes.health),
+        _route("/v1/ready", GET=routes.ready),
+        _route("/v1/components", GET=routes.components),
+        _route("/v1/components/{system}", GET=routes.component),
+        _route("/v1/components/{system}/faults", GET=routes.faults, DELETE=routes.clear_all),
+        _route("/v1/components/{system}/faults/{code}", GET=routes.fault, DELETE=routes.clear),
+        _route("/v1/systems/{system}", GET=routes.system),
+        _route("/v1/live/{system}", GET=routes.ticks),
+        _route("/v1/events", GET=routes.events),
+        _route("/v1/records", GET=routes.records),
+    ]
+
+
+def _app(routes: Routes, hub: Hub, ending: Ending) -> Starlette:
+    """The routes, hearing events while they are served; if that fails, this server ends."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(hub.run())
+        ending.watch(task)
+        yield
+        task.cancel()
+
+    known = (RequestError, AwayError, GarbledError, RefusedError, HTTPException, Exception)
+    app = Starlette(routes=table(routes), lifespan=lifespan, exception_handlers=dict.fromkeys(known, told))
+    app.router.redirect_slashes = False
+    return app
+
+
+def _route(path: str, **handlers: Handler) -> Route:
+    """A path with its methods and no other: a GET is no HEAD here, as a stream has no end to wait for."""
+
+    async def answer(request: Request) -> Response | Stream:
+        return await handlers[request.method](request)
+
+    route = Route(path, answer, methods=[*handlers])
+    route.methods = set(handlers)
+    return route

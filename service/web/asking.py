@@ -1,0 +1,183 @@
+"""Asks the daemon over its control socket (docs/control.md), so that whoever asks here cannot keep it busy.
+
+The same question at the same time is asked once, and its answer is good for `FRESH_S` or until something was told.
+Beyond that, questions that name something are spaced, as there are many of them, and few are open at once.
+"""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+FRESH_S = 0.2
+OPEN = 4  # questions open at once, of the daemon's few connections
+RATE = 100.0  # questions a second, on average
+BURST = 100  # and as many more at once
+WAIT_S = 2.0  # who would have to wait longer is sent away
+LINE = 16 * 1024 * 1024  # bytes: 500 records, or a freeze frame, are one line
+
+T = TypeVar("T")
+
+
+class AwayError(Exception):
+    """The daemon does not answer: it is not there, or hangs, or broke off."""
+
+
+class GarbledError(Exception):
+    """What came is not what docs/control.md says."""
+
+
+class RefusedError(Exception):
+    """The daemon answered that it cannot; `code` is one of docs/control.md."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code, self.message = code, message
+
+
+class _Error(msgspec.Struct, frozen=True):
+    code: str
+    message: str
+
+
+class _Envelope(msgspec.Struct, frozen=True):
+    """Of any answer: whether it is an error."""
+
+    error: _Error | None = None
+
+
+@asynccontextmanager
+async def connected(path: Path, first: bytes) -> AsyncIterator[asyncio.StreamReader]:
+    """A connection to the daemon's socket on which `first`, one line, has been sent.
+
+    Raises:
+        AwayError: nobody serves there.
+    """
+    try:
+        reader, writer = await asyncio.open_unix_connection(path, limit=LINE)
+    except OSError as error:
+        raise AwayError(f"{path}: {error.strerror or error}") from error
+    try:
+        writer.write(first)
+        yield reader
+    finally:
+        writer.transport.abort()
+
+
+async def line_of(reader: asyncio.StreamReader) -> bytes:
+    """The next whole line, newline included.
+
+    Raises:
+        AwayError: the connection ended before it did.
+        GarbledError: it is longer than any answer.
+    """
+    try:
+        line = await reader.readline()
+    except OSError as error:
+        raise AwayError(str(error)) from error
+    except ValueError as error:
+        raise GarbledError(f"a line of more than {LINE} bytes") from error
+    if not line.endswith(b"\n"):
+        raise AwayError("the connection ended")
+    return line
+
+
+def understood(line: bytes, kind: type[T]) -> T:
+    """The answer in a line.
+
+    Raises:
+        RefusedError: it is an error.
+        GarbledError: it is neither.
+    """
+    try:
+        envelope = msgspec.json.decode(line, type=_Envelope)
+        if envelope.error is None:
+            return msgspec.json.decode(line, type=kind)
+    except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
+        raise GarbledError(f"{error}") from error
+    raise RefusedError(envelope.error.code, envelope.error.message)
+
+
+class Pace:
+    """Spaces questions: `rate` a second [1/s], and `burst` of them without waiting."""
+
+    def __init__(self, rate: float = RATE, burst: int = BURST, clock: Callable[[], float] = time.monotonic) -> None:
+        self._step, self._ahead, self._clock = 1.0 / rate, burst / rate, clock
+        self._next = clock() - self._ahead
+
+    def wait(self) -> float:
+        """For how long [s] the next question waits; raises RefusedError where that is too long."""
+        now = self._clock()
+        due = max(self._next, now - self._ahead)
+        if due - now > WAIT_S:
+            raise RefusedError("busy", "too many questions at once")
+        self._next = due + self._step
+        return max(0.0, due - now)
+
+
+class Control:
+    """Asks questions. State: answers that are fresh, and those under way, by question.
+
+    An answer may take `answer_s` [s], and `clear_s` where the daemon waits for the disk.
+    """
+
+    def __init__(
+        self, path: Path, answer_s: float, clear_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.path, self._answer_s, self._clear_s, self._clock = path, answer_s, clear_s, clock
+        self._pace = Pace(clock=clock)
+        self._open = asyncio.Semaphore(OPEN)
+        self._recent: dict[bytes, tuple[float, asyncio.Task[bytes]]] = {}
+
+    async def ask(self, question: Mapping[str, object], kind: type[T]) -> T:
+        """The answer, which others who asked the same at this time get too.
+
+        Raises:
+            AwayError, RefusedError, GarbledError: there is none.
+        """
+        line = msgspec.json.encode(question) + b"\n"
+        return understood(await self._shared(line, spaced=len(question) > 1), kind)
+
+    async def ask_alone(self, question: Mapping[str, object], kind: type[T]) -> T:
+        """As `ask`, of what is long and hardly asked twice: nothing of it is held for others."""
+        return understood(await self._answer(msgspec.json.encode(question) + b"\n", self._answer_s), kind)
+
+    async def clear(self, question: Mapping[str, object], kind: type[T]) -> T:
+        """As `ask`, of what changes something: it is asked in any case, and nothing from before is fresh after it."""
+        try:
+            return understood(await self._answer(msgspec.json.encode(question) + b"\n", self._clear_s), kind)
+        finally:
+            self.forget()
+
+    def forget(self) -> None:
+        """Something has changed: no answer is fresh any more, nor is one under way."""
+        self._recent.clear()
+
+    async def _shared(self, line: bytes, *, spaced: bool) -> bytes:
+        now = self._clock()
+        for key in [key for key, (at, task) in self._recent.items() if task.done() and now - at >= FRESH_S]:
+            del self._recent[key]
+        if line not in self._recent:
+            task = asyncio.create_task(self._answer(line, self._answer_s, spaced=spaced))
+            task.add_done_callback(_looked_at)
+            self._recent[line] = now, task
+        return await asyncio.shield(self._recent[line][1])
+
+    async def _answer(self, line: bytes, within_s: float, *, spaced: bool = True) -> bytes:
+        if spaced:
+            await asyncio.sleep(self._pace.wait())
+        try:
+            async with asyncio.timeout(within_s), self._open, connected(self.path, line) as reader:
+                return await line_of(reader)
+        except TimeoutError as error:
+            raise AwayError(f"{self.path}: no answer within {within_s:g} s") from error
+
+
+def _looked_at(task: asyncio.Task[bytes]) -> None:
+    """An answer that nobody waits for any more may be an error: that is no news."""
+    if not task.cancelled():
+        task.exception()

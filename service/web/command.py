@@ -1,0 +1,73 @@
+"""Serve the fault memory, events and live values over HTTP, for tools on this machine."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from service.core.errors import InputError
+
+EXAMPLE = """example:
+  faultline serve --config /etc/faultline/serve.toml
+  faultline serve --control /tmp/control.sock --events /tmp/events.sock --listen 127.0.0.1:8080
+  curl -N http://127.0.0.1:8080/v1/events?after=0
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Serves until SIGTERM or SIGINT; returns its exit code.
+
+    Raises:
+        InputError: the libraries of the extra `web` are not there, or the settings make no sense.
+    """
+    options = _asked(argv)
+    try:
+        import starlette
+        import uvicorn
+    except ModuleNotFoundError as error:
+        raise InputError(f"needs {error.name}; pip install 'faultline[web]'") from error
+    del starlette, uvicorn
+    from service.web.listen import listen, remove
+    from service.web.server import serve
+    from service.web.settings import checked, load_settings
+    from service.web.tokens import find_tokens
+
+    if options.config is not None:
+        settings = load_settings(options.config)
+    else:
+        settings = checked(options.control, options.events, options.listen, options.token_file)
+    tokens = find_tokens(settings.token_file)
+    if settings.allow_remote and not tokens:
+        raise InputError("allow_remote: every request needs a token then; give token_file too")
+    sock = listen(settings.listen)
+    try:
+        serve(settings, tokens, sock, _say)
+    finally:
+        remove(settings.listen)
+    return 0
+
+
+def _asked(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        "faultline serve", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--config", type=Path, help="the settings (docs/http.md)")
+    add("--control", help="without them: the daemon's control socket")
+    add("--events", help="and where it serves events")
+    add("--listen", help="and where to listen: 127.0.0.1:8080, or unix:PATH")
+    add("--token-file", help="and the file of tokens that may clear faults, one a line")
+    options = parser.parse_args(argv)
+    if options.config is not None:
+        names = ("control", "events", "listen", "token_file")
+        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
+            parser.error(f"--config says that already: leave out {', '.join(given)}")
+    elif missing := [f"--{name}" for name in ("control", "events", "listen") if getattr(options, name) is None]:
+        parser.error(f"give --config, or {', '.join(missing)} too")
+    return options
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+        print(f"faultline serve: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,197 @@
+"""One subscription to the daemon's events for all who listen here, and the stream each of them gets.
+
+The daemon serves few clients; this one asks for the latest, and for what came after the last id when the connection is
+lost. Whoever connects here has a place in the ring; what is older than that is read a page at a time.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import aclosing
+from itertools import takewhile
+from pathlib import Path
+
+import msgspec
+
+from service.web.answers import Records, State
+from service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of
+from service.web.metrics import Counts
+from service.web.ring import SIZE, Ring, Told, told
+from service.web.waiting import News, backoff
+
+SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
+BATCH = 64  # records in one piece of a stream
+PAGE = 128  # older ones asked for at once
+RETRY_MS = 1000  # after which a client connects again
+
+
+class Hub:
+    """Holds the latest records. State: the ring, whether the daemon is `there`, and the place at which it `settled`.
+
+    It has settled once the daemon has sent the latest that it had when this process began: before that, nobody's place
+    is known, and that place is None.
+    """
+
+    def __init__(self, path: Path, control: Control, counts: Counts, say: Callable[[str], None]) -> None:
+        self._path, self._control, self._counts, self._say = path, control, counts, say
+        self.ring, self.news = Ring(), News()
+        self.there = False
+        self.settled: int | None = None
+
+    async def run(self) -> None:
+        """Listens for ever; connects again where the daemon went away."""
+        waits, said = backoff(), ""
+        while True:
+            try:
+                await self._listen()
+            except (AwayError, RefusedError, GarbledError) as error:
+                if self.there:
+                    waits, said = backoff(), ""
+                if str(error) != said:
+                    self._say(f"events: {error}; trying again")
+                said = str(error)
+            self._is_there(there=False)
+            await asyncio.sleep(next(waits))
+
+    async def page(self, seq: int, count: int = PAGE) -> Sequence[Told]:
+        """Records after that number, from the daemon's store; none where it has no store.
+
+        Raises:
+            AwayError: they cannot be had now.
+        """
+        try:
+            found = await self._control.ask_alone({"ask": "records", "after": seq, "count": count}, Records)
+            return [told(bytes(line)) for line in found.records]
+        except (msgspec.MsgspecError, ValueError, GarbledError) as error:
+            raise AwayError(f"records cannot be read: {error}") from error
+        except RefusedError as error:
+            store = (await self._control.ask({"ask": "state"}, State)).store
+            if store is None or store.path is None:
+                return ()
+            raise AwayError(error.message) from error
+
+    async def _listen(self) -> None:
+        latest = (await self._control.ask({"ask": "state"}, State)).seq
+        after = max(0, latest - SIZE) if self.ring.last is None else self.ring.last
+        async with connected(self._path, msgspec.json.encode({"after": after}) + b"\n") as reader:
+            while True:
+                if self.ring.newest >= latest:
+                    self._settle()
+                try:
+                    async with asyncio.timeout(None if self.there and self.settled is not None else SETTLED_S):
+                        line = await line_of(reader)
+                except TimeoutError:
+                    self._settle()
+                    self._is_there(there=True)
+                else:
+                    self._take(line)
+
+    def _settle(self) -> None:
+        if self.settled is None:
+            self.settled = self.ring.end
+            self.news.tell()
+
+    def _take(self, line: bytes) -> None:
+        if line.startswith(b'{"error"'):
+            raise AwayError(f"{self._path}: turned away: {line[:200].decode(errors='replace').strip()}")
+        try:
+            record = told(line)
+        except (msgspec.MsgspecError, ValueError) as error:
+            self._counts.unread += 1
+            if self._counts.unread == 1:
+                self._say(f"events: a line is no record: {error}: {line[:80]!r}")
+            return
+        if self.ring.add(record):
+            self._control.forget()  # who hears of it and asks must not get an answer from before
+        self._is_there(there=True)
+
+    def _is_there(self, *, there: bool) -> None:
+        self.there = there
+        self.news.tell()
+
+
+def frame(record: Told) -> bytes:
+    """A record as an event of a stream."""
+    return b"id: %b\nevent: %b\ndata: %b\n\n" % (record.id.encode(), record.kind.encode(), record.line)
+
+
+async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes, None]:
+    """What a client is sent that has all records up to `after`; a comment every `alive_s` [s] where nothing comes.
+
+    It ends where the client fell out of the ring: it connects again, with the last id that it has.
+    """
+    place, there = hub.ring.end if after is None and hub.settled is not None else None, True
+    yield b"retry: %d\n\n" % RETRY_MS
+    while True:
+        if place is None and hub.settled is not None:
+            async with aclosing(_caught_up(hub, after, alive_s)) as parts:
+                async for part in parts:
+                    if isinstance(part, int):
+                        place = part
+                    else:
+                        yield part
+        if place is not None:
+            batch = hub.ring.since(place, BATCH)
+            if batch is None:
+                return
+            if batch:
+                place += len(batch)
+                yield b"".join(frame(record) for record in batch)
+                continue
+        if hub.there != there:
+            there = hub.there
+            yield b": daemon back\n\n" if there else b": daemon away\n\n"
+        elif not await hub.news.wait(alive_s):
+            yield b": alive\n\n" if there else b": daemon away\n\n"
+
+
+async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes | int, None]:
+    """What is older than the ring, as pieces of the stream, and then the place in the ring that follows it."""
+    ring, seq = hub.ring, None
+    while True:
+        place = hub.settled if after is None else _place(ring, after if seq is None else seq)
+        if place is not None:
+            yield place
+            return
+        try:
+            seq = await _number(hub, after) if seq is None else seq
+            page = await hub.page(seq)
+        except AwayError:
+            yield b": daemon away\n\n"
+            await hub.news.wait(alive_s)
+            continue
+        older = [*takewhile(lambda record: ring.where(record.id) is None, page)]
+        if older:
+            yield b"".join(frame(record) for record in older)
+            seq = older[-1].seq
+        elif page:
+            where = ring.where(page[0].id)
+            assert where is not None
+            yield where
+            return
+        elif seq <= ring.newest:
+            yield ring.beyond(seq)
+            return
+        elif not await hub.news.wait(alive_s):  # the store is ahead of what was heard, as nothing was yet
+            yield b": alive\n\n"
+
+
+def _place(ring: Ring, after: int | str) -> int | None:
+    """The place that follows it, where the ring has that."""
+    if isinstance(after, int):
+        return ring.after(after)
+    where = ring.where(after)
+    return None if where is None else where + 1
+
+
+async def _number(hub: Hub, after: int | str | None) -> int:
+    """The number of a record that is older than the ring; 0, before all there are, where it is not known.
+
+    An id ends with the number.
+    """
+    if not isinstance(after, str):
+        return after if after is not None and after <= hub.ring.newest else 0
+    tail = after.rpartition("-")[2]
+    if not (tail.isascii() and tail.isdecimal() and len(tail) < 16):
+        return 0
+    found = await hub.page(max(0, int(tail) - 1), 1)
+    return int(tail) if found and found[0].id == after else 0

@@ -1,0 +1,171 @@
+"""The fault memory as SOVD sees it: pure views of what the daemon remembers.
+
+Source: field names and filters of ISO 17978-3 as the open implementations have them (Eclipse OpenSOVD's adapter and
+fault library, ros2_medkit): camelCase status with "0" and "1", filters by full match of which any is enough.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
+
+from service.core.events import Diagnosis
+from service.core.faults import Fault, Status
+from service.web.answers import Frames, Meaning
+from service.web.shapes import (
+    Bit,
+    Candidate,
+    Detail,
+    EnvironmentData,
+    ExtendedData,
+    FaultStatus,
+    Item,
+    Snapshot,
+)
+
+SCOPE = "Default"
+"""There is one fault memory."""
+
+STATUS_KEYS = (
+    *("testFailed", "testFailedThisOperationCycle", "pendingDTC", "confirmedDTC", "testNotCompletedSinceLastClear"),
+    *("testFailedSinceLastClear", "testNotCompletedThisOperationCycle", "warningIndicatorRequested"),
+)
+"""The bits, the lowest first."""
+AGGREGATED = ("active", "passive", "cleared")
+
+WARNED, NOT_WARNED = 2, 3  # of 1 fatal, 2 error, 3 warning, 4 information
+
+
+def status_of(status: Status) -> FaultStatus:
+    """The status byte in SOVD's words."""
+    bit: dict[bool, Bit] = {False: "0", True: "1"}
+    return FaultStatus(
+        aggregated_status=aggregated(status),
+        test_failed=bit[status.test_failed],
+        test_failed_this_operation_cycle=bit[status.test_failed_this_cycle],
+        pending=bit[status.pending],
+        confirmed=bit[status.confirmed],
+        test_not_completed_since_last_clear=bit[status.not_completed_since_clear],
+        test_failed_since_last_clear=bit[status.failed_since_clear],
+        test_not_completed_this_operation_cycle=bit[status.not_completed_this_cycle],
+        warning_indicator_requested=bit[status.warning],
+        mask=f"0x{status.mask:02X}",
+    )
+
+
+def aggregated(status: Status) -> Literal["active", "passive", "cleared"]:
+    """Active: it is there. Passive: it was. Cleared: nothing of it stands but that it failed once."""
+    if status.test_failed:
+        return "active"
+    return "passive" if status.pending or status.confirmed or status.warning else "cleared"
+
+
+def item_of(fault: Fault, meanings: Mapping[str, Meaning]) -> Item:
+    """A fault as an entry of SOVD's list; `meanings` explain its candidates' names, and may lack some."""
+    return Item(
+        code=str(fault.number),
+        scope=SCOPE,
+        display_code=", ".join(f"{dtc.spn}-{dtc.fmi}" for dtc in fault.dtcs),
+        fault_name=_name(fault.diagnoses, meanings),
+        severity=WARNED if fault.status.warning else NOT_WARNED,
+        status=status_of(fault.status),
+        symptom=_symptom(fault),
+        candidates=[_candidate(each, meanings) for each in fault.diagnoses],
+    )
+
+
+def detail_of(
+    fault: Fault, meanings: Mapping[str, Meaning], frames: Frames, *, extended: bool = True, snapshots: bool = True
+) -> Detail:
+    """A fault with its counts (`extended`) and freeze frames (`snapshots`)."""
+    environment = EnvironmentData()
+    if snapshots:
+        records: Sequence[tuple[Literal["first", "latest"], object]] = (
+            ("first", frames.first),
+            ("latest", frames.latest),
+        )
+        environment = EnvironmentData(snapshots=[Snapshot(record=name, data=data) for name, data in records if data])
+    if extended:
+        environment = EnvironmentData(snapshots=environment.snapshots, extended_data_records=_extended(fault))
+    return Detail(item=item_of(fault, meanings), environment_data=environment)
+
+
+def selected(
+    items: Iterable[Item], status: Mapping[str, frozenset[str]], severity: int | None, scope: str | None
+) -> list[Item]:
+    """Those whose status has any of the wanted values (by key; all where none is wanted), that severity and scope."""
+    return [
+        item
+        for item in items
+        if (not status or any(value_of(item.status, key) in wanted for key, wanted in status.items()))
+        and severity in (None, item.severity)
+        and scope in (None, item.scope)
+    ]
+
+
+def value_of(status: FaultStatus, key: str) -> str:
+    """The value of a status key: a bit, or `aggregatedStatus`."""
+    if key == "aggregatedStatus":
+        return status.aggregated_status
+    return str(int(status.mask, 16) >> STATUS_KEYS.index(key) & 1)
+
+
+def _candidate(diagnosis: Diagnosis, meanings: Mapping[str, Meaning]) -> Candidate:
+    components = (_component(name, meanings) for name in diagnosis.faults)
+    return Candidate(
+        components=[*dict.fromkeys(components)],
+        faults=diagnosis.faults,
+        p=diagnosis.p,
+        rank=diagnosis.rank,
+        near=diagnosis.near,
+    )
+
+
+def _component(fault: str, meanings: Mapping[str, Meaning]) -> str:
+    """The component that a fault's name stands for; the name where nothing explains it."""
+    known = meanings.get(fault)
+    return (known.component if known else "") or fault
+
+
+def _name(diagnoses: Sequence[Diagnosis], meanings: Mapping[str, Meaning]) -> str:
+    """The best explanations in words; those of one rank are equally good."""
+    best = min((each.rank for each in diagnoses), default=0)
+    said = (_explanation(each, meanings) for each in diagnoses if each.rank == best)
+    return " or ".join(dict.fromkeys(said)) or "unknown"
+
+
+def _explanation(diagnosis: Diagnosis, meanings: Mapping[str, Meaning]) -> str:
+    if not diagnosis.faults:
+        return f"unknown, near {', '.join(diagnosis.near)}" if diagnosis.near else "unknown"
+    return " and ".join(_said(name, meanings) for name in diagnosis.faults)
+
+
+def _said(fault: str, meanings: Mapping[str, Meaning]) -> str:
+    known = meanings.get(fault)
+    if known is None:
+        return fault
+    return ": ".join(part for part in (known.component, known.description) if part) or fault
+
+
+def _symptom(fault: Fault) -> str:
+    """What showed it."""
+    if not fault.tests:
+        return "no test fired: what was seen is unlike any day without a fault"
+    modes = f" in mode {', '.join(fault.modes)}" if fault.modes else ""
+    return f"tests {', '.join(fault.tests)} fired{modes}"
+
+
+def _extended(fault: Fault) -> ExtendedData:
+    return ExtendedData(
+        occurrences=fault.occurrences,
+        trips=fault.trips,
+        healing=fault.healing,
+        aging=fault.aging,
+        fdc=fault.fdc,
+        first=fault.first,
+        latest=fault.latest,
+        candidates=fault.diagnoses,
+        components=fault.components,
+        dtcs=fault.dtcs,
+        tests=fault.tests,
+        modes=fault.modes,
+        bundle=fault.bundle,
+    )

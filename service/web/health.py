@@ -1,0 +1,44 @@
+"""How the daemon is, in one word, from its state: pure."""
+
+from service.core.health import MEANINGS
+from service.web.answers import Condition, State
+from service.web.shapes import HealthBody
+
+BLINDING = frozenset(("bus-down", "bus-removed", "bus-off", "no-traffic", "bundle-failed", "bundle-refused"))
+"""Conditions with which nothing of a system can be told: silence is then not "no fault"."""
+
+_MEANINGS = {str(kind): meaning for kind, meaning in MEANINGS.items()}
+
+
+def health_of(state: State) -> HealthBody:
+    """The body for a daemon that answers."""
+    blind = [each for each in state.conditions if each.kind in BLINDING]
+    stands = blind or state.conditions
+    return HealthBody(
+        status="blind" if blind else "degraded" if stands else "well",
+        detail="; ".join(_said(each) for each in stands) or "nothing stands",
+        source=state.source,
+        version=state.version,
+        since=state.since,
+        wall=state.wall,
+        cycle=state.cycle,
+        cursor=state.seq,
+        conditions=state.conditions,
+        store=state.store,
+        buses=state.buses,
+        systems=state.systems,
+    )
+
+
+def away(reason: str) -> HealthBody:
+    """The body for one that does not."""
+    return HealthBody(status="away", detail=reason)
+
+
+def is_well(body: HealthBody) -> bool:
+    """Whether silence means "no fault" as far as the daemon goes."""
+    return body.status in ("well", "degraded")
+
+
+def _said(condition: Condition) -> str:
+    return f"{condition.of} {_MEANINGS.get(condition.kind, condition.kind)}"

@@ -1,0 +1,90 @@
+"""The listening socket: made before anything else, so that what cannot be listened on is said at once."""
+
+import os
+import socket
+import stat
+from pathlib import Path
+
+from service.core.errors import InputError
+from service.web.settings import Tcp, Unix
+
+WAITING = 1024  # connections that the kernel holds until they are taken
+MODE = 0o660  # a Unix socket: this process's user and group
+UNSENT = 256 * 1024  # bytes that the kernel takes for a client that reads slowly; else megabytes, of our memory
+UNANSWERED_MS = 30_000  # after which a peer that acknowledges nothing is gone
+
+
+def listen(place: Tcp | Unix) -> socket.socket:
+    """A listening socket there.
+
+    Raises:
+        InputError: the address is taken, or cannot be used.
+    """
+    return _tcp(place) if isinstance(place, Tcp) else _unix(place.path)
+
+
+def url(sock: socket.socket) -> str:
+    """Where it listens, for a person."""
+    name = sock.getsockname()
+    if sock.family == socket.AF_UNIX:
+        return f"unix:{name}"
+    host, port = name[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def remove(place: Tcp | Unix) -> None:
+    """Removes the file of a Unix socket."""
+    if isinstance(place, Unix):
+        place.path.unlink(missing_ok=True)
+
+
+def _tcp(place: Tcp) -> socket.socket:
+    family = socket.AF_INET6 if ":" in place.host else socket.AF_INET
+    sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio looks for it: no delays (Nagle's)
+    try:  # accepted ones inherit the options
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED_MS)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, UNSENT)
+        sock.bind((place.host, place.port))
+        sock.listen(WAITING)
+    except OSError as error:
+        sock.close()
+        raise InputError(
+            f"listen: {place.host}:{place.port}: {error.strerror or error}; give another --listen"
+        ) from error
+    return sock
+
+
+def _unix(path: Path) -> socket.socket:
+    _clear(path)
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    mask = os.umask(~MODE & 0o777)
+    try:
+        sock.bind(str(path))
+        sock.listen(WAITING)
+    except OSError as error:
+        sock.close()
+        raise InputError(f"{path}: cannot listen there: {error.strerror or error}; give another --listen") from error
+    finally:
+        os.umask(mask)
+    return sock
+
+
+def _clear(path: Path) -> None:
+    """Removes the file that a dead process left there; raises InputError where it is anything else."""
+    try:
+        if not stat.S_ISSOCK(path.stat().st_mode):
+            raise InputError(f"{path}: is there already and is no socket; give another --listen")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; give another --listen") from error
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}; give another --listen") from error
+        else:
+            raise InputError(f"{path}: another process listens there; stop it or give another --listen")

@@ -1,0 +1,86 @@
+"""Live ticks of a system: one connection to the daemon for all who watch it, and to each the latest one only."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+
+import msgspec
+
+from service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of, understood
+from service.web.events import RETRY_MS
+from service.web.waiting import Ending, News, backoff
+
+
+class _Feed:
+    """The ticks of one system. State: the `latest` line, how many there were, and whether the daemon is `there`."""
+
+    def __init__(self) -> None:
+        self.news = News()
+        self.latest, self.count = b"", 0
+        self.there = True
+        self.watchers = 0
+        self.task: asyncio.Task[None] | None = None
+
+    async def run(self, control: Control, system: str, say: Callable[[str], None]) -> None:
+        """Takes ticks for ever; asks again where the daemon went away."""
+        question = msgspec.json.encode({"ask": "live", "name": system}) + b"\n"
+        waits = backoff()
+        while True:
+            before = self.count
+            try:
+                async with connected(control.path, question) as reader:
+                    while True:
+                        self.take(await line_of(reader))
+            except (AwayError, RefusedError, GarbledError) as error:
+                if self.there:
+                    say(f"live {system}: {error}; trying again")
+                if self.count > before:
+                    waits = backoff()
+            self.there = False
+            self.news.tell()
+            await asyncio.sleep(next(waits))
+
+    def take(self, line: bytes) -> None:
+        """A tick; raises RefusedError or GarbledError where it is none."""
+        understood(line, dict)
+        self.latest, self.count, self.there = line.rstrip(b"\r\n"), self.count + 1, True
+        self.news.tell()
+
+
+class Live:
+    """The systems that are watched now; this server ends if watching one fails."""
+
+    def __init__(self, control: Control, ending: Ending, say: Callable[[str], None]) -> None:
+        self._control, self._ending, self._say = control, ending, say
+        self._feeds: dict[str, _Feed] = {}
+
+    async def stream(self, system: str, alive_s: float) -> AsyncGenerator[bytes, None]:
+        """What a client is sent: the latest tick whenever it can take one; a comment where none comes."""
+        feed = self._enter(system)
+        try:
+            yield b"retry: %d\n\n" % RETRY_MS
+            count, there = 0, True
+            while True:
+                if feed.count != count:
+                    count = feed.count
+                    yield b"event: live\ndata: %b\n\n" % feed.latest
+                elif feed.there != there:
+                    there = feed.there
+                    yield b": daemon back\n\n" if there else b": daemon away\n\n"
+                elif not await feed.news.wait(alive_s):
+                    yield b": alive\n\n" if there else b": daemon away\n\n"
+        finally:
+            self._leave(system, feed)
+
+    def _enter(self, system: str) -> _Feed:
+        feed = self._feeds.setdefault(system, _Feed())
+        feed.watchers += 1
+        if feed.task is None:
+            feed.task = asyncio.create_task(feed.run(self._control, system, self._say))
+            self._ending.watch(feed.task)
+        return feed
+
+    def _leave(self, system: str, feed: _Feed) -> None:
+        feed.watchers -= 1
+        if feed.watchers == 0 and feed.task is not None:
+            feed.task.cancel()
+            del self._feeds[system]

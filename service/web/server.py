@@ -1,0 +1,109 @@
+"""The server: uvicorn's, told to systemd, with a watch on its connections, ended by a signal within three seconds."""
+
+import asyncio
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import uvicorn
+
+from service.systemd import Notifier
+from service.web import connections
+from service.web.app import application
+from service.web.limits import Limits
+from service.web.listen import WAITING, url
+from service.web.metrics import Counts
+from service.web.settings import Settings
+from service.web.tokens import Tokens
+from service.web.waiting import Ending
+
+TICKS = 5  # of uvicorn's, which are 0.1 s: how often connections are looked at
+TAKEN = 16  # connections taken in one turn: those of three turns must find room, or their first bytes are not read
+GRACE_S = 1  # for answers under way, at the end
+
+
+class Server(uvicorn.Server):
+    """Serves until SIGTERM, SIGINT or a failure; `ending` says that it ends."""
+
+    def __init__(self, config: uvicorn.Config, notifier: Notifier, ending: Ending) -> None:
+        super().__init__(config)
+        self._notifier, self._ending = notifier, ending
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begins to serve, and says so."""
+        await super().startup(sockets)
+        for sock in sockets or []:
+            sock.listen(WAITING)  # asyncio has set it to the number that it takes in one turn
+        self._notifier.tell(READY=1, STATUS="serving")
+
+    async def on_tick(self, counter: int) -> bool:
+        """Looks after connections and the watchdog; whether it is time to end."""
+        if counter % TICKS == 0:
+            connections.look(self.server_state, time.monotonic())
+            if self._notifier.watchdog_s is not None:
+                self._notifier.tell(WATCHDOG=1)
+        return await super().on_tick(counter) or self._ending.begun
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Ends streams, then other answers once they are out."""
+        self._notifier.tell(STOPPING=1)
+        await super().shutdown(sockets)
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """As uvicorn's, but a signal is the end that it asks for and is not raised again after it."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._ending.begin)
+        try:
+            yield
+        finally:
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.remove_signal_handler(number)
+
+
+def serve(
+    settings: Settings,
+    tokens: Tokens,
+    sock: socket.socket,
+    say: Callable[[str], None],
+    limits: Limits | None = None,
+    notifier: Notifier | None = None,
+) -> None:
+    """Serves on a listening socket until it is told to end; raises what made it end otherwise."""
+    asyncio.run(_serve(settings, tokens, sock, say, limits or Limits(), notifier or Notifier()))
+
+
+async def _serve(
+    settings: Settings,
+    tokens: Tokens,
+    sock: socket.socket,
+    say: Callable[[str], None],
+    limits: Limits,
+    notifier: Notifier,
+) -> None:
+    counts, ending = Counts(), Ending()
+    config = uvicorn.Config(
+        application(settings, tokens, limits, counts, ending, say),
+        loop="asyncio",
+        http=connections.protocol(limits, counts),
+        ws="none",
+        lifespan="on",
+        interface="asgi3",
+        log_config=None,
+        log_level="error",
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        backlog=TAKEN,
+        timeout_keep_alive=limits.keep_alive_s,
+        timeout_graceful_shutdown=GRACE_S,
+        h11_max_incomplete_event_size=limits.header_bytes,
+    )
+    server = Server(config, notifier, ending)
+    say(f"listening on {url(sock)}, control {settings.control}, events {settings.events}")
+    await server.serve(sockets=[sock])
+    if ending.failure is not None:
+        raise ending.failure

@@ -1,0 +1,87 @@
+"""What the routes ask the daemon: the questions of docs/control.md, as they are needed."""
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from service.core.faults import Fault
+from service.web.answers import Erased, Meaning, Memory, Names, Records, Remembered, State
+from service.web.asking import Control, GarbledError, RefusedError
+from service.web.problems import RequestError
+from service.web.queries import Page
+from service.web.ring import told
+
+
+class Vehicle:
+    """The daemon, asked over its control socket; every method raises what `Control.ask` does."""
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+
+    async def state(self) -> State:
+        """How it is."""
+        return await self._control.ask({"ask": "state"}, State)
+
+    async def faults(self, system: str | None = None) -> Sequence[Fault]:
+        """What is remembered, of one system or of all."""
+        memory = await self._control.ask({"ask": "faults"}, Memory)
+        return [fault for fault in memory.faults if system in (None, fault.system)]
+
+    async def systems(self) -> list[str]:
+        """The names of those that are watched, then of those of which something is remembered besides."""
+        state, faults = await self.state(), await self.faults()
+        return [*dict.fromkeys([*(each.name for each in state.systems), *(each.system for each in faults)])]
+
+    async def fault(self, system: str, number: int) -> Remembered:
+        """One of its faults; raises RequestError where it has none of that number."""
+        found = await self._control.ask({"ask": "fault", "number": number}, Remembered)
+        if found.fault.system != system:
+            raise RequestError(404, "unknown", f"fault {number} is none of {system!r}")
+        return found
+
+    async def meanings(self, system: str) -> Mapping[str, Meaning]:
+        """What its faults' names mean; nothing where it is not watched any more."""
+        try:
+            names = await self._control.ask({"ask": "system", "name": system}, Names)
+        except RefusedError as error:
+            if error.code != "unknown":
+                raise
+            return {}
+        return {each.name: each for each in names.faults}
+
+    async def description(self, system: str) -> Mapping[str, object]:
+        """All that its names mean, as the daemon says it."""
+        return await self._control.ask({"ask": "system", "name": system}, dict[str, object])
+
+    async def records(self, page: Page) -> Records:
+        """A page of what was told."""
+        question: dict[str, object] = {"ask": "records", "count": page.most}
+        if page.after is not None:
+            question["after"] = page.after
+        elif page.before is not None:
+            question["before"] = page.before
+        found = await self._control.ask_alone(question, Records)
+        if page.after is None or page.before is None:
+            return found
+        try:
+            return Records(records=[line for line in found.records if told(bytes(line)).seq < page.before])
+        except (msgspec.MsgspecError, ValueError) as error:
+            raise GarbledError(f"a record: {error}") from error
+
+    async def erase(self, number: int) -> None:
+        """Erases a fault: on return that is on the disk."""
+        erased = await self._control.clear({"ask": "clear", "number": number}, Erased)
+        if number not in erased.cleared:
+            raise GarbledError(f"fault {number} is not among those that were cleared")
+
+    async def erase_all(self, system: str) -> None:
+        """Erases all that is remembered of a system; at once, with the overflow flag, where there is no other."""
+        if await self.systems() == [system]:
+            await self._control.clear({"ask": "clear"}, Erased)
+            return
+        for fault in await self.faults(system):
+            try:
+                await self.erase(fault.number)
+            except RefusedError as error:
+                if error.code != "unknown":  # it has aged, or somebody else has cleared it
+                    raise

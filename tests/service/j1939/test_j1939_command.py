@@ -1,0 +1,174 @@
+"""`faultline j1939` as a process of its own, on a multicast bus, with a service that does what it is told."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from j1939_bench import Reader, apart, request
+from j1939_service import FakeService, fault
+
+from service.bus import Bus, open_bus
+from service.j1939.dm1 import decode
+from service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
+from service.logs import Frame
+
+US, TOOL = 144, 0xF9
+KEEP_S = 1.5
+"""Shorter than the real one, so that nobody waits, and longer than a second: a DM1 comes in that time for certain."""
+
+RUN = f"""
+import sys
+from importlib.metadata import EntryPoint
+from service.cli import dispatch
+from service.j1939 import memory
+memory.KEEP_S = {KEEP_S}
+sys.exit(dispatch(sys.argv[1:], {{"j1939": EntryPoint("j1939", "service.j1939.command:main", "faultline.commands")}}))
+"""
+
+CONFIG = """
+[j1939]
+interface = "{bus}"
+control = "{folder}/control.sock"
+events = "{folder}/events.sock"
+addresses = [144]
+transmit = true
+[j1939.name]
+identity_number = 1
+manufacturer_code = 2
+function = 3
+"""
+
+
+class Listener:
+    """Hears the bus, and asks."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self.frames: list[Frame] = []
+
+    def until(self, condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+        end = time.monotonic() + limit_s
+        while not condition():
+            assert time.monotonic() < end, [f"{f.t:.3f} {f.can_id:08X}#{f.data.hex()}" for f in self.frames]
+            time.sleep(0.002)
+            self.frames += self.bus.receive()
+
+    def run(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() >= end, seconds + 5.0)
+
+    def told(self, pgn: int, since: float = 0.0) -> list[tuple[float, bytes]]:
+        """Time and data of each whole message of ours."""
+        ours = [frame for frame in self.frames if frame.can_id & 0xFF == US and frame.can_id >> 8 & 0xFF00 != 0xE800]
+        return [(t, data) for t, _, group, data in Reader().read(ours) if group == pgn and t >= since]
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[FakeService]:
+    with FakeService(tmp_path) as made:
+        made.start()
+        yield made
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    with open_bus(f"udp_multicast:239.74.163.2:{port}") as bus:
+        made = Listener(bus)
+        made.spec = f"udp_multicast:239.74.163.2:{port}"  # type: ignore[attr-defined]
+        yield made
+
+
+@pytest.fixture
+def process(tmp_path: Path, service: FakeService, listener: Listener) -> "Iterator[subprocess.Popen[str]]":
+    """Runs, and has told its manager so."""
+    path = tmp_path / "j1939.toml"
+    path.write_text(CONFIG.format(bus=listener.spec, folder=tmp_path))  # type: ignore[attr-defined]
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(30.0)
+        environment = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify")}
+        command = [sys.executable, "-c", RUN, "j1939", "--config", str(path)]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as started:
+            while manager.recv(1000) != b"READY=1":
+                pass
+            yield started
+            started.kill()
+
+
+def test_codes_are_told_within_a_tenth_of_a_second_and_once_a_second(
+    service: FakeService, listener: Listener, process: "subprocess.Popen[str]"
+) -> None:
+    listener.until(lambda: len(listener.told(DM1)) >= 2)
+    [(claimed, _), *_] = listener.told(ADDRESS_CLAIMED)
+    first, second = (t for t, _ in listener.told(DM1))
+    assert 0.249 <= first - claimed < 0.4
+    assert second - first == pytest.approx(1.0, abs=0.05)
+    assert {data.hex() for _, data in listener.told(DM1)} == {"c0ff00000000ffff"}
+
+    begun = time.monotonic()
+    service.tell(fault(1, (4374, 0), occurrences=2))
+    listener.until(lambda: listener.told(DM1)[-1][1].hex() == "c4ff16110002ffff")  # 4374 = 0x1116
+    assert listener.told(DM1)[-1][0] - begun < 0.1
+    listener.run(2.3)
+    times = [t for t, _ in listener.told(DM1, begun)]
+    assert len(times) == 3
+    assert apart(times) == pytest.approx([1.0, 1.0], abs=0.05)
+
+    begun = time.monotonic()
+    service.tell(
+        fault(1, (4374, 0), (5392, 31)), fault(2, (5394, 7)), fault(3, (1761, 1), (3031, 2), there=False, occurrences=4)
+    )
+    listener.until(lambda: len(listener.told(DM1)[-1][1]) == 14)
+    announced = next(f for f in listener.frames if f.can_id == 0x1CECFF90)
+    assert announced.data.hex() == "200e0002ffcafe00"
+    assert announced.t - begun < 0.1
+    assert [code[:2] for code in decode(listener.told(DM1)[-1][1]).codes] == [(4374, 0), (5392, 31), (5394, 7)]
+
+    listener.bus.send(request(DM2, TOOL, GLOBAL, 0.0))
+    listener.until(lambda: bool(listener.told(DM2)))
+    assert listener.told(DM2)[0][1].hex() == "c4ff" + "e1060104" + "d70b0204"  # 1761 = 06E1, 3031 = 0BD7
+    listener.bus.send(request(0xFECC, TOOL, US, 0.0))
+    listener.until(lambda: any(f.can_id == 0x18E8FF90 for f in listener.frames))
+    assert next(f for f in listener.frames if f.can_id == 0x18E8FF90).data.hex() == "01fffffff9ccfe00"
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=10)[1]
+    assert process.returncode == 0
+    assert [line.partition(": ")[2] for line in said.splitlines()[1:]] == [
+        f"{listener.spec}: claims address 144",  # type: ignore[attr-defined]
+        f"{listener.spec}: has address 144",  # type: ignore[attr-defined]
+    ]
+    assert said.startswith("faultline j1939: NAME 0000030000400001, udp_multicast:")
+
+
+def test_without_the_service_nothing_is_told_and_the_address_is_defended(
+    service: FakeService, listener: Listener, process: "subprocess.Popen[str]"
+) -> None:
+    service.tell(fault(1, (4374, 0)))
+    listener.until(lambda: any(data[0] == 0xC4 for _, data in listener.told(DM1)))
+    service.stop()
+    gone = time.monotonic()
+    listener.run(KEEP_S + 2.0)
+    assert gone < max(t for t, _ in listener.told(DM1)) < gone + KEEP_S + 0.1
+    assert listener.told(DM1)[-1][1].hex() == "c4ff16110001ffff"  # the last state, never "no fault"
+    listener.bus.send(request(ADDRESS_CLAIMED, TOOL, US, 0.0))
+    listener.until(lambda: len(listener.told(ADDRESS_CLAIMED)) == 2)
+    service.start()
+    back = time.monotonic()
+    listener.until(lambda: bool(listener.told(DM1, back)))
+    assert listener.told(DM1)[-1][0] - back < 1.0
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=10)[1]
+    assert process.returncode == 0
+    assert [line for line in said.splitlines() if "the service" in line] == [
+        f"faultline j1939: {service.control}: the service is not there: without an answer for 1.5 s DM1 is not sent",
+        f"faultline j1939: {service.control}: the service answers",
+    ]
