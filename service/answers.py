@@ -9,6 +9,7 @@ import numpy as np
 
 from service.core.health import Standing
 from service.core.manifest import MODES
+from service.core.separating import separations
 from service.core.signals import Quality
 from service.outputs.control import Asker, Live, Question, RefusedError
 from service.remembering import Observed, Remembering
@@ -193,6 +194,7 @@ def _system(here: Observed) -> Mapping[str, Any]:
             }
             for each in manifest.generators
         ],
+        "detectors": manifest.detectors,
         "faults": manifest.faults,
         "disturbances": manifest.disturbances,
         "equations": manifest.equations,
@@ -220,6 +222,7 @@ def _live(here: Observed, sent: int) -> tuple[int, bytes] | None:
         "cannot_tell": latest.cannot_tell,
         "suspected": latest.suspicious,
         "diagnoses": latest.diagnoses,
+        "separating": separations(here.bundle.manifest.generators, latest.diagnoses, latest.cannot_tell),
     }
     return latest.tick, msgspec.json.encode(line) + b"\n"
 
