@@ -4,7 +4,7 @@ BIN := .venv/bin
 
 .PHONY: demo test lint bench clean
 .PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
-.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation campaign-compose campaign-alarms
+.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation campaign-compose campaign-alarms campaign-screenshots
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
@@ -14,6 +14,7 @@ demo: .venv/.demo  ## the main job, end to end, with a picture
 WORKERS ?= 3
 test: lint  ## everything that CI checks
 	@bash tests/broker.sh
+	@bash tests/browser.sh
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" -n $(WORKERS) --dist worksteal
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m alone
 
@@ -57,6 +58,10 @@ campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated 
 
 campaign-alarms: .venv/.test  ## 200 kills at random instants: is every alarm told to everybody? writes docs/results
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/alarms.py
+
+campaign-screenshots: .venv/.test  ## pictures of the page in a real browser; writes docs
+	@bash tests/browser.sh
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/screenshots.py docs
 
 campaign-compose:  ## images built and brought up in a container engine, as root; writes docs/results
 	@bash tests/campaigns/compose.sh

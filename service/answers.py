@@ -30,8 +30,13 @@ Then = Callable[[Mapping[str, Any]], None]
 class Answerer:
     """Answers from the loop's thread. `state` gives what the loop knows: source, since, seq, conditions."""
 
+    is_recording = False
+
     def __init__(
-        self, remembering: Remembering, journal: Journal, state: Callable[[], tuple[str, str, int, list[Standing]]]
+        self,
+        remembering: Remembering,
+        journal: Journal,
+        state: Callable[[], tuple[str, str | None, int, list[Standing]]],
     ) -> None:
         self._remembering, self._journal, self._state = remembering, journal, state
         self._waiting: list[tuple[int, Mapping[str, Any], Then]] = []  # erased, and not told yet
@@ -51,6 +56,8 @@ class Answerer:
                 self._records(question, then)
             case "system":
                 then(_system(self._observed(question.name)))
+            case "history":
+                raise RefusedError("unknown", "a service on the vehicle keeps no history; a recording has one")
             case "live":
                 raise AssertionError("is served by the socket")
 
@@ -105,6 +112,7 @@ class Answerer:
             "version": VERSION,
             "since": since,
             "wall": now(),
+            "is_recording": self.is_recording,
             "cycle": self._remembering.cycle,
             "seq": seq,
             "conditions": conditions,
@@ -128,14 +136,7 @@ class Answerer:
         }
 
     def _records(self, question: Question, then: Then) -> None:
-        most = 100 if question.count is None else question.count
-        if not 1 <= most <= LARGEST_PAGE:
-            raise RefusedError("bad-request", f"`count` must be 1 to {LARGEST_PAGE}")
-        if question.after is not None and question.before is not None:
-            raise RefusedError("bad-request", "ask for what came `after` a number, or `before` one")
-        for number in (question.after, question.before):
-            if number is not None and not 0 <= number < 2**63:
-                raise RefusedError("bad-request", f"{number} is no number of a record")
+        page = page_of(question)
 
         def found(records: list[Record] | None) -> None:
             if records is None:
@@ -143,7 +144,7 @@ class Answerer:
             else:
                 then({"records": [msgspec.Raw(record.line.rstrip()) for record in records]})
 
-        self._journal.read(Page(most, question.after, question.before), found)
+        self._journal.read(page, found)
 
     def _observed(self, name: str | None) -> Observed:
         observed = self._remembering.observed
@@ -152,6 +153,19 @@ class Answerer:
         if name not in observed:
             raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(observed)}")
         return observed[name]
+
+
+def page_of(question: Question) -> Page:
+    """Which records are asked for; raises `RefusedError` where that makes no sense."""
+    most = 100 if question.count is None else question.count
+    if not 1 <= most <= LARGEST_PAGE:
+        raise RefusedError("bad-request", f"`count` must be 1 to {LARGEST_PAGE}")
+    if question.after is not None and question.before is not None:
+        raise RefusedError("bad-request", "ask for what came `after` a number, or `before` one")
+    for number in (question.after, question.before):
+        if number is not None and not 0 <= number < 2**63:
+            raise RefusedError("bad-request", f"{number} is no number of a record")
+    return Page(most, question.after, question.before)
 
 
 def _standing_of(here: Observed) -> Mapping[str, Any]:

@@ -10,10 +10,12 @@ from service.bus import Bus
 from service.bus.base import Trouble
 from service.bus.losses import Losses
 from service.core.alike import decide_alike
+from service.core.decision import Decision
 from service.core.events import Event
 from service.core.freeze import Sample
 from service.core.health import Condition, Kind
 from service.core.monitor import Monitor
+from service.core.observer import Tick
 from service.core.traffic import EXPECTED_S, Traffic
 from service.logs import Frame
 
@@ -43,9 +45,15 @@ _SILENT: tuple[Trouble, ...] = ("down", "removed", "bus-off")
 class Watched:
     """Log time is monotonic time since the first frame, times `speed`."""
 
-    def __init__(self, bundle: Bundle, make: Callable[[Bundle], tuple[Monitor, Traffic]], speed: float) -> None:
-        """`make` gives fresh ones, of log time 0."""
-        self.bundle, self._make, self._speed = bundle, make, speed
+    def __init__(
+        self,
+        bundle: Bundle,
+        make: Callable[[Bundle], tuple[Monitor, Traffic]],
+        speed: float,
+        seen: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """`make` gives fresh ones, of log time 0; `seen`, where given, is told each tick besides."""
+        self.bundle, self._make, self._speed, self._seen = bundle, make, speed, seen
         self._samples: list[Sample] = []
         self._renew()
         self._start: float | None = None  # monotonic time of the first frame
@@ -121,7 +129,13 @@ class Watched:
 
     def _renew(self) -> None:
         self._monitor, self._traffic = self._make(self.bundle)
-        self._monitor.watch = lambda tick, decision: self._samples.append(Sample.of(tick, decision))
+        self._monitor.watch = self._watch
+
+    def _watch(self, tick: Tick, decision: Decision) -> None:
+        sample = Sample.of(tick, decision)
+        self._samples.append(sample)
+        if self._seen is not None:
+            self._seen(sample)
 
     def _note(self, t: float) -> None:
         """All frames up to the monotonic time `t` [s] have been decoded."""
@@ -133,14 +147,14 @@ class Watched:
         return (monotonic - self._start) * self._speed
 
 
-def watched(bundle: Bundle, source: str, speed: float) -> Watched:
-    """A bundle at work; `source` is the vehicle's name."""
+def watched(bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], None] | None = None) -> Watched:
+    """A bundle at work; `source` is the vehicle's name, `seen` who keeps all ticks."""
 
     def make(bundle: Bundle) -> tuple[Monitor, Traffic]:
         monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, source, bundle.id)
         return monitor, Traffic(bundle.table, bundle.manifest.inputs, 0.0, speed)
 
-    return Watched(bundle, make, speed)
+    return Watched(bundle, make, speed, seen)
 
 
 class Line:

@@ -24,7 +24,7 @@ _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 class Question(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One line that a client sends."""
 
-    ask: Literal["faults", "fault", "clear", "state", "records", "system", "live"]
+    ask: Literal["faults", "fault", "clear", "state", "records", "system", "live", "history"]
     number: int | None = None
     name: str | None = None
     after: int | None = None

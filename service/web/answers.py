@@ -54,13 +54,17 @@ class System(_Answer, frozen=True):
 
 
 class State(_Answer, frozen=True):
-    """The daemon: its vehicle and version, the operation cycle, and the number of the last record that was told."""
+    """The daemon: its vehicle and version, the operation cycle, and the number of the last record that was told.
+
+    `is_recording`: it is none that listens, but a finished recording.
+    """
 
     source: str
     version: str
     seq: int
     since: str | None = None
     wall: str | None = None
+    is_recording: bool = False
     cycle: int = 0
     conditions: list[Condition] = []
     store: Store | None = None

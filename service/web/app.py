@@ -47,6 +47,7 @@ def table(routes: Routes) -> list[Route]:
         _route("/metrics", GET=routes.metrics),
         _route("/v1/openapi.json", GET=routes.document),
         _route("/v1/health", GET=routes.health),
+        _route("/v1/state", GET=routes.state),
         _route("/v1/ready", GET=routes.ready),
         _route("/v1/components", GET=routes.components),
         _route("/v1/components/{system}", GET=routes.component),
@@ -54,6 +55,7 @@ def table(routes: Routes) -> list[Route]:
         _route("/v1/components/{system}/faults/{code}", GET=routes.fault, DELETE=routes.clear),
         _route("/v1/systems/{system}", GET=routes.system),
         _route("/v1/live/{system}", GET=routes.ticks),
+        _route("/v1/history/{system}", GET=routes.history),
         _route("/v1/events", GET=routes.events),
         _route("/v1/records", GET=routes.records),
     ]

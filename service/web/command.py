@@ -2,15 +2,19 @@
 
 import argparse
 import sys
+import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from service.core.errors import InputError
 
+LISTEN = "127.0.0.1:8080"
+
 EXAMPLE = """example:
   faultline serve --config /etc/faultline/serve.toml
   faultline serve --control /tmp/control.sock --events /tmp/events.sock --listen 127.0.0.1:8080
+  faultline serve --recording out/demo/logs/validation-6-fA_du --bundle out/demo/bundle --open
   curl -N http://127.0.0.1:8080/v1/events?after=0
 """
 
@@ -28,7 +32,18 @@ def main(argv: list[str]) -> int:
     except ModuleNotFoundError as error:
         raise InputError(f"needs {error.name}; pip install 'faultline[web]'") from error
     del starlette, uvicorn
-    from service.web.listen import listen, remove
+    if options.recording is None:
+        return _serve(options)
+    from service.recorded.command import served  # brings in the inference library, which serving does without
+
+    with served(options.recording, options.bundle, _say) as (control, events):
+        options.control, options.events = str(control), str(events)
+        return _serve(options)
+
+
+def _serve(options: argparse.Namespace) -> int:
+    """Serves until it is told to end."""
+    from service.web.listen import listen, remove, url
     from service.web.server import serve
     from service.web.settings import checked, load_settings
     from service.web.tokens import find_tokens
@@ -42,6 +57,8 @@ def main(argv: list[str]) -> int:
         raise InputError("allow_remote: every request needs a token then; give token_file too")
     sock = listen(settings.listen)
     try:
+        if options.open:
+            webbrowser.open(url(sock))
         serve(settings, tokens, sock, _say)
     finally:
         remove(settings.listen)
@@ -58,13 +75,26 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--events", help="and where it serves events")
     add("--listen", help="and where to listen: 127.0.0.1:8080, or unix:PATH")
     add("--token-file", help="and the file of tokens that may clear faults, one a line")
+    add("--recording", type=Path, help="instead of a running service: a finished recording, or a log")
+    add("--bundle", type=Path, help="and the bundle folder that diagnoses it")
+    add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)
+    if options.recording is not None:
+        names = ("config", "control", "events", "token_file")
+        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
+            parser.error(f"--recording needs no service: leave out {', '.join(given)}")
+        if options.bundle is None:
+            parser.error("--recording needs --bundle too")
+        options.listen = options.listen or LISTEN
+        return options
+    if options.bundle is not None:
+        parser.error("--bundle goes with --recording")
     if options.config is not None:
         names = ("control", "events", "listen", "token_file")
         if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
             parser.error(f"--config says that already: leave out {', '.join(given)}")
     elif missing := [f"--{name}" for name in ("control", "events", "listen") if getattr(options, name) is None]:
-        parser.error(f"give --config, or {', '.join(missing)} too")
+        parser.error(f"give --config or --recording, or {', '.join(missing)} too")
     return options
 
 

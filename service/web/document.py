@@ -90,9 +90,17 @@ def _paths(guarded: bool) -> Json:
             "system", "What its names mean.", _json({"type": "object"}), [system], (404, *DAEMON)
         ),
         "/v1/live/{system}": get("live", "Its ticks as they come.", _stream(), [system], (404, *DAEMON)),
+        "/v1/history/{system}": get(
+            "history",
+            "The ticks of a finished recording.",
+            _json({"type": "object"}),
+            [system, *_ticks()],
+            (404, *DAEMON),
+        ),
         "/v1/events": get("events", "All that is told, as it is told.", _stream(), _places(), (503,)),
         "/v1/records": get("records", "What was told.", _records(), _pages()),
         "/v1/health": health,
+        "/v1/state": get("state", "The same, as 200 in any case.", _body("HealthBody"), more=()),
         "/v1/ready": get("ready", "Whether the daemon answers.", _body("Ready")),
         "/v1/openapi.json": get("document", "This.", _json({"type": "object"}), more=()),
         "/metrics": get(
@@ -150,6 +158,16 @@ def _pages() -> list[Json]:
         _parameter("after", "query", number, "the ones after this number, the oldest first"),
         _parameter("before", "query", number, "the last before it; with `after`, the first between; else the latest"),
         _parameter("count", "query", count, "at most so many"),
+    ]
+
+
+def _ticks() -> list[Json]:
+    number = {"type": "integer", "minimum": 0, "maximum": queries.LARGEST}
+    count = {"type": "integer", "minimum": 1, "maximum": queries.MOST_TICKS, "default": 2000}
+    return [
+        _parameter("after", "query", number, "the ticks after this one"),
+        _parameter("before", "query", number, "the ticks before this one"),
+        _parameter("count", "query", count, "at most so many, the telling one of each few"),
     ]
 
 

@@ -15,6 +15,7 @@ CODE = r"^[1-9][0-9]{0,8}$"
 ID = r"^[!-~]{1,200}$"
 SCOPE = r"^[A-Za-z0-9_.-]{1,80}$"
 LARGEST = 2**53 - 1  # of a number that every JSON reader keeps
+MOST_TICKS = 5000  # in an answer of a recording
 MOST = 500  # records in an answer of the daemon
 
 BOOLEANS = {"true": True, "false": False, "1": True, "0": False}
@@ -34,6 +35,14 @@ class Page(NamedTuple):
     most: int
     after: int | None
     before: int | None
+
+
+class Part(NamedTuple):
+    """The ticks `after` one and `before` another (None: from the first, to the last), no more than `most`."""
+
+    after: int | None
+    before: int | None
+    most: int | None
 
 
 def system_of(request: Request) -> str:
@@ -87,6 +96,13 @@ def page_of(query: QueryParams) -> Page:
     count = _number(query, "count", 1, MOST)
     after, before = (_number(query, name, 0, LARGEST) for name in ("after", "before"))
     return Page(100 if count is None else count, after, before)
+
+
+def part_of(query: QueryParams) -> Part:
+    """Which ticks of a recording are wanted."""
+    _known(query, ["after", "before", "count"])
+    after, before = (_number(query, name, 0, LARGEST) for name in ("after", "before"))
+    return Part(after, before, _number(query, "count", 1, MOST_TICKS))
 
 
 def nothing_in(query: QueryParams) -> None:

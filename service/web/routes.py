@@ -18,8 +18,8 @@ from service.web.limits import require
 from service.web.live import Live
 from service.web.page import INDEX, load_page, serve
 from service.web.problems import RETRY, RequestError, error_of
-from service.web.queries import filter_of, nothing_in, number_of, page_of, parts_of, place_of, system_of
-from service.web.shapes import Capabilities, Component, Components, Items, Ready
+from service.web.queries import filter_of, nothing_in, number_of, page_of, part_of, parts_of, place_of, system_of
+from service.web.shapes import Capabilities, Component, Components, HealthBody, Items, Ready
 from service.web.stream import Stream, Streams
 from service.web.tokens import Tokens
 from service.web.vehicle import Vehicle
@@ -57,6 +57,7 @@ class Routes:
             faults=f"/v1/components/{path}/faults",
             system=f"/v1/systems/{path}",
             live=f"/v1/live/{path}",
+            history=f"/v1/history/{path}" if (await self._vehicle.state()).is_recording else None,
         )
         return _json(body)
 
@@ -93,12 +94,12 @@ class Routes:
 
     async def health(self, request: Request) -> Response:
         """How the daemon is; 503 where silence does not mean "no fault"."""
-        nothing_in(request.query_params)
-        try:
-            body = health_of(await self._vehicle.state())
-        except (AwayError, GarbledError, RefusedError) as error:
-            body = away(error_of(error).detail)
+        body = await self._how(request)
         return _json(body) if is_well(body) else _json(body, 503, RETRY)
+
+    async def state(self, request: Request) -> Response:
+        """The same, as 200 in any case: for who asks again and again to show it."""
+        return _json(await self._how(request))
 
     async def ready(self, request: Request) -> Response:
         """Whether the daemon answers."""
@@ -129,6 +130,11 @@ class Routes:
             raise RequestError(404, "unknown", f"no system {name!r} is watched")
         return Stream("live", self._live.stream(name, self._streams.limits.alive_s), self._streams)
 
+    async def history(self, request: Request) -> Response:
+        """The ticks of a finished recording, any part of them."""
+        part = part_of(request.query_params)
+        return _json(await self._vehicle.history(system_of(request), part))
+
     async def metrics(self, request: Request) -> Response:
         """Figures, of this server too where the daemon does not answer."""
         nothing_in(request.query_params)
@@ -152,6 +158,14 @@ class Routes:
     async def static(self, request: Request) -> Response:
         """A file of the page."""
         return serve(self._page, request.path_params["name"], request)
+
+    async def _how(self, request: Request) -> HealthBody:
+        """How the daemon is."""
+        nothing_in(request.query_params)
+        try:
+            return health_of(await self._vehicle.state())
+        except (AwayError, GarbledError, RefusedError) as error:
+            return away(error_of(error).detail)
 
     async def _system(self, request: Request) -> str:
         """The system in the path; raises RequestError where there is none of that name."""

@@ -35,13 +35,14 @@ class Components(_Body, frozen=True):
 
 
 class Capabilities(_Body, frozen=True):
-    """A component, and where to ask for what it has."""
+    """A component, and where to ask for what it has; `history` is of a finished recording alone."""
 
     id: str
     name: str
     faults: str
     system: str
     live: str
+    history: str | None = None
 
 
 class FaultStatus(_Body, frozen=True, rename="camel"):

@@ -8,7 +8,7 @@ from service.core.faults import Fault
 from service.web.answers import Erased, Meaning, Memory, Names, Records, Remembered, State
 from service.web.asking import Control, GarbledError, RefusedError
 from service.web.problems import RequestError
-from service.web.queries import Page
+from service.web.queries import Page, Part
 from service.web.ring import told
 
 
@@ -67,6 +67,13 @@ class Vehicle:
             return Records(records=[line for line in found.records if told(bytes(line)).seq < page.before])
         except (msgspec.MsgspecError, ValueError) as error:
             raise GarbledError(f"a record: {error}") from error
+
+    async def history(self, system: str, part: Part) -> Mapping[str, object]:
+        """Ticks of a finished recording, as columns."""
+        wanted = {"after": part.after, "before": part.before, "count": part.most}
+        given = {name: value for name, value in wanted.items() if value is not None}
+        question: dict[str, object] = {"ask": "history", "name": system, **given}
+        return await self._control.ask_alone(question, dict[str, object])
 
     async def erase(self, number: int) -> None:
         """Erases a fault: on return that is on the disk."""

@@ -66,6 +66,8 @@ def test_the_wheels_top_level_is_the_five_packages(wheel: Path) -> None:
     assert ours == {"service", "analysis", "training", "testbench", "dbc"}
     data = [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith((".dbc", ".toml"))]
     assert "dbc/uds.dbc" in data
+    page = {"index.html", "main.js", "page.css", "icon.svg", "vendor/uPlot.js", "vendor/LICENSE"}
+    assert {f"service/web/page/{name}" for name in page} <= set(zipfile.ZipFile(wheel).namelist())
     assert "analysis/model/uds4.toml" in data
 
 

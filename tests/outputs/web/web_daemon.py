@@ -293,6 +293,9 @@ class FakeDaemon:
             kept = [each for each in self.told if each.seq < question.get("before", 2**62)][-count:]
         return {"records": [msgspec.Raw(each.line.rstrip()) for each in kept]}
 
+    def _history(self, question: Json) -> Json:
+        return _error("unknown", "a service on the vehicle keeps no history; a recording has one")
+
     def _system(self, question: Json) -> Json:
         if question["name"] not in self.systems:
             return _error("unknown", f"no system {question['name']}")

@@ -1,0 +1,146 @@
+"""The service of a finished recording: diagnosed as a whole, then asked and heard over the sockets of a live one."""
+
+import os
+import selectors
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgspec
+
+from service.answers import Answerer, page_of
+from service.bundle import Bundle
+from service.config import MemoryConfig
+from service.core.events import Event
+from service.logs import Log
+from service.outputs.control import Asker, ControlSocket, Question, RefusedError
+from service.outputs.socket import EventSocket
+from service.recorded.bus import LogBus
+from service.recorded.history import History
+from service.remembering import Remembering
+from service.scribe import Scribe
+from service.store.file import Record
+from service.store.journal import Journal
+from service.watched import LAG_S, Line, Watched, watched
+
+LARGEST = 2**53 - 1
+MOST_TICKS = 5000  # of one answer
+SHOWN_TICKS = 2000  # where the question does not say
+
+
+class Recording:
+    """A log, diagnosed with a bundle: its ticks, what was told in it, and what is remembered at its end.
+
+    `progress` is told the log time [s] that is done. Its records have no wall clock: a log knows none for certain.
+    """
+
+    def __init__(
+        self, log: Log, path: Path, bundle: Bundle, say: Callable[[str], None], progress: Callable[[float], None]
+    ) -> None:
+        self.history = History(bundle.manifest)
+        self.records: list[Record] = []
+        self._bus = LogBus([*log.relative()])
+        self._line = Line("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
+        self._journal = Journal(None, say)
+        scribe = Scribe(log.id, 0, run="", wall=lambda: None)
+        memory = MemoryConfig()
+        self._remembering = Remembering(
+            scribe, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
+        )
+        self._diagnose(progress)
+        self.answers = _Answers(self._remembering, self._journal, log.id, self)
+
+    def _diagnose(self, progress: Callable[[float], None]) -> None:
+        [kept] = self._line.bundles
+        while frames := self._bus.receive():
+            self._take(kept, list(kept.hear(frames)))
+            progress(self._bus.now)
+        self._take(kept, kept.silence(self._bus.now + LAG_S))
+
+    def _take(self, kept: Watched, events: list[Event]) -> None:
+        self._remembering.take(kept, events)
+        self._remembering.look(self._bus.now)
+        self.records += self._journal.take()
+
+
+class _Answers(Answerer):
+    """As of a live service, and of the whole drive besides; nothing of it can be erased."""
+
+    is_recording = True
+
+    def __init__(self, remembering: Remembering, journal: Journal, source: str, recording: Recording) -> None:
+        super().__init__(remembering, journal, lambda: (source, None, len(recording.records), []))
+        self._recording = recording
+
+    def answer(self, question: Question, asker: Asker, then: Callable[[Mapping[str, Any]], None]) -> None:
+        """Calls `then` with the answer; raises `RefusedError`."""
+        match question.ask:
+            case "history":
+                then(self._history(question))
+            case "clear":
+                raise RefusedError("not-allowed", "this is a recording: nothing of it can be erased")
+            case _:
+                super().answer(question, asker, then)
+
+    def _history(self, question: Question) -> Mapping[str, Any]:
+        self._observed(question.name)
+        most = SHOWN_TICKS if question.count is None else question.count
+        if not 1 <= most <= MOST_TICKS:
+            raise RefusedError("bad-request", f"`count` must be 1 to {MOST_TICKS}")
+        after = -1 if question.after is None else question.after
+        before = LARGEST if question.before is None else question.before
+        if not -1 <= after <= LARGEST or not 0 <= before <= LARGEST:
+            raise RefusedError("bad-request", "a tick is a number from 0")
+        return {"name": question.name, **self._recording.history.part(after, before, most)}
+
+    def _records(self, question: Question, then: Callable[[Mapping[str, Any]], None]) -> None:
+        """From memory: there is no store."""
+        page = page_of(question)
+        records = self._recording.records
+        if page.after is not None:
+            found = [each for each in records if each.seq > page.after][: page.most]
+        else:
+            found = [each for each in records if page.before is None or each.seq < page.before][-page.most :]
+        then({"records": [msgspec.Raw(each.line.rstrip()) for each in found]})
+
+
+class Serving:
+    """Serves a recording at two sockets in the folder, from a thread of its own, as long as the context lasts.
+
+    Raises:
+        InputError: the folder cannot be used.
+    """
+
+    def __init__(self, folder: Path, recording: Recording) -> None:
+        self.control, self.events = folder / "control.sock", folder / "events.sock"
+        self._asked = ControlSocket(self.control)
+        self._asked.answers = recording.answers
+        self._heard = EventSocket(self.events, recording.records)
+        self._selector = selectors.DefaultSelector()
+        self._end = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+
+    def __enter__(self) -> "Serving":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.eventfd_write(self._end, 1)
+        self._thread.join()
+        os.close(self._end)
+
+    def _run(self) -> None:
+        with self._selector, self._asked, self._heard:
+            self._selector.register(self._end, selectors.EVENT_READ)
+            self._asked.register(self._selector)
+            self._heard.register(self._selector)
+            while True:
+                ready = self._selector.select()
+                if any(key.fd == self._end for key, _ in ready):
+                    return
+                self._asked.serve(ready)
+                self._heard.serve(ready)
