@@ -1,22 +1,28 @@
 # `make demo` and `make test` are all a newcomer needs; each sets up what it needs in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
+VEHICLE := .venv-vehicle/bin
 
-.PHONY: demo test lint bench clean
-.PHONY: campaign-recordings campaign-discrepancy campaign-ablations campaign-training campaign-diagnosis campaign-stories
-.PHONY: campaign-false-alarms campaign-rivals campaign-endurance campaign-mutation campaign-compose campaign-alarms campaign-screenshots
+CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
+	endurance mutation compose alarms screenshots)
+.PHONY: demo test lint bench clean $(CAMPAIGNS)
+test $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
 
-# One thread each, and one process more than there are cores: one test mostly waits, for two minutes. What must not share
-# the machine comes after, by itself.
+# One process more than there are cores: one test mostly waits, for two minutes. Those of the service run with the
+# vehicle's libraries alone. What must not share the machine comes after, by itself.
 WORKERS ?= 3
-test: lint  ## everything that CI checks
+TOGETHER := -m "not alone and not long" -n $(WORKERS) --dist worksteal
+test: lint .venv-vehicle/.done  ## everything that CI checks
 	@bash tests/broker.sh
 	@bash tests/browser.sh
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" -n $(WORKERS) --dist worksteal
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m alone
+	@rm -f .pytest_cache/v/cache/lastfailed
+	@$(BIN)/python -m pytest $(TOGETHER) --ignore tests/service || $(BIN)/python tests/again.py $(BIN)/python
+	@rm -f .pytest_cache/v/cache/lastfailed
+	@$(VEHICLE)/python -m pytest $(TOGETHER) tests/service || $(BIN)/python tests/again.py $(VEHICLE)/python
+	@$(BIN)/python -m pytest -m alone
 
 lint: .venv/.test
 	@$(BIN)/ruff check
@@ -28,56 +34,55 @@ bench: .venv/.test .venv-peer/.done  ## cost of a tick and of structural analysi
 	@$(BIN)/python -m tests.bench
 	@$(BIN)/python tests/analysis/structure/bench_engine.py .venv-peer/bin/python
 
-# One thread each: two processes share the two cores.
 campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameters found? writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/calibration.py --out docs/results/calibration.md
+	@$(BIN)/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md
+	@$(BIN)/python tests/campaigns/calibration.py --out docs/results/calibration.md
 
 # In parts if wanted: SHARD=1/4 ...; set A is for development. Results so far are in docs/results/*.jsonl.
 SET ?= B
 campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added? writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy.py --set $(SET)
+	@$(BIN)/python tests/campaigns/discrepancy.py --set $(SET)
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/discrepancy_ablations.py
+	@$(BIN)/python tests/campaigns/discrepancy_ablations.py
 
 # In parts if wanted: SHARD=1/4 ...; EFFECTS=B once, after a commit that says so.
 campaign-diagnosis: .venv/.test  ## faults on other vehicles: detected, named? an hour or more; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/diagnosis.py
+	@$(BIN)/python tests/campaigns/diagnosis.py
 
 # Hours of each vehicle; sessions add to what is there.
 HOURS ?= 25
 campaign-false-alarms: .venv/.test  ## fault-free driving of those vehicles, a minute of computing for an hour
-	@OPENBLAS_NUM_THREADS=1 HOURS=$(HOURS) $(BIN)/python tests/campaigns/false_alarms.py
+	@HOURS=$(HOURS) $(BIN)/python tests/campaigns/false_alarms.py
 
 campaign-rivals: .venv/.test  ## other methods on the recordings of campaign-diagnosis, whose residuals are in out
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/rivals.py
+	@$(BIN)/python tests/campaigns/rivals.py
 
 campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated frames; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/endurance.py
+	@$(BIN)/python tests/campaigns/endurance.py
 
 campaign-alarms: .venv/.test  ## 200 kills at random instants: is every alarm told to everybody? writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/alarms.py
+	@$(BIN)/python tests/campaigns/alarms.py
 
 campaign-screenshots: .venv/.test  ## pictures of the page in a real browser; writes docs
 	@bash tests/browser.sh
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/screenshots.py docs
+	@$(BIN)/python tests/campaigns/screenshots.py docs
 
 campaign-compose:  ## images built and brought up in a container engine, as root; writes docs/results
 	@bash tests/campaigns/compose.sh
 
 campaign-mutation: .venv/.test .venv-mutation/.done  ## which changes of the code no test notices; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/mutation.py
+	@$(BIN)/python tests/campaigns/mutation.py
 
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/thread/test_stories.py
+	@$(BIN)/python -m pytest tests/thread/test_stories.py
 
 campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/grey_box.py
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/campaigns/effort.py
+	@$(BIN)/python tests/campaigns/grey_box.py
+	@$(BIN)/python tests/campaigns/effort.py
 
 clean:
-	rm -rf .venv .venv-peer .venv-mutation out build faultline.egg-info
+	rm -rf .venv .venv-vehicle .venv-peer .venv-mutation out build faultline.egg-info
 
 .venv/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -95,6 +100,15 @@ clean:
 	@echo "setting up .venv (design and training libraries and test tools, two minutes)"
 	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,train,dev]'
 	@touch .venv/.demo $@
+
+# What the vehicle has, and a test runner: no scipy, sympy, networkx, onnx, matplotlib, rich or torch.
+ABSENT := scipy sympy networkx onnx matplotlib rich torch starlette
+.venv-vehicle/.done: .venv/bin/pip pyproject.toml constraints.txt
+	@echo "setting up .venv-vehicle (the vehicle's libraries, half a minute)"
+	@$(PYTHON) -m venv .venv-vehicle
+	@$(VEHICLE)/pip install --quiet --constraint constraints.txt --editable . pytest pytest-xdist hypothesis
+	@$(VEHICLE)/python -c 'import sys, importlib.util as u; found = [*filter(u.find_spec, sys.argv[1:])]; sys.exit(f"the vehicle has {found}" if found else 0)' $(ABSENT)
+	@touch $@
 
 # The peer tool has an environment of its own: it may crash, and wants libraries that are none of ours.
 PEER := tests/analysis/structure/peer-requirements.txt

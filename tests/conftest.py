@@ -3,9 +3,6 @@
 import os
 
 import pytest
-from hypothesis import settings
-
-settings.register_profile("brief", max_examples=10)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

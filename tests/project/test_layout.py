@@ -1,10 +1,8 @@
 """The shape of the project: what the wheel holds, who may import whom, what the folders are."""
 
-import os
 import subprocess
 import sys
 import tomllib
-import venv
 import zipfile
 from pathlib import Path
 
@@ -12,12 +10,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-
-
-ONCE = [f"--ignore={ROOT}/tests/service/mqtt/test_mqtt_{what}.py" for what in ("trouble", "refused", "tls")]
-"""A broker that fails in many ways is the same for both: the others show that the process runs with these libraries."""
-BRIEFLY = ("--hypothesis-profile=brief",)
-"""Chance has its turn in the run that this is part of."""
 
 
 @pytest.fixture(scope="module")
@@ -69,24 +61,3 @@ def test_the_wheels_top_level_is_the_five_packages(wheel: Path) -> None:
     page = {"index.html", "main.js", "page.css", "icon.svg", "vendor/uPlot.js", "vendor/LICENSE"}
     assert {f"service/web/page/{name}" for name in page} <= set(zipfile.ZipFile(wheel).namelist())
     assert "analysis/model/uds4.toml" in data
-
-
-def test_the_service_passes_its_tests_with_the_vehicles_libraries_alone(wheel: Path, tmp_path: Path) -> None:
-    """No scipy, sympy, networkx, onnx, matplotlib, rich or torch: the base dependencies and the test runner."""
-    venv.create(tmp_path / "venv", with_pip=True)
-    python = tmp_path / "venv" / "bin" / "python"
-    install = [python, "-m", "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt"]
-    subprocess.run([*map(str, install), str(wheel), "pytest", "hypothesis"], check=True)
-    names = ["scipy", "sympy", "networkx", "onnx", "matplotlib", "rich", "torch"]
-    absent = f"import importlib.util as u; assert not any(map(u.find_spec, {names}))"
-    subprocess.run([str(python), "-c", absent], check=True)
-    folder = ROOT / "tests" / "service"
-    tests = subprocess.run(
-        [str(python), "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder), *BRIEFLY, *ONCE],
-        check=False,
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env={**os.environ, "SEEDS": "40"},
-    )
-    assert tests.returncode == 0, tests.stdout[-3000:]
