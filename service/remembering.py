@@ -171,6 +171,12 @@ class Remembering:
                 records.append(Record(seq, "fault", encode_record(record)))
             if fault.number not in self.memory.faults:
                 rows.update(dict.fromkeys(self._names(fault.number)))
+            elif change == "withdrawn":  # the latest frame is of what it was not
+                latest = self._names(fault.number)[2]
+                rows[latest] = None
+                for here in self.observed.values():
+                    here.unfinished.pop(latest, None)
+                rows[self._names(fault.number)[0]] = msgspec.json.encode(fault)
             else:
                 rows[self._names(fault.number)[0]] = msgspec.json.encode(self.memory.faults[fault.number])
         self._put(records, {**rows, **(kept or {})})

@@ -146,7 +146,7 @@ class FaultMemory:
             episode.told, episode.modes = event, [*modes]
             if episode.number is not None and event.transition == "refined":
                 return [*self._refine(episode)]
-            return self._seen(episode, is_there=True)
+            return self._occur(episode)
         if event.transition == "healed":
             return self._seen(episode, is_there=False)
         if event.transition == "started":  # it has forgotten what it told
@@ -221,6 +221,18 @@ class FaultMemory:
             number, episode.number, episode.before = episode.number, None, None
             return [self._pass(self.faults[number])]
         return []
+
+    def _occur(self, episode: _Episode) -> list[News]:
+        """What is told anew, where what was told before may not count as passed yet: it is that again, or another."""
+        assert episode.told is not None
+        if episode.number is None:
+            return self._seen(episode, is_there=True)
+        before = self.faults[episode.number]
+        if names(before.diagnoses) & names(episode.told.diagnoses):
+            return self._seen(episode, is_there=True) or [*self._refine(episode)]
+        episode.number = episode.before = None
+        episode.debounce.counter = 0
+        return [self._pass(before), *self._seen(episode, is_there=True)]
 
     def _has_failed(self, episode: _Episode) -> bool:
         """Whether what is told counts as failed in this cycle."""

@@ -394,3 +394,24 @@ def test_whatever_is_told_the_memory_holds_together(seed: int) -> None:
             assert not fault.status.test_failed_this_cycle or fault.trips > 0
             assert fault.status.confirmed or not fault.status.warning
             assert fault.status.failed_since_clear
+
+
+def test_another_fault_while_the_last_one_passes_is_an_entry_of_its_own() -> None:
+    truck = Vehicle(passed_after_s=20.0)
+    assert changes(truck.tell("occurred", one("fA_t"))) == [("confirmed", 1)]
+    assert truck.tell("healed") == []
+    assert changes(truck.tell("occurred", one("fA_du"))) == [("passed", 1), ("confirmed", 2)]
+    assert [fault.status.test_failed for fault in truck.faults] == [False, True]
+    assert truck.faults[1].diagnoses == [one("fA_du")]
+
+
+def test_the_same_fault_while_it_passes_is_still_there_with_what_is_told_now() -> None:
+    truck = Vehicle(passed_after_s=20.0)
+    truck.tell("occurred", one("fA_t"), one("fA_du"))
+    truck.tell("healed")
+    truck.drive(10.0)
+    assert changes(truck.tell("occurred", one("fA_t"))) == [("refined", 1)]
+    truck.drive(30.0, suspicious=True)
+    [fault] = truck.faults
+    assert fault.status.test_failed
+    assert (fault.occurrences, fault.diagnoses) == (1, [one("fA_t")])

@@ -23,7 +23,7 @@ from service.cli import main
 from service.core.errors import InputError
 from service.core.faults import Fault, decode_cleared, decode_record
 from service.core.frame import Frame
-from service.core.memory import Rules
+from service.core.memory import News, Rules
 from service.logs import Frame as CanFrame
 from service.logs import open_log
 from service.outputs.control import ControlSocket
@@ -474,3 +474,13 @@ def test_what_is_erased_and_still_there_has_a_freeze_frame_again() -> None:
             vehicle.remembering.take(vehicle.watched, list(vehicle.watched.hear([frame])))
     assert [*vehicle.remembering.memory.faults] == [2]
     assert vehicle.remembering.frames(2)["first"]
+
+
+def test_the_frame_of_what_it_was_not_is_gone_with_it(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path / "store.sqlite").hear()
+    [fault] = vehicle.remembering.memory.faults.values()
+    latest = f"frame/{fault.number}/latest"
+    vehicle.journal.remember({latest: b"{}"})
+    vehicle.remembering._tell([], [News("withdrawn", fault)])
+    assert latest not in vehicle.journal.kept
+    assert {f"fault/{fault.number}", f"frame/{fault.number}/first"} <= set(vehicle.journal.kept)
