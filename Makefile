@@ -4,7 +4,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms screenshots)
+	endurance mutation compose alarms clients screenshots)
 .PHONY: demo test lint bench clean $(CAMPAIGNS)
 test $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -63,6 +63,9 @@ campaign-endurance: .venv/.test  ## 25 hours of log time and 10 million mutated 
 
 campaign-alarms: .venv/.test  ## 200 kills at random instants: is every alarm told to everybody? writes docs/results
 	@$(BIN)/python tests/campaigns/alarms.py
+
+campaign-clients: .venv/.test  ## HTTP clients that are slow, hostile or vanish; writes docs/results
+	@$(BIN)/python tests/campaigns/clients.py
 
 campaign-screenshots: .venv/.test  ## pictures of the page in a real browser; writes docs
 	@bash tests/browser.sh

@@ -1,4 +1,4 @@
-"""Print the events of a running service as they come."""
+"""Show a running service: a live screen on a terminal, else its events as they come, a line each."""
 
 import argparse
 import socket
@@ -17,9 +17,16 @@ from service.core.health import MEANINGS, Health, decode_health
 from service.core.health import SCHEMA as HEALTH
 from service.core.manifest import Equation, Fault, Manifest
 
-EXAMPLE = """example:
+EXAMPLE = """The screen needs the control socket: --control, or control.sock beside the socket of
+events. Keys: q ends, Tab shows the next system. Events are printed on a terminal too
+with --lines, --json, --once or --after.
+
+examples:
+  faultline watch --socket /run/faultline/events.sock
   faultline watch --socket /run/faultline/events.sock --after 0
 """
+CONTROL = "control.sock"
+"""Of the control socket, where it is beside the other."""
 
 RETRY_S = 0.05
 
@@ -60,10 +67,16 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--wait", type=float, default=0.0, metavar="S", help="how long to wait for the socket to appear"
     )
+    parser.add_argument("--screen", action="store_true", help="the live screen, though this may be no terminal")
+    parser.add_argument("--lines", action="store_true", help="a line for each event, though this is a terminal")
+    parser.add_argument("--control", type=Path, help="where `faultline run` answers questions, for the screen")
+    parser.add_argument("--system", metavar="NAME", help="which system the screen shows first, of several")
     parser.add_argument("--once", action="store_true", help="end after one event")
     parser.add_argument("--bundle", type=Path, help="the bundle folder, to print what the faults' names mean")
     options = parser.parse_args(argv)
     faults, equations = _meanings(options.bundle) if options.bundle else ({}, {})
+    if (control := _screens(options)) is not None:
+        return _show(control, options.socket, options.system, faults, equations)
     for line in subscribe(options.socket, options.after, options.wait):
         if options.json:
             sys.stdout.buffer.write(line)
@@ -76,8 +89,33 @@ def main(argv: list[str]) -> int:
     return 1 if options.once else 0
 
 
-def subscribe(path: Path, after: int | None, wait_s: float) -> Iterator[bytes]:
-    """The whole lines that the service at `path` sends, until it ends.
+def _screens(options: argparse.Namespace) -> Path | None:
+    """Where the control socket is, if a screen is to be shown; raises InputError where that makes no sense."""
+    prints = options.lines or options.json or options.once or options.after is not None
+    control: Path = options.control or options.socket.with_name(CONTROL)
+    if options.screen and prints:
+        raise InputError("--screen shows no lines: leave out --lines, --json, --once and --after")
+    if options.screen:
+        return control
+    found = options.control is not None or control.is_socket()
+    return control if found and not prints and sys.stdout.isatty() else None
+
+
+def _show(
+    control: Path, events: Path, system: str | None, faults: Mapping[str, Fault], equations: Mapping[str, Equation]
+) -> int:
+    from service.watching.hearing import Hearing  # what only a screen needs
+    from service.watching.show import show
+
+    def described(line: bytes) -> str:
+        parts = (part.strip() for part in _described(line, events, faults, equations).splitlines())
+        return "; ".join(parts).replace(":;", ":")
+
+    return show(Hearing(control, system, lambda after: subscribe(events, after, 0.0), described))
+
+
+def subscribe(path: Path, after: int | str | None, wait_s: float) -> Iterator[bytes]:
+    """The whole lines that the service at `path` sends, until it ends; `after` a number or an id.
 
     Raises:
         InputError: nobody serves there within `wait_s` [s].

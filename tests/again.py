@@ -1,4 +1,4 @@
-"""Asks live tests that failed beside others once more, by themselves: a machine that is shared stops any process for a while.
+"""Asks live tests that failed beside others once more, alone: a shared machine stops any process for a while.
 
 Their number is bounded, they are named, and what fails alone has failed (docs/decisions/019-asked-again.md).
 

@@ -23,8 +23,10 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from service.store.file import StoreFile
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "service" / "mqtt"))
-from mqtt_mosquitto import Mosquitto, free_port
+from mqtt_mosquitto import Mosquitto
+from ports import free_port
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))

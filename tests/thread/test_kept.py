@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ports import multicast
 
 from service.store.file import StoreFile
 
@@ -28,9 +29,7 @@ class Service:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.socket, self.store = folder / "events.sock", folder / "events.sqlite"
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            bus = f"udp_multicast:239.74.163.2:{probe.getsockname()[1]}"
+        bus = multicast()
         (folder / "faultline.toml").write_text(
             f'source = "golden"\n[[bus]]\nname = "bus"\ninterface = "{bus}"\n'
             f'[[bundle]]\npath = "{GOLDEN / "bundle"}"\nbus = "bus"\n[trust]\nallow_unsigned = true\n'

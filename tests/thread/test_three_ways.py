@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 import pytest
+from ports import multicast
 
 from service.bundle import load_bundle
 from service.core.events import Event, decode, is_other, schema_of
@@ -26,27 +27,20 @@ OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().split
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 @contextlib.contextmanager
 def daemon(tmp_path: Path, bus: str, speed: float, out: IO[bytes] | None = None) -> Iterator["subprocess.Popen[bytes]"]:
     """A running daemon that prints to `out`, stopped at the end as systemd would."""
     command = [FAULTLINE, "run", "--bundle", str(GOLDEN / "bundle"), "--bus", bus, "--socket", str(tmp_path / "s")]
     process = subprocess.Popen([*command, "--speed", str(speed), "--source", "golden"], stdout=out)
     try:
-        for _ in range(200):
+        for _ in range(600):
             if (tmp_path / "s").exists() or process.poll() is not None:
                 break
             time.sleep(0.1)
         yield process
     finally:
         process.send_signal(signal.SIGTERM)
-        process.wait(10)
+        process.wait(30)
 
 
 def told(event: Event) -> tuple[str, list[tuple[list[str], int | None, list[str]]]]:
@@ -54,19 +48,27 @@ def told(event: Event) -> tuple[str, list[tuple[list[str], int | None, list[str]
     return event.transition, [(d.faults, d.rank, d.near) for d in event.diagnoses]
 
 
+def events_in(path: Path) -> int:
+    """How many events of the system it has, of other records besides."""
+    return sum(line.endswith(b"\n") and not is_other(line) for line in path.read_bytes().splitlines(keepends=True))
+
+
 @pytest.mark.parametrize(
     "speed", [pytest.param(10.0, marks=pytest.mark.alone), pytest.param(1.0, marks=pytest.mark.waits)]
 )
 def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> None:
-    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    bus = multicast()
     with (tmp_path / "out").open("wb") as out, daemon(tmp_path, bus, speed, out) as process:
         watch = subprocess.Popen(
             [FAULTLINE, "watch", "--socket", str(tmp_path / "s"), "--after", "0", "--json", "--wait", "10"],
             stdout=subprocess.PIPE,
         )
         subprocess.run([FAULTLINE, "replay", str(GOLDEN / "log"), "--bus", bus, "--speed", str(speed)], check=True)
-        time.sleep(1.0)
-    lines, _ = watch.communicate(timeout=10)
+        end = time.monotonic() + 20.0
+        while events_in(tmp_path / "out") < len(OFFLINE) and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.0)  # and what should not come
+    lines, _ = watch.communicate(timeout=30)
     assert process.returncode == 0
     assert lines == (tmp_path / "out").read_bytes()  # the subscriber and standard output hear the same
     everything = lines.splitlines()
@@ -95,7 +97,7 @@ def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> N
 
 
 def test_a_subscriber_that_comes_late_hears_what_it_missed(tmp_path: Path) -> None:
-    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    bus = multicast()
     with daemon(tmp_path, bus, 20.0):
         subprocess.run([FAULTLINE, "replay", str(GOLDEN / "log"), "--bus", bus, "--speed", "20"], check=True)
         with socket.socket(socket.AF_UNIX) as client:
@@ -107,7 +109,7 @@ def test_a_subscriber_that_comes_late_hears_what_it_missed(tmp_path: Path) -> No
 
 
 def test_the_daemon_outlives_a_closed_standard_output(tmp_path: Path) -> None:
-    bus = f"udp_multicast:239.74.163.2:{free_port()}"
+    bus = multicast()
     read, write = os.pipe()
     with os.fdopen(write, "wb") as out, daemon(tmp_path, bus, 20.0, out) as process:
         os.close(read)

@@ -188,11 +188,11 @@ class TestReading:
     def test_answers_do_not_wait_for_the_network(self, client: httpx.Client) -> None:
         """Nagle's algorithm with delayed acknowledgements took 44 ms for every answer."""
         times = []
-        for _ in range(30):
+        for _ in range(100):
             begun = time.perf_counter()
             client.get("/v1/ready")
             times.append(time.perf_counter() - begun)
-        assert sorted(times)[15] < 0.03
+        assert sorted(times[40:])[15] < 0.03  # the kernel acknowledges the first ones at once; others use the machine
 
     def test_the_page(self, client: httpx.Client) -> None:
         answer = client.get("/")

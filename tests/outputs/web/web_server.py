@@ -19,7 +19,7 @@ from service.web.limits import Limits
 ROOT = Path(__file__).parents[3]
 T = TypeVar("T")
 TOKEN = "t" * 40
-PATIENCE_S = 10.0  # for what comes at once on a machine that is not busy
+PATIENCE_S = 30.0  # for what comes at once on a machine that is not busy
 
 COMMAND = "import sys; from service.web.command import main; sys.exit(main(sys.argv[1:]))"
 SHORT = """

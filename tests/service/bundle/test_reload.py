@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 from made_bundle import GOLDEN, copied, edit
+from ports import multicast
 
 from service.bundle import load_bundle
 from service.bundle_files import Trust
@@ -75,7 +76,7 @@ def frames(begin_s: float, end_s: float) -> Iterator[Frame]:
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[Service]:
-    with open_bus("udp_multicast:239.74.163.2:43199") as bus:
+    with open_bus(multicast()) as bus:
         yield Service(tmp_path, bus)
 
 
@@ -99,7 +100,7 @@ def test_the_same_bundle_changes_nothing(service: Service) -> None:
 
 def test_one_that_decides_alike_goes_on_from_where_it_was(service: Service, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
-    with open_bus("udp_multicast:239.74.163.2:43198") as bus:
+    with open_bus(multicast()) as bus:
         undisturbed = Service(tmp_path / "other", bus)
         expected = seen_by(undisturbed)
     assert seen_by(service, lambda manifest: manifest.update(version=7)) == expected

@@ -12,6 +12,7 @@ import pytest
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 from hypothesis import given
 from hypothesis import strategies as st
+from ports import free_port
 
 from service.bus import BusError, open_bus
 from service.bus.udp import IP_MULTICAST_ALL, UdpMulticast, pack, unpack
@@ -30,9 +31,7 @@ FRAMES = [
 @pytest.fixture
 def port() -> int:
     """A port that is free, and other than a running demo's."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
+    return free_port("")
 
 
 @pytest.fixture

@@ -88,9 +88,14 @@ class Bench:
 
 
 class Reader:
-    """Reassembles broadcasts; asserts what a strict receiver demands: order, gaps, size and filling."""
+    """Reassembles broadcasts; asserts what a strict receiver demands: order, gaps, size and filling.
 
-    def __init__(self) -> None:
+    `gap_s`: between parts, at least and at most; others than a receiver's, where a busy machine may hold up who sends:
+    one part is late then, and the next one is not.
+    """
+
+    def __init__(self, gap_s: tuple[float, float] = (0.048, 0.2)) -> None:
+        self._gap_s = gap_s
         self._open: dict[int, tuple[int, int, int, bytes, float]] = {}
 
     def read(self, frames: list[Frame]) -> list[tuple[float, int, int, bytes]]:
@@ -107,7 +112,7 @@ class Reader:
             elif heard.pgn == TP_DT and heard.destination == 255:
                 pgn, size, number, content, before = self._open.pop(heard.source)
                 assert heard.data[0] == number
-                assert 0.048 <= frame.t - before <= 0.2, f"{frame.t - before} s between parts"
+                assert self._gap_s[0] <= frame.t - before <= self._gap_s[1], f"{frame.t - before} s between parts"
                 content += heard.data[1:]
                 if len(content) < size:
                     self._open[heard.source] = (pgn, size, number + 1, content, frame.t)

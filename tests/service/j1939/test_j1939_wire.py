@@ -9,6 +9,7 @@ from typing import cast
 
 import pytest
 from j1939_bench import codes, name
+from ports import multicast
 
 from service.bus import BusError
 from service.bus.interface import Interface
@@ -290,10 +291,7 @@ def test_an_address_that_is_lost_is_told(memory: Memory, monkeypatch: pytest.Mon
 
 
 def test_over_multicast_what_is_sent_comes_back_too() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        port = probe.getsockname()[1]
-    wire = Wire(f"udp_multicast:239.74.163.2:{port}", [144])
+    wire = Wire(multicast(), [144])
     assert wire.send(CLAIM)
     heard: list[Frame] = []
     while not heard:

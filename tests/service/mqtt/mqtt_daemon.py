@@ -23,29 +23,28 @@ class FakeDaemon:
         self.answers: Callable[[dict[str, Any]], bytes] | None = None  # instead of what the control socket answers
         self.given = 0  # records that were handed to the kernel
         self._changed = threading.Condition()
-        self._socks: list[socket.socket] = []
-        self._is_on = False
+        self._life = _Life()
 
     def start(self) -> None:
-        self._is_on = True
+        self._life = life = _Life()
+        life.is_on = True
         for path, serve in ((self.events, self._subscriber), (self.control, self._question)):
             path.unlink(missing_ok=True)
             listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             listener.bind(str(path))
             listener.listen(8)
-            self._socks.append(listener)
-            threading.Thread(target=self._accept, args=(listener, serve), daemon=True).start()
+            life.socks.append(listener)
+            threading.Thread(target=self._accept, args=(life, listener, serve), daemon=True).start()
 
     def stop(self) -> None:
         """As a daemon that is killed: connections end, socket files stay."""
         with self._changed:
-            self._is_on = False
+            self._life.is_on = False
             self._changed.notify_all()
-        for sock in self._socks:
+        for sock in self._life.socks:
             with suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
             sock.close()
-        self._socks.clear()
 
     def tell(self, schema: str = "faultline.event/1", *, missing: int = 0, **fields: object) -> str:
         """Adds a record, whose number leaves out `missing`; gives its id."""
@@ -75,25 +74,29 @@ class FakeDaemon:
         """So many events at once."""
         return [self.tell(transition="refined", alarm=["t02"] * 40, bundle="0" * 64) for _ in range(count)]
 
-    def _accept(self, listener: socket.socket, serve: Callable[[socket.socket], None]) -> None:
+    def _accept(self, life: "_Life", listener: socket.socket, serve: "Serve") -> None:
         with suppress(OSError):
             while True:
                 sock, _ = listener.accept()
-                self._socks.append(sock)
-                threading.Thread(target=self._serve, args=(sock, serve), daemon=True).start()
+                with self._changed:
+                    if not life.is_on:  # it was stopped meanwhile: nobody ends this one later
+                        sock.close()
+                        return
+                    life.socks.append(sock)
+                threading.Thread(target=self._serve, args=(life, sock, serve), daemon=True).start()
 
-    def _serve(self, sock: socket.socket, serve: Callable[[socket.socket], None]) -> None:
+    def _serve(self, life: "_Life", sock: socket.socket, serve: "Serve") -> None:
         with sock, suppress(OSError, ValueError):
-            serve(sock)
+            serve(life, sock)
 
-    def _subscriber(self, sock: socket.socket) -> None:
+    def _subscriber(self, life: "_Life", sock: socket.socket) -> None:
         after = json.loads(sock.makefile("rb").readline()).get("after")
         with self._changed:
             self.asked.append(after)
             place = self._place(after)
-        while self._is_on:
+        while life.is_on:
             with self._changed:
-                while self._is_on and place >= len(self.records):
+                while life.is_on and place >= len(self.records):
                     self._changed.wait()
                 batch = self.records[place : place + 50]
             for _, _, line in batch:
@@ -107,7 +110,7 @@ class FakeDaemon:
                 return place
         return self.first
 
-    def _question(self, sock: socket.socket) -> None:
+    def _question(self, _: "_Life", sock: socket.socket) -> None:
         for line in sock.makefile("rb"):
             asked = json.loads(line)
             sock.sendall(self.answers(asked) if self.answers else self.answer(asked))
@@ -124,3 +127,14 @@ class FakeDaemon:
         else:
             answer = {"error": {"code": "bad-request", "message": "no such question"}}
         return json.dumps(answer).encode() + b"\n"
+
+
+class _Life:
+    """From a start to its stop: what is accepted in one is not served in the next."""
+
+    def __init__(self) -> None:
+        self.is_on = False
+        self.socks: list[socket.socket] = []
+
+
+Serve = Callable[[_Life, socket.socket], None]

@@ -27,7 +27,7 @@ ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG: a test that fails leaves noth
 import service.mqtt.bridge, service.mqtt.broker, service.mqtt.sender
 service.mqtt.broker.RETRY_S = service.mqtt.sender.RETRY_S = 0.1, 6.0
 service.mqtt.bridge.ASKED_S = 0.1, 1.0
-service.mqtt.bridge.LEAVING_S = 0.5
+service.mqtt.bridge.LEAVING_S = 2.0
 """
 """Tries come ten times as fast; how long they wait is a matter of `patience`, which has tests of its own."""
 

@@ -43,16 +43,16 @@ def test_at_most_twenty_are_in_flight_and_all_come_as_fast_as_they_are_acknowled
     assert process.stop() == 0
     assert fake.events() == told
     assert fake.most_unanswered == IN_FLIGHT
-    assert fake.goodbyes == [0]
+    fake.wait(lambda: fake.goodbyes == [0])
 
 
 def test_a_broker_that_takes_fewer_at_once_gets_no_more(tmp_path: Path, daemon: FakeDaemon, fake: FakeBroker) -> None:
     fake.properties = bytes([0x21, 0, 3])  # Receive Maximum
-    fake.answer = lambda _: None if fake.connections == 1 else 0
+    fake.answer = lambda one: None if one.connection == 1 else 0
     told = daemon.storm(300)
-    process = started(tmp_path, fake, acknowledged_within=1)
-    process.wait_said("what was sent 1 s ago is not acknowledged")
-    assert len(fake.published) == 3
+    process = started(tmp_path, fake, acknowledged_within=3)
+    process.wait_said("what was sent 3 s ago is not acknowledged")
+    assert len([one for one in fake.published if one.connection == 1]) == 3
     fake.wait(lambda: told[-1] in fake.events())
     assert process.stop() == 0
     assert fake.events()[-300:] == told
@@ -188,9 +188,9 @@ def test_a_broker_that_never_acknowledges_is_left_and_tried_again(
     silent = {0: True}
     fake.answer = lambda _: None if silent[0] else 0
     told = daemon.storm(50)
-    process = started(tmp_path, fake, acknowledged_within=1)
-    process.wait_said("what was sent 1 s ago is not acknowledged")
-    assert len(fake.published) == IN_FLIGHT
+    process = started(tmp_path, fake, acknowledged_within=3)
+    process.wait_said("what was sent 3 s ago is not acknowledged")
+    assert len([one for one in fake.published if one.connection == 1]) == IN_FLIGHT
     silent[0] = False
     fake.wait(lambda: told[-1] in fake.events())
     assert fake.events()[-50:] == told
@@ -203,7 +203,7 @@ def test_a_broker_without_subscriptions_or_that_hangs_up_on_one_is_used_without(
     fake.hangs_up_on_subscribe = True
     daemon.tell_fault(1)
     process = started(tmp_path, fake)
-    fake.wait(lambda: len(fake.events()) >= 1 and fake.connections == 2)
+    fake.wait(lambda: len(fake.events()) >= 1 and fake.connections >= 2)
     assert fake.subscriptions == 1
     fake.wait(lambda: any(one.topic.endswith("/faults/1") for one in fake.published))
     assert process.stop() == 0
@@ -255,7 +255,7 @@ def test_the_same_refusal_is_one_line_a_minute_and_once_it_ends_all_comes(
     fake.connack = 0x87
     told = daemon.tell()
     process = started(tmp_path, fake)
-    fake.wait(lambda: fake.connections == 2)
+    fake.wait(lambda: fake.connections >= 2)
     fake.connack = 0
     fake.wait(lambda: fake.events() == [told])
     assert process.stop() == 0
@@ -282,7 +282,7 @@ def test_what_is_no_mqtt_is_said_and_ends_nothing(
     fake._socks[-1].sendall(noise)
     fake._socks[-1].shutdown(1)
     process.wait_said("it is tried again, records wait")
-    fake.wait(lambda: fake.connections == 2)
+    fake.wait(lambda: fake.connections >= 2)
     assert process.is_running()
     assert process.stop() == 0
 

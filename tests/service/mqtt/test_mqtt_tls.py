@@ -15,8 +15,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from mqtt_daemon import FakeDaemon
-from mqtt_mosquitto import Mosquitto, Subscriber, free_port
+from mqtt_mosquitto import Mosquitto, Subscriber
 from mqtt_process import Process, write_config
+from ports import free_port
 
 daemon, broker = mqtt_fixtures.daemon, mqtt_fixtures.broker
 

@@ -89,6 +89,8 @@ def test_what_an_earlier_run_left_is_made_right_with_the_next_connection(
     again = Process(write_config(tmp_path, broker.port))
     backend.wait(lambda: last in backend.ids())
     again.wait_said("connected, as truck-17")
+    backend.wait(lambda: backend.last(f"{BASE}/faults/3") is not None)
+    backend.wait(lambda: (one := backend.last(f"{BASE}/faults/1")) is not None and not one.payload)
     assert again.stop() == 0
     kept = retained(broker.port, f"{BASE}/")
     assert sorted(kept) == [f"{BASE}/faults/2", f"{BASE}/faults/3", f"{BASE}/health"]
@@ -190,7 +192,7 @@ def test_who_is_killed_is_offline_by_the_brokers_word(
 ) -> None:
     backend.wait_status("online")
     process.kill()
-    backend.wait_status("offline", within_s=5)
+    backend.wait_status("offline")
     assert b'"offline"' in retained(broker.port, f"{BASE}/health")[f"{BASE}/health"]
 
 
@@ -199,14 +201,14 @@ def test_a_stop_takes_what_is_in_flight_along(
     tmp_path: Path, daemon: FakeDaemon, backend: Subscriber, process: Process, number: int
 ) -> None:
     """After a stop nothing comes twice: all that was sent is acknowledged and kept."""
-    told = daemon.storm(3000)
+    told = daemon.storm(12_000)  # more than go while nobody looks
     backend.wait(lambda: len(backend.events()) > 300)
     process.signal(number)
     assert process.wait() == 0
     backend.wait_status("offline")
     assert len(backend.ids()) < len(told)
     again = Process(tmp_path / "mqtt.toml")
-    backend.wait(lambda: len(backend.ids()) >= len(told))
+    backend.wait(lambda: len(backend.ids()) >= len(told), 60)
     assert again.stop() == 0
     assert backend.ids() == told
 

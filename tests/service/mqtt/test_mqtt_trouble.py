@@ -35,15 +35,15 @@ def test_ten_thousand_records_over_a_broker_that_is_killed_all_come_in_order(
     backend = Subscriber(broker.port, qos=0)
     broker.save()  # the backend's subscription; what is published later is not in it
     process = Process(write_config(tmp_path, broker.port))
-    told = daemon.storm(4000)
-    backend.wait(lambda: len(backend.ids()) >= 1500)
+    told = daemon.storm(1800)
+    backend.wait(lambda: len(backend.ids()) >= 1500)  # the kernel has room for the rest, so the broker keeps none back
     broker.stop(signal.SIGKILL)
     process.wait_said("records wait")
     before = process.memory
-    told += daemon.storm(6000)
+    told += daemon.storm(8200)
     time.sleep(0.3)  # however long it has, it reads no further
     given = daemon.given
-    assert given < 4000 + READ_AHEAD
+    assert given < 1800 + READ_AHEAD
     assert process.memory - before < 2 * MEBI
     broker.start()
     backend.wait(lambda: told[-1] in backend.ids()[-200:], 40)
@@ -69,8 +69,11 @@ def test_killed_at_any_moment_it_leaves_nothing_out(
 
     flowing = threading.Thread(target=flow)
     flowing.start()
-    for _ in range(20):
+    for turn in range(20):
         process = Process(config)
+        if turn % 2:  # however long it takes to begin: it is at work
+            heard = len(backend.ids())
+            backend.wait(lambda heard=heard: len(backend.ids()) > heard)  # type: ignore[misc]
         time.sleep(chance.uniform(0.05, 0.4))
         process.kill()
     ended.set()
@@ -107,8 +110,8 @@ def test_it_asks_for_what_came_after_the_last_acknowledged(
     assert Process(tmp_path / "mqtt.toml").stop() in (0, -signal.SIGTERM)
     third = Process(tmp_path / "mqtt.toml")
     third.wait_said(f"connected to the daemon, after {told[-1]}")
+    wait_until(lambda: daemon.asked[-1] == told[-1])  # it has asked; who answers may be still to read that
     third.kill()
-    assert daemon.asked[-1] == told[-1]
 
 
 def test_a_folder_that_takes_nothing_more_is_said_and_events_come_all_the_same(
@@ -193,7 +196,7 @@ def test_steps_of_the_wall_clock_have_no_influence(
     tmp_path: Path, daemon: FakeDaemon, broker: Mosquitto, backend: Subscriber
 ) -> None:
     """As if somebody set the clock by a year, back and forth, all the time."""
-    process = Process(write_config(tmp_path, broker.port, keepalive=5, acknowledged_within=2), before=PROGRAM)
+    process = Process(write_config(tmp_path, broker.port, keepalive=20, acknowledged_within=10), before=PROGRAM)
     told = list[str]()
     for _ in range(10):
         told += daemon.storm(20)

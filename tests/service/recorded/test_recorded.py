@@ -116,7 +116,7 @@ def test_few_points_still_show_every_alarm(control: Control, most: int) -> None:
     assert set(few["tick"]) <= set(whole["tick"])
 
     def largest(part: dict[str, Any]) -> float:
-        return max(abs(value) for sums in part["sums"].values() for value in sums if value is not None)
+        return max(abs(float(value)) for sums in part["sums"].values() for value in sums if value is not None)
 
     assert largest(few) == largest(whole) > 1.0
     assert few["every"] == -(-len(whole["tick"]) // most)
@@ -155,6 +155,6 @@ def test_questions_that_make_no_sense(control: Control, asked: dict[str, Any], m
 def test_a_log_of_another_vehicle_is_said(tmp_path: Path) -> None:
     log = tmp_path / "other.log"
     log.write_text("(1.000000) can0 123#0011\n(2.000000) can0 123#0012\n")
-    with pytest.raises(InputError, match="never has all of y_p_tp, .*; give a log of this bundle's vehicle"):  # noqa: SIM117
+    with pytest.raises(InputError, match=r"never has all of y_p_tp, .*; give a log of this bundle's vehicle"):  # noqa: SIM117
         with served(log, GOLDEN / "bundle", print):
             pass

@@ -1,0 +1,1 @@
+"""`faultline watch` on a terminal: a live screen, drawn anew in place."""

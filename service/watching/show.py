@@ -1,0 +1,40 @@
+"""Shows a running service on the terminal until somebody ends it."""
+
+import os
+import sys
+import time
+from contextlib import suppress
+
+from service.watching.hearing import Hearing
+from service.watching.lines import Look
+from service.watching.screen import screen
+from service.watching.terminal import Terminal
+
+SHORTEST_S, LONGEST_S = 0.2, 0.5
+"""Between two drawings: no more than five a second, and often enough that a tick that is old does not stand."""
+
+
+def show(hearing: Hearing) -> int:
+    """Draws what is heard until `q` is typed; returns 0."""
+    look = look_of_terminal()
+    hearing.begin()
+    with Terminal() as terminal:
+        while True:
+            drawn = time.monotonic()
+            columns, rows = terminal.size()
+            terminal.draw(screen(hearing.seen(), columns, rows, look))
+            typed = terminal.keys(hearing.wake, LONGEST_S)
+            if "q" in typed:
+                return 0
+            if "\t" in typed:
+                hearing.next_system()
+            time.sleep(max(0.0, drawn + SHORTEST_S - time.monotonic()))
+            with suppress(BlockingIOError):  # nothing new
+                os.eventfd_read(hearing.wake)
+
+
+def look_of_terminal() -> Look:
+    """As the environment says: NO_COLOR, TERM, and what standard output can encode."""
+    is_dumb = os.environ.get("TERM", "") in ("", "dumb")
+    encoding = (sys.stdout.encoding or "ascii").lower().replace("-", "")
+    return Look(colour=not os.environ.get("NO_COLOR") and not is_dumb, unicode=encoding == "utf8")
