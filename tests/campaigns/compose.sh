@@ -1,5 +1,5 @@
 #!/bin/bash
-# docker compose up, as docs/service.md says: a simulated truck with a clogged tank filter, the service, a subscriber.
+# docker compose up, as docs/service.md says: a simulated truck with a clogged tank filter, the service, its subscribers.
 # `make campaign-compose`, as root. An engine that is not there is installed and runs for as long as this lasts, without a
 # bridge; a base image too, made of Debian's packages, as there may be no registry. Writes docs/results/compose.md.
 set -euo pipefail
@@ -20,7 +20,7 @@ if ! docker info >/dev/null 2>&1; then
 fi
 COMPOSE=(docker-compose --file docker-compose.yml --file $WORK/network.yml)
 printf 'services:\n' >$WORK/network.yml
-for service in service rig watch; do printf '  %s:\n    build: {network: host}\n' $service >>$WORK/network.yml; done
+for service in service rig watch page mqtt broker; do printf '  %s:\n    build: {network: host}\n' $service >>$WORK/network.yml; done
 finish() {
 	"${COMPOSE[@]}" down --volumes >>$WORK/compose.log 2>&1 || true
 	[ -z "$ENGINE" ] || { kill $ENGINE; wait $ENGINE || true; rm -rf $DATA; }
@@ -37,6 +37,8 @@ if ! docker image inspect faultline-base >/dev/null 2>&1; then
 	tar -C "$ROOT" -c . | docker import - faultline-base >/dev/null
 	rm -rf "$ROOT"
 fi
+sed 's/^host = .*/host = "localhost"\nport = 21883/' service/vehicle/mqtt.toml >$WORK/mqtt.toml
+export MQTT_CONFIG=./$WORK/mqtt.toml MQTT_PORT=21883 LISTEN=127.0.0.1:28080
 "${COMPOSE[@]}" build --build-arg BASE=faultline-base >$WORK/build.log 2>&1
 FAULT=$FAULT "${COMPOSE[@]}" up --detach >>$WORK/compose.log 2>&1
 BEGIN=$SECONDS FOUND=""
@@ -45,6 +47,11 @@ while [ $((SECONDS - BEGIN)) -lt $WITHIN_S ] && [ -z "$FOUND" ]; do
 	FOUND=$("${COMPOSE[@]}" logs --no-color watch 2>/dev/null | grep -A6 "FAULT" | grep -m1 "$FAULT" || true)
 done
 [ -n "$FOUND" ] || { echo "campaign-compose: no fault was told within $WITHIN_S s" >&2; "${COMPOSE[@]}" logs >&2; exit 1; }
+# The other two subscribers: the page says the same, and the broker holds the fault.
+fetch() { python3 -c 'import sys, urllib.request as u; print(u.urlopen(u.Request(f"http://{sys.argv[1]}", headers={"Host": "localhost"}), timeout=10).read().decode())' "$1"; }
+fetch $LISTEN/ | grep -q '<title>faultline</title>'
+PAGE=$(fetch $LISTEN/v1/components/uds4/faults | python3 -c 'import json, sys; print(json.load(sys.stdin)["items"][0]["fault_name"])')
+RETAINED=$("${COMPOSE[@]}" logs --no-color mqtt 2>/dev/null | grep -c "connected, as" || true)
 resident() { awk '/VmRSS/ {print int($2 / 1024)}' "/proc/$(docker inspect --format '{{.State.Pid}}' "$("${COMPOSE[@]}" ps -q "$1")")/status"; }
 size() { docker image inspect --format '{{.Size}}' "$1" | awk '{print int($1 / 1000000)}'; }
 {
@@ -58,6 +65,9 @@ size() { docker image inspect --format '{{.Size}}' "$1" | awk '{print int($1 / 1
 	echo "| image of the service, of which the base | $(size faultline) MB, $(size faultline-base) MB |"
 	echo "| image of the simulated truck | $(size faultline-rig) MB |"
 	echo "| resident memory of the service | $(resident service) MB |"
+	echo "| and of the page's server, of MQTT's | $(resident page) MB, $(resident mqtt) MB |"
+	echo "| the page says | $PAGE |"
+	echo "| connections of \`faultline mqtt\` to the broker | $RETAINED |"
 	echo "| fault injected 60 s after the truck's start, told to the subscriber | $((SECONDS - BEGIN)) s after the containers' start |"
 	echo
 	echo "What the subscriber printed:"

@@ -32,9 +32,7 @@ LIVE = "tests/thread/test_a.py::test_{}"
     [[], [LIVE.format(k) for k in range(5)], [LIVE.format(0), "tests/analysis/test_a.py::test_a"]],
     ids=["none that is known", "many", "one that is pure"],
 )
-def test_what_is_not_asked_again_has_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failed: list[str]
-) -> None:
+def test_what_is_not_asked_again_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failed: list[str]) -> None:
     monkeypatch.setattr(again, "LAST", tmp_path / "lastfailed")
     again.LAST.write_text(json.dumps(dict.fromkeys(failed, True)))
     assert again.main("/no/python") == 1

@@ -1,0 +1,219 @@
+"""Guide through an active test cycle, with a verdict and a printable report.
+
+The technician, or a routine of the control unit, brings about what is asked for; the service hears it on the bus, and
+this command hears the service. Nothing is sent to the vehicle.
+"""
+
+import argparse
+import os
+import re
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from service.asking import Control, ControlError
+from service.core.errors import InputError
+from service.core.health import MEANINGS
+from service.workshop.answers import Memory, State, System, Tick, read
+from service.workshop.cycle import Cycle, End
+from service.workshop.hindrance import REMEDIES
+from service.workshop.listening import Listening
+from service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
+from service.workshop.report import page
+from service.workshop.result import Frame, Result, result
+from service.workshop.screen import Live, Plain, Screen, printable
+from service.workshop.verdict import Kind, Seen
+from service.workshop.words import HEADLINES, candidate_line, separation_line
+
+EXAMPLE = """examples:
+  faultline workshop
+  faultline workshop --system uds4 --note "after the filter was changed" --report truck-17.html
+  faultline workshop --json > truck-17.json
+
+exit codes: 0 no fault found, 1 a fault, 2 cannot tell or bad input, 130 broken off (the report is written first)
+"""
+
+SOCKET = Path("/run/faultline/control.sock")
+CODES: dict[Kind, int] = {"no-fault": 0, "fault": 1, "cannot-tell": 2}
+
+
+class Begun(NamedTuple):
+    """What the service said before the test."""
+
+    state: State
+    system: System
+    memory: Memory
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns 0 where no fault was found, 1 where one was, 2 where it cannot tell.
+
+    Raises:
+        InputError: the service does not answer, has no such system, or the report cannot be written.
+        KeyboardInterrupt: a person broke it off; the report is written.
+    """
+    options = _options(argv)
+    begun = _begin(options.control, options.system)
+    now = _now()
+    path = options.report or _default(begun, now)
+    _check(path, replace=options.force)
+    out = sys.stderr if options.json else sys.stdout
+    for line in _said_before(begun, path):
+        print(printable(line), file=out, flush=True)
+    cycle = Cycle(begun.system, plan(options.hold, VISITS), options.patience)
+    end = _observe(cycle, options.control, _screen(options))
+    frame = Frame(state=begun.state, before=begun.memory.faults, begun=now, note=options.note)
+    seen, end = _at_the_end(options.control, begun, end)
+    found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=str(path))
+    _write(path, page(found, begun.system, cycle.trace.samples), replace=options.force)
+    if options.json:
+        sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
+        sys.stdout.flush()
+    else:
+        print("\n".join(printable(line) for line in _said(found)), flush=True)
+    if end == "interrupted":
+        raise KeyboardInterrupt
+    return CODES[found.verdict.kind]
+
+
+def _options(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        "faultline workshop",
+        description=(__doc__ or "").partition("\n")[0],
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--control", type=Path, default=SOCKET, help=f"the service's control socket ({SOCKET})")
+    parser.add_argument("--system", help="which one, where the service watches several")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE.html", help="default: named after vehicle, system and time"
+    )
+    parser.add_argument("--force", action="store_true", help="replace a report that is already there")
+    parser.add_argument("--note", metavar="TEXT", help="of the technician, for the report")
+    parser.add_argument("--hold", type=_seconds, default=HOLD_S, metavar="S", help=f"of each step ({HOLD_S:.0f})")
+    parser.add_argument(
+        "--patience", type=_seconds, default=PATIENCE_S, metavar="S", help=f"without progress ({PATIENCE_S:.0f})"
+    )
+    parser.add_argument("--plain", action="store_true", help="a line per change instead of one screen")
+    parser.add_argument("--json", action="store_true", help="print the result for programs; progress on standard error")
+    return parser.parse_args(argv)
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 1.0 <= value <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"{text}: give 1 to 86400 s")
+    return value
+
+
+def _begin(path: Path, name: str | None) -> Begun:
+    with Control(path) as control:
+        state = read(control.ask("state"), State)
+        if state.is_recording:
+            raise InputError(f"{path}: serves a recording; the test needs a service that listens to a vehicle")
+        there = [each.name for each in state.systems]
+        if not there:
+            raise InputError(f"{path}: the service watches no system; see `faultline bundle install`, then its log")
+        if name is None and len(there) > 1:
+            raise InputError(f"{path}: watches {', '.join(there)}; say which one by --system")
+        if name is not None and name not in there:
+            raise InputError(f"{path}: watches no system {name!r}; give --system one of {', '.join(there)}")
+        system = read(control.ask("system", name=name or there[0]), System)
+        return Begun(state, system, read(control.ask("faults"), Memory))
+
+
+def _said_before(begun: Begun, path: Path) -> list[str]:
+    state, system = begun.state, begun.system
+    remembered = sum(each.system == system.name for each in begun.memory.faults)
+    return [
+        f"{state.source}: {system.name}, {len(system.tests)} tests, bundle {system.bundle[:12]}",
+        *(f"first: {each.of} {MEANINGS[each.kind]}: {REMEDIES[each.kind]}" for each in state.conditions),
+        f"remembered faults: {remembered}; the report will be {path}; Ctrl-C ends the test early",
+    ]
+
+
+def _screen(options: argparse.Namespace) -> Screen:
+    out = sys.stderr if options.json else sys.stdout
+    if options.plain or options.json or "NO_COLOR" in os.environ or not out.isatty():
+        return Plain(out)
+    return Live(out)
+
+
+def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
+    """Follows the cycle to its end."""
+    listening = Listening(path, cycle.system.name)
+    try:
+        for came in listening.ticks():
+            if isinstance(came, Tick):
+                if not came.fits(cycle.system):
+                    return "begun-anew"
+                cycle.take(came)
+            else:
+                cycle.silent(came)
+            ended = cycle.ended
+            if ended is not None or not listening.is_behind:
+                screen.show(cycle)
+            if ended is not None:
+                return ended
+    except KeyboardInterrupt:
+        return "interrupted"
+    finally:
+        screen.close()
+    return "service-ended"
+
+
+def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
+    """What is remembered and stands now; what was before the test where the service does not answer any more."""
+    try:
+        with Control(path) as control:
+            state, memory = read(control.ask("state"), State), read(control.ask("faults"), Memory)
+    except ControlError:
+        return Seen(
+            begun.memory.faults, begun.state.conditions
+        ), "interrupted" if end == "interrupted" else "service-ended"
+    same = any(each.name == begun.system.name and each.bundle == begun.system.bundle for each in state.systems)
+    return Seen(memory.faults, state.conditions), end if same or end == "interrupted" else "begun-anew"
+
+
+def _said(found: Result) -> list[str]:
+    """The verdict for a terminal."""
+    verdict = found.verdict
+    there = "" if verdict.kind != "fault" else ", it is there now" if verdict.present else ", not there any more"
+    history = [each for each in found.remembered if not each.during_test]
+    return [
+        "",
+        f"{HEADLINES[verdict.kind]}{there}",
+        *(f"   {candidate_line(each)}" for each in verdict.candidates),
+        *(f"   {reason}" for reason in verdict.reasons),
+        *(f"   told apart by: {separation_line(each)}" for each in verdict.separating),
+        *([f"remembered from before: {len(history)}, see the report"] if history else []),
+        f"report: {found.report}",
+    ]
+
+
+def _default(begun: Begun, now: str) -> Path:
+    name = f"faultline-workshop-{begun.state.source}-{begun.system.name}-{now[:19].replace(':', '')}"
+    return Path(re.sub(r"[^A-Za-z0-9._-]", "_", name)[:200] + ".html")
+
+
+def _check(path: Path, *, replace: bool) -> None:
+    """Raises InputError where the report could not be written after a test of ten minutes."""
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: cannot be written there; give --report a file in a folder that you may write to")
+    if path.exists() and not replace:
+        raise InputError(f"{path}: is already there; give another --report, or --force to replace it")
+
+
+def _write(path: Path, text: str, *, replace: bool) -> None:
+    try:
+        with path.open("w" if replace else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise InputError(f"{path}: somebody has written it meanwhile; give another --report") from error
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")

@@ -1,0 +1,152 @@
+"""The active test cycle as it is observed: live ticks in; progress, coverage and what was told out. Pure.
+
+Time is log time, ticks times their period, so that a replay at any speed counts as a drive does; only silence is timed
+by who listens.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from service.core.events import Diagnosis, candidates
+from service.core.manifest import MODES
+from service.core.separating import Separation
+from service.workshop.answers import System, Tick
+from service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
+from service.workshop.progress import NEAR, Progress
+from service.workshop.trace import Trace
+
+LONGEST_GAP_S = 2.0
+"""Ticks that a slow reader was not sent count as those around them: an edge between would have lasted longer."""
+
+End = Literal["complete", "patience", "interrupted", "service-ended", "begun-anew"]
+"""complete: every step is done, and what is told has settled. patience: nothing came further for too long.
+interrupted: a person broke it off. service-ended: nothing comes any more. begun-anew: other tests than at the begin."""
+
+
+class Episode(NamedTuple):
+    """A confirmed fault as the cycle saw it, in log time [s]; `until_s` is None while it is there.
+
+    `stood_before`: it was confirmed at the first tick. `diagnoses` and `separating` are as they were last.
+    """
+
+    since_s: float
+    until_s: float | None
+    stood_before: bool
+    diagnoses: list[Diagnosis]
+    separating: list[Separation]
+
+
+class Cycle:
+    """Follows one test of `system`. State: progress, coverage, episodes, and since when what is so has been so.
+
+    `seconds[test][mode]` [s] is how long a test could tell in a mode; `worst[test]` the largest sum of its detectors in
+    parts of the threshold, with its sign.
+    """
+
+    def __init__(self, system: System, steps: Sequence[Step], patience_s: float) -> None:
+        self.system, self.patience_s = system, patience_s
+        self._steps = tuple(steps)
+        self.episodes: list[Episode] = []
+        self.suspicions = 0
+        self.latest: Tick | None = None
+        self.silent_s = 0.0
+        self.waited_s = 0.0  # without progress
+        self.trace = Trace()
+        self._elapsed = 0.0
+        self.restarts = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self.progress = Progress(self._steps)
+        self.seconds = {test: dict.fromkeys(REQUIRED, 0.0) for test in self.system.tests}
+        self.worst: dict[str, float] = dict.fromkeys(self.system.tests, 0.0)
+        self.alarmed: set[str] = set()
+        self._quiet_s = 0.0
+        self._stood_s = 0.0
+
+    def take(self, tick: Tick) -> None:
+        """Takes a live tick. One that is older than the last is of a service that began anew: so does the cycle."""
+        before, self.silent_s = self.latest, 0.0
+        if before is not None and tick.tick == before.tick:
+            return
+        if before is not None and tick.tick < before.tick:
+            self._begin()
+            self.restarts += 1
+            before = None
+        period = self.system.period_s
+        gap = period if before is None else (tick.tick - before.tick) * period
+        span = gap if gap <= LONGEST_GAP_S + NEAR and before is not None and before.mode == tick.mode else period
+        self._elapsed += gap
+        self._note(tick, first=self.latest is None)
+        self._settle(tick, before, gap)
+        self._cover(tick, span)
+        self.waited_s = (
+            0.0 if self.progress.add(tick.mode, span if self._counts(tick) else 0.0) else self.waited_s + gap
+        )
+        self.trace.add(self._elapsed, tick)
+        self.latest = tick
+
+    def silent(self, seconds: float) -> None:
+        """So long [s] nothing came."""
+        self.silent_s += seconds
+        self.waited_s += seconds
+
+    @property
+    def elapsed_s(self) -> float:
+        """Log time since the first tick."""
+        return self._elapsed
+
+    @property
+    def suspected(self) -> bool:
+        """Whether something alarms or is unlike this day now, confirmed or not."""
+        return self.latest is not None and (self.latest.suspected or bool(self.latest.alarm))
+
+    @property
+    def settled(self) -> bool:
+        """Whether what is told now has stood for long enough to end with."""
+        if self.latest is not None and self.latest.diagnoses:
+            return self._stood_s >= STOOD_S - NEAR
+        return self._quiet_s >= QUIET_S - NEAR
+
+    @property
+    def ended(self) -> End | None:
+        """Why it is over, None while it is not."""
+        if self.progress.complete and self.settled and self.silent_s == 0.0:
+            return "complete"
+        return "patience" if self.waited_s >= self.patience_s else None
+
+    def _counts(self, tick: Tick) -> bool:
+        """Whether a step comes further: all tests can tell; of a confirmed fault, which may blind some, any can."""
+        return any(tick.usable) if tick.diagnoses else all(tick.usable)
+
+    def _cover(self, tick: Tick, span: float) -> None:
+        telling = {row.test for row, usable in zip(self.system.generators, tick.usable, strict=True) if usable}
+        for test in telling - {*tick.cannot_tell} if tick.mode in REQUIRED else ():
+            self.seconds[test][tick.mode] += span
+        for row, value, usable in zip(self.system.generators, tick.sums, tick.usable, strict=True):
+            if usable and value is not None and abs(value) > abs(self.worst[row.test]):
+                self.worst[row.test] = value
+        self.alarmed |= {*tick.alarm}
+
+    def _note(self, tick: Tick, *, first: bool) -> None:
+        """Confirmed faults as they come and go."""
+        open_now = bool(self.episodes) and self.episodes[-1].until_s is None
+        if tick.diagnoses:
+            since, before = self._elapsed, first
+            if open_now:
+                last = self.episodes.pop()
+                since, before = last.since_s, last.stood_before
+            self.episodes.append(Episode(since, None, before, tick.diagnoses, tick.separating))
+        elif open_now:
+            self.episodes[-1] = self.episodes[-1]._replace(until_s=self._elapsed)
+
+    def _settle(self, tick: Tick, before: Tick | None, gap: float) -> None:
+        is_suspected = tick.suspected or bool(tick.alarm)
+        was_suspected = before is not None and (before.suspected or bool(before.alarm))
+        self.suspicions += is_suspected and not was_suspected
+        self._quiet_s = 0.0 if is_suspected or tick.diagnoses else self._quiet_s + gap
+        same = before is not None and candidates(before.diagnoses) == candidates(tick.diagnoses)
+        self._stood_s = self._stood_s + gap if same and tick.diagnoses else 0.0
+
+
+assert {*REQUIRED} < {*MODES}

@@ -1,0 +1,196 @@
+"""What the test says in the end: a fault, no fault found, or cannot tell. Never forced. Pure."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import msgspec
+
+from service.core.events import Diagnosis
+from service.core.faults import Fault as Remembered
+from service.core.health import MEANINGS, Standing
+from service.core.separating import Separation
+from service.workshop.answers import System
+from service.workshop.cycle import Cycle, End, Episode
+from service.workshop.hindrance import hindrances, instead
+from service.workshop.plan import QUIET_S, REQUIRED
+from service.workshop.progress import NEAR
+
+Kind = Literal["fault", "no-fault", "cannot-tell"]
+
+ENDS: Mapping[End, str] = {
+    "complete": "every step was done",
+    "patience": "nothing came further for too long",
+    "interrupted": "the test was broken off by hand",
+    "service-ended": "the service has ended, or does not answer any more",
+    "begun-anew": "the service has taken up another bundle",
+}
+
+
+class Named(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault with what it means; its code on a J1939 network where the model gives one."""
+
+    name: str
+    component: str | None
+    description: str | None
+    spn: int | None
+    fmi: int | None
+
+
+class Candidate(msgspec.Struct, frozen=True, kw_only=True):
+    """One explanation: all of `faults` together, none where it is unknown, then `near` equations, each in words."""
+
+    rank: int
+    p: float | None
+    faults: list[Named]
+    near: list[str]
+
+
+class Verdict(msgspec.Struct, frozen=True, kw_only=True):
+    """`present`: the fault is there at the end. `reasons`: of cannot tell, what is missing; else what to know of it."""
+
+    kind: Kind
+    present: bool
+    reasons: list[str]
+    candidates: list[Candidate]
+    separating: list[Separation]
+
+
+class Seen(NamedTuple):
+    """What is known besides the cycle at its end: the remembered faults, and what keeps the service from telling."""
+
+    remembered: Sequence[Remembered]
+    conditions: Sequence[Standing]
+
+
+def judge(cycle: Cycle, end: End, seen: Seen) -> Verdict:
+    """The verdict of a cycle that has ended."""
+    if cycle.episodes:
+        return _fault(cycle, end)
+    missing = _missing(cycle, end, seen)
+    if missing:
+        return Verdict(kind="cannot-tell", present=False, reasons=missing, candidates=[], separating=[])
+    return Verdict(kind="no-fault", present=False, reasons=_to_know(cycle), candidates=[], separating=[])
+
+
+def named(system: System, diagnosis: Diagnosis) -> Candidate:
+    """The diagnosis with what its names mean."""
+    faults = {each.name: each for each in system.faults}
+    disturbed = {each.equation: f": {each.description}?" for each in system.disturbances}
+    equations = {each.name: f" ({each.description}{disturbed.get(each.name, '')})" for each in system.equations}
+    known = [(name, faults.get(name)) for name in diagnosis.faults]
+    return Candidate(
+        rank=diagnosis.rank,
+        p=diagnosis.p,
+        faults=[
+            Named(
+                name=name,
+                component=fault.component if fault else None,
+                description=fault.description if fault else None,
+                spn=fault.spn if fault else None,
+                fmi=fault.fmi if fault else None,
+            )
+            for name, fault in known
+        ],
+        near=[f"{name}{equations.get(name, '')}" for name in diagnosis.near],
+    )
+
+
+def _fault(cycle: Cycle, end: End) -> Verdict:
+    """The fault that is there, else the last that was: one that has gone is no all-clear."""
+    episode = cycle.episodes[-1]
+    ordered = sorted(episode.diagnoses, key=lambda each: (each.rank, -(each.p or 0.0)))
+    return Verdict(
+        kind="fault",
+        present=episode.until_s is None,
+        reasons=[*_history(cycle, episode), *_unfinished(cycle, end)],
+        candidates=[named(cycle.system, each) for each in ordered],
+        separating=episode.separating,
+    )
+
+
+def _history(cycle: Cycle, episode: Episode) -> list[str]:
+    said = []
+    if episode.stood_before:
+        said.append("it was confirmed before the test began")
+    else:
+        said.append(f"confirmed {episode.since_s:.0f} s after the beginning")
+    if episode.until_s is not None:
+        gone = f"it was not there any more from {episode.until_s:.0f} s on"
+        if episode.stood_before:
+            said.append(f"{gone}: where it was repaired before the test, do the test once more")
+        else:
+            said.append(f"{gone}: it comes and goes, which is a fault all the same")
+    if len(cycle.episodes) > 1:
+        said.append(f"a fault was confirmed {len(cycle.episodes)} times; this is the last")
+    return said
+
+
+def _unfinished(cycle: Cycle, end: End) -> list[str]:
+    """Why the candidates may be more than need be."""
+    if end == "complete":
+        return []
+    return [f"{ENDS[end]}: what was not seen may have told candidates apart", *_steps_left(cycle)]
+
+
+def _to_know(cycle: Cycle) -> list[str]:
+    said = ["no fault found is not a proof: a small fault that was there all day may look like the day"]
+    if cycle.suspicions:
+        times = "once" if cycle.suspicions == 1 else f"{cycle.suspicions} times"
+        said.append(f"something was suspected {times}, and dismissed")
+    return said
+
+
+def _missing(cycle: Cycle, end: End, seen: Seen) -> list[str]:
+    """Everything that stands in the way of "no fault found"."""
+    reasons = [] if end == "complete" else [ENDS[end]]
+    if cycle.latest is None:
+        reasons.append("not one sample came: is the ignition on, and does the service hear the bus?")
+    reasons += _steps_left(cycle) + _blind(cycle) + _undecided(cycle)
+    if cycle.latest is not None and (reasons or cycle.latest.cannot_tell):
+        reasons += [f"{each}: {instead(each)}" for each in hindrances(cycle.system, cycle.latest)]
+    if cycle.latest is not None and cycle.latest.cannot_tell:
+        reasons.append(f"{' '.join(cycle.latest.cannot_tell)} cannot tell at the end")
+    reasons += [
+        f"fault {each.number} is remembered as being there, and was not seen to be gone"
+        for each in seen.remembered
+        if each.system == cycle.system.name and each.status.test_failed
+    ]
+    if reasons:
+        reasons += [f"{each.of} {MEANINGS[each.kind]}" for each in seen.conditions]
+    return reasons
+
+
+def _steps_left(cycle: Cycle) -> list[str]:
+    progress = cycle.progress
+    return [
+        f"not done: mode {step.mode}, time {step.visit}: {progress.seconds[k]:.0f} of {step.hold_s:.0f} s"
+        for k, step in enumerate(progress.steps)
+        if not progress.is_done(k)
+    ]
+
+
+def _blind(cycle: Cycle) -> list[str]:
+    """Tests that could not tell for as long as is required; where it is all alike, in one line."""
+    required = required_s(cycle)
+    short: dict[str, list[str]] = {}
+    for test, seconds in cycle.seconds.items():
+        lacking = [f"{mode} {seconds[mode]:.0f} s" for mode in REQUIRED if seconds[mode] < required[mode] - NEAR]
+        if lacking:
+            short.setdefault(", ".join(lacking), []).append(test)
+    whole = ", ".join(f"{mode} {seconds:.0f} s" for mode, seconds in required.items())
+    return [f"{' '.join(tests)} could tell only: {lacking} (required: {whole})" for lacking, tests in short.items()]
+
+
+def _undecided(cycle: Cycle) -> list[str]:
+    if cycle.suspected and cycle.latest is not None:
+        who = " ".join(cycle.latest.alarm)
+        what = f"{who} alarms" if who else "what is seen is unlike this day"
+        return [f"{what} at the end, and no fault is confirmed: something is suspected and not decided"]
+    if cycle.latest is not None and not cycle.settled:
+        return [f"the last {QUIET_S:.0f} s were not all without a suspicion"]
+    return []
+
+
+def required_s(cycle: Cycle) -> dict[str, float]:
+    """Seconds in which every test has to be able to tell, by mode."""
+    return {mode: sum(step.hold_s for step in cycle.progress.steps if step.mode == mode) for mode in REQUIRED}

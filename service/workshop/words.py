@@ -1,0 +1,96 @@
+"""What the technician reads: what to do next, how far it is, what is told so far, and the verdict."""
+
+from service.core.events import Diagnosis
+from service.core.separating import Separation
+from service.workshop.answers import System
+from service.workshop.cycle import Cycle
+from service.workshop.hindrance import hindrances, instead
+from service.workshop.plan import ORDERS, REQUIRED
+from service.workshop.verdict import Candidate, Kind, named
+
+SILENCE_S = 2.0
+
+HEADLINES: dict[Kind, str] = {
+    "fault": "FAULT",
+    "no-fault": "NO FAULT FOUND",
+    "cannot-tell": "CANNOT TELL",
+}
+
+
+def order(cycle: Cycle) -> str:
+    """What to do next."""
+    tick, progress = cycle.latest, cycle.progress
+    if tick is None or cycle.silent_s >= SILENCE_S:
+        return "nothing comes from the service: turn the ignition on, and check that the service hears the bus"
+    k = progress.next
+    if k is None:
+        return _waiting(cycle)
+    step = progress.steps[k]
+    told = f"{ORDERS[step.mode]}, for another {progress.left(k):.0f} s"
+    if not any(tick.usable):
+        return f"{_why(cycle)} Then {told}"
+    if tick.mode != step.mode:
+        return f"wait: values settle after a change. Then {told}" if tick.mode not in REQUIRED else told
+    return f"go on: {told}" if all(tick.usable) else f"go on: {told}. {_why(cycle)}"
+
+
+def _waiting(cycle: Cycle) -> str:
+    if cycle.latest is not None and cycle.latest.diagnoses:
+        return "all steps are done: go on dosing as you like, until the candidates stand"
+    if cycle.suspected:
+        return "all steps are done, and something is suspected: repeat the steps until it is decided"
+    return "all steps are done: some seconds more without a suspicion"
+
+
+def _why(cycle: Cycle) -> str:
+    """Why tests cannot tell, and what to do about it."""
+    assert cycle.latest is not None
+    found = hindrances(cycle.system, cycle.latest)
+    if found:
+        return " ".join(f"{each}: {instead(each)}." for each in found)
+    blind = " ".join(cycle.latest.cannot_tell)
+    return f"{blind or 'Some tests'} cannot tell yet: they warm up for some 20 s." if blind else "Tests warm up."
+
+
+def so_far(cycle: Cycle) -> str:
+    """What is told until now; nothing is a verdict before the end."""
+    tick = cycle.latest
+    if tick is None:
+        return "nothing yet"
+    if tick.diagnoses:
+        return f"FAULT: {' or '.join(_short(cycle.system, each) for each in tick.diagnoses)}"
+    if cycle.episodes:
+        last = cycle.episodes[-1]
+        return f"a fault was there and has gone: {' or '.join(_short(cycle.system, each) for each in last.diagnoses)}"
+    if cycle.suspected:
+        return f"something is suspected{f' ({chr(32).join(tick.alarm)} alarm)' if tick.alarm else ''}, not confirmed"
+    return "nothing is suspected"
+
+
+def _short(system: System, diagnosis: Diagnosis) -> str:
+    candidate = named(system, diagnosis)
+    names = " and ".join(each.component or each.name for each in candidate.faults) or "unknown"
+    return names if diagnosis.p is None else f"{names} ({diagnosis.p:.0%})"
+
+
+def candidate_line(candidate: Candidate) -> str:
+    """An explanation in one line."""
+    names = " and ".join(
+        each.name
+        + (f" ({each.component}: {each.description})" if each.component else "")
+        + (f" SPN {each.spn}" if each.spn is not None else "")
+        + (f" FMI {each.fmi}" if each.fmi is not None else "")
+        for each in candidate.faults
+    )
+    near = f" near {', '.join(candidate.near)}" if candidate.near else ""
+    likelihood = "" if candidate.p is None else f", p = {candidate.p:.3f}"
+    return f"{candidate.rank}. {names or f'unknown: no fault of a component{near}'}{likelihood}"
+
+
+def separation_line(separation: Separation) -> str:
+    """What would tell two explanations apart."""
+    one, other = (" and ".join(names) for names in separation.between)
+    tests = [*separation.telling, *(f"{test} (cannot tell now)" for test in separation.waiting)]
+    if not tests:
+        return f"{one} or {other}: no test knows one and not the other; only sizes in other modes tell them apart"
+    return f"{one} or {other}: {', '.join(tests)}"
