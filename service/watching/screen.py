@@ -80,7 +80,7 @@ def _explanations(tick: Tick | None, system: System | None) -> list[Line]:
     descriptions = {} if system is None else {each.name: each.description for each in system.faults}
     lines = []
     for each in tick.diagnoses:
-        p = "  p = ?  " if each.p is None else f"  p = {each.p:.2f}  "
+        p = "  p = ?    " if each.p is None else f"  p = {each.p:.3f}  "
         what = ", ".join(descriptions[name] for name in each.faults if name in descriptions)
         lines.append(line(f"{each.rank:2d}.", Piece(p, "dim"), Piece(_names(each, system), "bold"), f"  {what}"))
     for pair in tick.separating:

@@ -54,7 +54,7 @@ def test_the_verdict_the_alarm_and_what_is_live_are_on_every_screen(columns: int
 def test_a_fault_is_told_with_what_is_known_of_it() -> None:
     shown = text(seen(FAULTY), 100, 40)
     assert "FAULT fA_du (dosing unit filter), or 1 more; cannot tell: t05" in shown
-    assert " 1.  p = 0.70  fA_du (dosing unit filter)  filter clogged" in shown
+    assert " 1.  p = 0.700  fA_du (dosing unit filter)  filter clogged" in shown
     assert "fA_du or fy_p_du: told apart by t05 (cannot tell now)" in shown
     assert "! y_p_ap has not changed for longer than a sensor can, since 2026-03-01T10:00:00Z" in shown
     assert "y_p_du    9.012 bar good  pred 8.980 to 9.034" in shown
