@@ -4,7 +4,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients screenshots)
+	endurance mutation compose alarms clients power screenshots)
 .PHONY: demo test lint bench clean $(CAMPAIGNS)
 test $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -19,9 +19,9 @@ test: lint .venv-vehicle/.done  ## everything that CI checks
 	@bash tests/broker.sh
 	@bash tests/browser.sh
 	@rm -f .pytest_cache/v/cache/lastfailed
-	@$(BIN)/python -m pytest $(TOGETHER) --ignore tests/service || $(BIN)/python tests/again.py $(BIN)/python
+	@$(BIN)/python -m pytest $(TOGETHER) --ignore tests/service || $(BIN)/python tests/again.py $$? $(BIN)/python
 	@rm -f .pytest_cache/v/cache/lastfailed
-	@$(VEHICLE)/python -m pytest $(TOGETHER) tests/service || $(BIN)/python tests/again.py $(VEHICLE)/python
+	@$(VEHICLE)/python -m pytest $(TOGETHER) tests/service || $(BIN)/python tests/again.py $$? $(VEHICLE)/python
 	@$(BIN)/python -m pytest -m alone
 
 lint: .venv/.test
@@ -67,6 +67,9 @@ campaign-alarms: .venv/.test  ## 200 kills at random instants: is every alarm to
 campaign-clients: .venv/.test  ## HTTP clients that are slow, hostile or vanish; writes docs/results
 	@$(BIN)/python tests/campaigns/clients.py
 
+campaign-power: .venv/.test  ## 20 power cuts of a guest while alarms are told, as root; writes docs/results
+	@$(BIN)/python tests/campaigns/power.py
+
 campaign-screenshots: .venv/.test  ## pictures of the page in a real browser; writes docs
 	@bash tests/browser.sh
 	@$(BIN)/python tests/campaigns/screenshots.py docs
@@ -95,8 +98,8 @@ clean:
 
 # One stamp for what the demo needs, one for what the tests need besides.
 .venv/.demo: .venv/bin/pip pyproject.toml constraints.txt
-	@echo "setting up .venv (vehicle and design libraries, a minute)"
-	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design]'
+	@echo "setting up .venv (vehicle, web and design libraries, a minute)"
+	@$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[design,web]'
 	@touch $@
 
 .venv/.test: .venv/bin/pip pyproject.toml constraints.txt

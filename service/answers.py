@@ -64,7 +64,8 @@ class Answerer:
     def live(self, name: str | None) -> Live:
         """What gives the newest tick of a system; raises `RefusedError`."""
         here = self._observed(name)
-        return lambda sent: _live(here, sent)
+        before = here.recorder.latest  # however old it is: who asks now is told what comes from now on
+        return lambda sent: None if here.recorder.latest is before else _live(here, sent)
 
     def told(self, record: Record) -> None:
         """A record was told: who erased faults with it may know whether that is kept."""
@@ -222,6 +223,7 @@ def _live(here: Observed, sent: int) -> tuple[int, bytes] | None:
     line = {
         "schema": LIVE,
         "system": here.name,
+        "bundle": here.bundle.id,
         "tick": latest.tick,
         "t_s": round(latest.tick * here.bundle.manifest.period_s, 3),
         "mode": MODES[latest.mode],

@@ -2,7 +2,7 @@
 
 Their number is bounded, they are named, and what fails alone has failed (docs/decisions/019-asked-again.md).
 
-python tests/again.py PYTEST_PYTHON
+python tests/again.py CODE_OF_PYTEST PYTHON
 """
 
 import json
@@ -17,12 +17,12 @@ PURE = ("analysis", "core", "testbench", "training", "dbc", "project", "logs", "
 MOST = 4
 
 
-def main(python: str) -> int:
-    """0 where all that failed is live, is not many, and passes alone."""
+def main(code: int, python: str) -> int:
+    """0 where tests failed and nothing else (`code` 1 of pytest), all of them live, not many, and they pass alone."""
     failed = sorted(json.loads(LAST.read_text())) if LAST.exists() else []
     pure = [each for each in failed if not is_live(each)]
-    if not failed or pure or len(failed) > MOST:
-        return 1
+    if code != 1 or not failed or pure or len(failed) > MOST:
+        return code
     print(f"\n{len(failed)} live tests failed beside others; each is asked once more, alone", flush=True)
     ended = subprocess.run([python, "-m", "pytest", "-p", "no:cacheprovider", *failed], check=False, cwd=ROOT)
     if ended.returncode == 0:
@@ -37,4 +37,4 @@ def is_live(name: str) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(int(sys.argv[1]), sys.argv[2]))

@@ -1,6 +1,6 @@
 """A log as a bus: its frames in batches, at their log times."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from itertools import islice
 
 from service.bus.base import BATCH, Bus, BusError
@@ -10,7 +10,7 @@ from service.logs import Frame
 class LogBus(Bus):
     """Gives the frames in their order, `t` [s] of log time, and none once all were given."""
 
-    def __init__(self, frames: Sequence[Frame]) -> None:
+    def __init__(self, frames: Iterable[Frame]) -> None:
         super().__init__()
         self._frames = iter(frames)
         self.now = 0.0  # log time of the last frame that was given [s]

@@ -101,17 +101,15 @@ class History:
         return np.split(rows, np.cumsum([1, inputs, inputs, tests, tests, tests, tests]), axis=1)
 
     def _standing(self, ticks: npt.NDArray[np.int64]) -> Sequence[Mapping[str, Any]]:
-        """What stood at the first of the ticks, and what came after it up to the last."""
-        if not len(ticks):
-            return []
-        begin = max((k for k, each in enumerate(self._stands) if each.tick <= ticks[0]), default=0)
+        """What stood at each of the ticks, once where it is the same: no more of them than ticks."""
+        begins = np.array([each.tick for each in self._stands], np.int64)
+        chosen = np.unique(np.searchsorted(begins, ticks, "right") - 1)
         return [
             {
-                **each._asdict(),
-                "separating": separations(self._manifest.generators, each.diagnoses, each.cannot_tell),
+                **stand._asdict(),
+                "separating": separations(self._manifest.generators, stand.diagnoses, stand.cannot_tell),
             }
-            for each in self._stands[begin:]
-            if each.tick <= ticks[-1]
+            for stand in (self._stands[k] for k in chosen)
         ]
 
 

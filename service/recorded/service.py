@@ -41,7 +41,7 @@ class Recording:
     ) -> None:
         self.history = History(bundle.manifest)
         self.records: list[Record] = []
-        self._bus = LogBus([*log.relative()])
+        self._bus = LogBus(log.relative())
         self._line = Line("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
         self._journal = Journal(None, say)
         scribe = Scribe(log.id, 0, run="", wall=lambda: None)

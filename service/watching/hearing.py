@@ -110,6 +110,8 @@ class Hearing:
         self._set(connection="waiting", why="nothing has come yet", state=state, system=system, tick=None)
         for line in control.live(name):
             tick = self._read(line, Tick)
+            if tick.bundle and tick.bundle != system.bundle:  # its names are others
+                return
             with self._lock:
                 self._heard_at = time.monotonic()
                 is_other = self._name not in (None, name)
@@ -131,6 +133,9 @@ class Hearing:
     def _records(self) -> None:
         while True:
             try:
+                if self._seen.state is None:  # it says which records are the latest
+                    time.sleep(RETRY_S)
+                    continue
                 for line in self._subscribe(self._after()):
                     said = self._describe(line)
                     identifier = msgspec.json.decode(line, type=_Record).id

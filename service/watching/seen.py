@@ -50,6 +50,7 @@ class System(msgspec.Struct, frozen=True):
     generators: list[Generator]
     faults: list[Fault]
     equations: list[Equation] = []
+    bundle: str = ""
 
 
 class Tick(msgspec.Struct, frozen=True):
@@ -67,6 +68,7 @@ class Tick(msgspec.Struct, frozen=True):
     suspected: bool
     diagnoses: list[Diagnosis]
     separating: list[Separation] = []
+    bundle: str = ""
 
 
 class Condition(msgspec.Struct, frozen=True):

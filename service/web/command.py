@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -58,11 +59,17 @@ def _serve(options: argparse.Namespace) -> int:
     sock = listen(settings.listen)
     try:
         if options.open:
-            webbrowser.open(url(sock))
+            threading.Thread(target=_open, args=(url(sock),), daemon=True).start()
         serve(settings, tokens, sock, _say)
     finally:
         remove(settings.listen)
     return 0
+
+
+def _open(where: str) -> None:
+    """In the machine's browser, which may take its time, and may be waiting for us."""
+    if not where.startswith("http") or not webbrowser.open(where):
+        _say(f"no browser is opened: open {where} yourself")
 
 
 def _asked(argv: Sequence[str]) -> argparse.Namespace:

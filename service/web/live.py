@@ -54,11 +54,11 @@ class Live:
         self._feeds: dict[str, _Feed] = {}
 
     async def stream(self, system: str, alive_s: float) -> AsyncGenerator[bytes, None]:
-        """What a client is sent: the latest tick whenever it can take one; a comment where none comes."""
+        """What a client is sent: from now on the latest tick whenever it can take one; a comment where none comes."""
         feed = self._enter(system)
         try:
             yield b"retry: %d\n\n" % RETRY_MS
-            count, there = 0, True
+            count, there = feed.count, True
             while True:
                 if feed.count != count:
                     count = feed.count

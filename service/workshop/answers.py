@@ -70,12 +70,14 @@ class Tick(msgspec.Struct, frozen=True):
     suspected: bool
     diagnoses: list[Diagnosis]
     separating: list[Separation] = []
+    bundle: str = ""
 
     def fits(self, system: System) -> bool:
-        """Whether it has a value of each signal and generator."""
+        """Whether it is of that bundle, and has a value of each signal and generator."""
         signals, rows = len(system.inputs), len(system.generators)
         return (
-            len(self.z) == len(self.quality) == signals
+            self.bundle in ("", system.bundle)
+            and len(self.z) == len(self.quality) == signals
             and len(self.y_hat) == len(self.sums) == len(self.usable) == rows
         )
 

@@ -68,12 +68,12 @@ def main(argv: list[str]) -> int:
     frame = Frame(state=begun.state, before=begun.memory.faults, begun=now, note=options.note)
     seen, end = _at_the_end(options.control, begun, end)
     found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=str(path))
-    _write(path, page(found, begun.system, cycle.trace.samples), replace=options.force)
-    if options.json:
+    if options.json:  # first: a disk that is full takes no verdict away
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
         sys.stdout.flush()
     else:
         print("\n".join(printable(line) for line in _said(found)), flush=True)
+    _write(path, page(found, begun.system, cycle.trace.samples), replace=options.force)
     if end == "interrupted":
         raise KeyboardInterrupt
     return CODES[found.verdict.kind]
@@ -203,16 +203,21 @@ def _check(path: Path, *, replace: bool) -> None:
     """Raises InputError where the report could not be written after a test of ten minutes."""
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: cannot be written there; give --report a file in a folder that you may write to")
+    if path.exists() and replace and not os.access(path, os.W_OK):
+        raise InputError(f"{path}: may not be replaced by you; give another --report")
     if path.exists() and not replace:
         raise InputError(f"{path}: is already there; give another --report, or --force to replace it")
 
 
 def _write(path: Path, text: str, *, replace: bool) -> None:
     try:
-        with path.open("w" if replace else "x", encoding="utf-8") as file:
+        with path.open("w" if replace else "x", encoding="utf-8", errors="replace") as file:
             file.write(text)
     except FileExistsError as error:
         raise InputError(f"{path}: somebody has written it meanwhile; give another --report") from error
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"{path}: the report could not be written: {why}; the verdict is what was printed") from error
 
 
 def _now() -> str:

@@ -26,7 +26,8 @@ interrupted: a person broke it off. service-ended: nothing comes any more. begun
 class Episode(NamedTuple):
     """A confirmed fault as the cycle saw it, in log time [s]; `until_s` is None while it is there.
 
-    `stood_before`: it was confirmed at the first tick. `diagnoses` and `separating` are as they were last.
+    `stood_before`: it was confirmed at the first tick. `begun_anew`: the service began anew, nobody saw it go.
+    `diagnoses` and `separating` are as they were last.
     """
 
     since_s: float
@@ -34,6 +35,7 @@ class Episode(NamedTuple):
     stood_before: bool
     diagnoses: list[Diagnosis]
     separating: list[Separation]
+    begun_anew: bool = False
 
 
 class Cycle:
@@ -72,6 +74,8 @@ class Cycle:
         if before is not None and tick.tick < before.tick:
             self._begin()
             self.restarts += 1
+            if self.episodes and self.episodes[-1].until_s is None:  # nobody saw it go
+                self.episodes[-1] = self.episodes[-1]._replace(until_s=self._elapsed, begun_anew=True)
             before = None
         period = self.system.period_s
         gap = period if before is None else (tick.tick - before.tick) * period

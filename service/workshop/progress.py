@@ -51,5 +51,11 @@ class Progress:
             return self._filling
         return next((k for k in range(len(self.steps)) if not self.is_done(k)), None)
 
+    @property
+    def must_leave(self) -> bool:
+        """Whether the step to ask for is a second visit of the mode that is being visited: another comes first."""
+        k = self.next
+        return k is not None and k != self._filling and self.steps[k].mode == self._visited
+
     def _open_step(self, mode: str) -> int | None:
         return next((k for k, step in enumerate(self.steps) if step.mode == mode and not self.is_done(k)), None)

@@ -114,7 +114,9 @@ def _history(cycle: Cycle, episode: Episode) -> list[str]:
         said.append("it was confirmed before the test began")
     else:
         said.append(f"confirmed {episode.since_s:.0f} s after the beginning")
-    if episode.until_s is not None:
+    if episode.begun_anew:
+        said.append("the service began anew after that, and it was not seen again since: do the test once more")
+    elif episode.until_s is not None:
         gone = f"it was not there any more from {episode.until_s:.0f} s on"
         if episode.stood_before:
             said.append(f"{gone}: where it was repaired before the test, do the test once more")

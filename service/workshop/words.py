@@ -27,6 +27,8 @@ def order(cycle: Cycle) -> str:
         return _waiting(cycle)
     step = progress.steps[k]
     told = f"{ORDERS[step.mode]}, for another {progress.left(k):.0f} s"
+    if progress.must_leave:
+        return f"dose otherwise for a moment, as this must be a second time. Then {told}"
     if not any(tick.usable):
         return f"{_why(cycle)} Then {told}"
     if tick.mode != step.mode:

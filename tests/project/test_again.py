@@ -35,7 +35,7 @@ LIVE = "tests/thread/test_a.py::test_{}"
 def test_what_is_not_asked_again_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failed: list[str]) -> None:
     monkeypatch.setattr(again, "LAST", tmp_path / "lastfailed")
     again.LAST.write_text(json.dumps(dict.fromkeys(failed, True)))
-    assert again.main("/no/python") == 1
+    assert again.main(1, "/no/python") == 1
 
 
 @pytest.mark.parametrize("code", [0, 1])
@@ -45,5 +45,14 @@ def test_what_fails_alone_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     python.chmod(0o755)
     monkeypatch.setattr(again, "LAST", tmp_path / "lastfailed")
     again.LAST.write_text(json.dumps({LIVE.format(1): True}))
-    assert again.main(str(python)) == code
+    assert again.main(1, str(python)) == code
     assert (tmp_path / "asked").read_text().split()[-1] == LIVE.format(1)
+
+
+@pytest.mark.parametrize("code", [2, 3, 4, 5])
+def test_a_run_that_did_not_come_to_its_end_is_not_mended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    monkeypatch.setattr(again, "LAST", tmp_path / "lastfailed")
+    again.LAST.write_text(json.dumps({LIVE.format(1): True}))
+    assert again.main(code, "/no/python") == code

@@ -26,9 +26,10 @@ export class Drive {
     return this.tick.length;
   }
 
-  /** Takes a tick of the live stream; one that is not later belongs to a service that has begun anew. */
+  /** Takes a tick of the live stream; one that is earlier belongs to a service that has begun anew. */
   push(tick) {
-    if (this.length && tick.tick <= this.tick.at(-1)) this.clear();
+    if (tick.tick === this.tick.at(-1)) return;
+    if (tick.tick < this.tick.at(-1)) this.clear();
     this.tick.push(tick.tick);
     this.t_s.push(tick.t_s);
     this.mode.push(tick.mode);
@@ -58,13 +59,18 @@ export class Drive {
 
   /** The last row at or before a time [s]; 0 where there is none. */
   rowAt(t_s) {
-    let low = 0, high = this.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.t_s[middle] <= t_s) low = middle + 1;
-      else high = middle;
-    }
-    return Math.max(0, low - 1);
+    return lastAtMost(this.t_s, t_s);
+  }
+
+  /** The last row at or before a tick; 0 where there is none. */
+  rowOf(tick) {
+    return lastAtMost(this.tick, tick);
+  }
+
+  /** The first explanations that stood at any time, each once. */
+  confirmed() {
+    const best = this.stands.flatMap((stand) => stand.diagnoses.filter((each) => each.rank === 1));
+    return [...new Map(best.map((each) => [each.faults.join(), each])).values()];
   }
 
   /** What a test lets pass of its residual in each row: [low, high], in the unit of what it predicts. */
@@ -86,6 +92,16 @@ export class Drive {
     for (const each of ["z", "quality", "y_hat", "r", "sigma", "sums"]) columns.push(...Object.values(this[each]));
     for (const column of columns) column.splice(0, count);
   }
+}
+
+function lastAtMost(values, wanted) {
+  let low = 0, high = values.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (values[middle] <= wanted) low = middle + 1;
+    else high = middle;
+  }
+  return Math.max(0, low - 1);
 }
 
 /** The verdict of a test in what stands. */

@@ -24,7 +24,7 @@ async function ask(path, options) {
 
 class Page {
   constructor(system, history) {
-    Object.assign(this, { system, history, following: !history, latest: 0, service: "", drawing: false });
+    Object.assign(this, { system, history, following: true, row: 0, latest: 0, service: "", broken: new Set(), drawing: false });
     const pick = (t_s) => this.pick(t_s);
     for (const id of ["signal-charts", "test-charts"]) $(id).replaceChildren();
     this.drive = new Drive(system);
@@ -35,41 +35,42 @@ class Page {
     this.explain = onChange((diagnoses, separating) => this._explain(diagnoses, separating));
     $("follow").hidden = Boolean(history);
     $("follow").onclick = () => { this.following = !this.following; this.draw(); };
-    $("at").oninput = () => { this.following = false; this.row = Number($("at").value); this.draw(); };
-    $("window").onchange = () => (history ? this.load(true) : this.draw());
+    $("at").oninput = () => { this._hold(Number($("at").value)); this.draw(); };
+    $("window").onchange = () => (history ? this.load(this.drive.t_s[this.row]) : this.draw());
   }
 
   async begin() {
     await this.state();
-    setInterval(() => this.state(), STATE_MS);
+    if (this.cursor === undefined) throw new Error(this.detail);
     if (this.history) {
       $("window").value = "0";
-      await this.load(false);
+      await this.load(Infinity);
       await this.memory.earlier();
     } else {
       this._listen();
     }
+    setInterval(() => this.state(), STATE_MS);
     await this.memory.refresh();
   }
 
-  /** Shows the tick at or before a time. */
-  pick(t_s) {
-    this.following = false;
-    this.row = this.drive.rowAt(t_s);
+  /** Shows the tick at or before a time; of a recording, a part that has it. */
+  async pick(t_s) {
+    const within = this.drive.length && t_s >= this.drive.t_s[0] && t_s <= this.drive.t_s.at(-1);
+    if (this.history && !within) await this.load(t_s);
+    this._hold(this.drive.rowAt(t_s));
     this.draw();
   }
 
-  /** Of a recording: the ticks around the time that is shown, or all of them. */
-  async load(around) {
-    const t_s = this.drive.length ? this.drive.t_s[this.row] : 0, seconds = Number($("window").value);
-    const part = new URLSearchParams({ count: MOST });
+  /** Of a recording: the ticks around a time, or all of them. */
+  async load(t_s) {
+    const seconds = Number($("window").value), part = new URLSearchParams({ count: MOST });
     if (seconds) {
-      const middle = around ? t_s : 0, ticks = (t) => Math.max(0, Math.round(t / this.system.period_s));
-      part.set("after", ticks(middle - seconds / 2));
-      part.set("before", ticks(middle - seconds / 2 + seconds) + 1);
+      const begin = Math.max(0, t_s - seconds / 2);
+      part.set("after", Math.round(begin / this.system.period_s));
+      part.set("before", Math.round((begin + seconds) / this.system.period_s) + 1);
     }
     this.drive.load(await ask(`${this.history}?${part}`));
-    this.row = around ? this.drive.rowAt(t_s) : this.drive.length - 1;
+    this._hold(this.drive.rowAt(t_s));
     this.draw();
   }
 
@@ -79,9 +80,10 @@ class Page {
       const body = await ask("/v1/state");
       this.service = body.status;
       this.detail = body.detail;
-      this.cursor = body.cursor ?? 0;
+      this.cursor = body.cursor ?? this.cursor;
       say($("source"), `${this.history ? "recording " : ""}${body.source ?? ""}`);
       this._conditions(body.conditions ?? []);
+      if (this.memory.missed) this.memory.refresh();
     } catch (error) {
       this.service = "away";
       this.detail = error.message;
@@ -89,45 +91,83 @@ class Page {
     this.draw();
   }
 
+  /** The verdict at once, as a hidden page has a title too; charts when the browser draws. */
   draw() {
+    this._say();
     if (this.drawing) return;
     this.drawing = true;
     requestAnimationFrame(() => { this.drawing = false; this._draw(); });
   }
 
-  _listen() {
-    const ticks = new EventSource(`/v1/live/${encodeURIComponent(this.system.name)}`);
-    ticks.addEventListener("live", ({ data }) => {
-      this.latest = performance.now();
-      this.drive.push(JSON.parse(data));
-      this.draw();
-    });
-    const told = new EventSource(`/v1/events?after=${Math.max(0, this.cursor - FIRST)}`);
-    for (const kind of ["event", "fault", "health", "cleared"]) {
-      told.addEventListener(kind, ({ data }) => {
-        this.memory.take([JSON.parse(data)]);
-        if (kind === "fault" || kind === "cleared") this.memory.refresh();
-      });
-    }
+  /** This row is shown until another is picked. */
+  _hold(row) {
+    this.following = false;
+    this.tick = this.drive.tick[row];
   }
 
-  _draw() {
+  _listen() {
+    this._stream(() => `/v1/live/${encodeURIComponent(this.system.name)}`, {
+      live: (tick) => {
+        if (tick.bundle !== this.system.bundle) location.reload();  // its names and thresholds are others
+        this.latest = performance.now();
+        this.drive.push(tick);
+        this.draw();
+      },
+    });
+    const take = (record) => {
+      this.memory.take([record]);
+      if (record.schema !== "faultline.event/1") this.memory.refresh();
+    };
+    const kinds = Object.fromEntries(["event", "fault", "health", "cleared"].map((kind) => [kind, take]));
+    this._stream(() => `/v1/events?after=${this.memory.last ?? Math.max(0, this.cursor - FIRST)}`, kinds);
+  }
+
+  /** A stream that is opened again by us where the browser gives it up, as it does when it is refused once. */
+  _stream(path, handlers) {
+    const source = new EventSource(path());
+    for (const [kind, take] of Object.entries(handlers)) source.addEventListener(kind, ({ data }) => take(JSON.parse(data)));
+    source.onopen = () => this.broken.delete(source);
+    source.onerror = () => {
+      this.broken.add(source);
+      if (source.readyState !== EventSource.CLOSED) return;
+      this.broken.delete(source);
+      setTimeout(() => this._stream(path, handlers), STATE_MS);
+    };
+  }
+
+  /** What is shown: which row, whether it is of now, and its verdict. */
+  _say() {
     const stale = !this.history && performance.now() - this.latest > STALE_MS;
     const away = this.service === "away" || stale;
-    $("connection").dataset.kind = away ? "away" : "there";
-    say($("connection"), this.service === "away" ? "the service does not answer" : this.history ? "finished recording" : stale ? "no live values" : "live");
-    document.body.classList.toggle("stale", away);
-    if (this.following) this.row = this.drive.length - 1;
-    this.row = Math.max(0, Math.min(this.row ?? 0, this.drive.length - 1));
+    const kind = away || this.broken.size ? "away" : "there";
+    $("connection").dataset.kind = kind;
+    say($("connection"), this.service === "away" ? "the service does not answer" : this.history ? "finished recording" : stale ? "no live values" : kind === "away" ? "live, history is behind" : "live");
+    document.body.classList.toggle("stale", away && this.following);
     $("follow").setAttribute("aria-pressed", String(this.following));
+    this.row = this.following ? Math.max(0, this.drive.length - 1) : this.drive.rowOf(this.tick);
     if (!this.drive.length) {
       this._verdict({ kind: "cannot-tell", text: "Not known: no values yet", more: this.detail ?? "" });
       return;
     }
+    const shown = verdict(this.system, this.drive.stands[this.row]), last = verdict(this.system, this.drive.stands.at(-1));
+    const when = clock(this.drive.t_s[this.row]);
+    if (this.history) {
+      const found = this.drive.confirmed();
+      const kind = found.length && shown.kind === "well" ? "past" : shown.kind;
+      const told = found.length ? `Confirmed in what is shown of this drive: ${found.map((each) => candidate(this.system, each)).join("; ")}.` : "";
+      this._verdict({ kind, text: `At ${when}: ${shown.text}`, more: [shown.more, told].filter(Boolean).join(" ") });
+    } else if (away) {
+      this._verdict({ kind: "cannot-tell", text: "Not known now: nothing comes", more: `${this.detail}. What stood last: ${last.text}.` });
+    } else if (this.following) {
+      this._verdict(last);
+    } else {
+      this._verdict({ kind: last.kind === "well" ? "past" : last.kind, text: `Now: ${last.text}`, more: `At ${when}, which is shown: ${shown.text}.` });
+    }
+  }
+
+  _draw() {
+    if (!this.drive.length) return;
     const stand = this.drive.stands[this.row];
-    this._verdict(away && this.following
-      ? { kind: "cannot-tell", text: "Not known now: nothing comes", more: `${this.detail}. What stood last: ${verdict(this.system, stand).text}.` }
-      : verdict(this.system, stand));
     this.explain(stand.diagnoses, stand.separating);
     this._time();
     const [alarming] = stand.alarm;

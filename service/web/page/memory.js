@@ -5,59 +5,94 @@ import { $, el } from "./dom.js";
 import { clock, record, shown, signalName, wallClock, withUnit } from "./words.js";
 
 const PAGE = 100;
+const MOST = 2000; // records in the list
 
 export class Memory {
   /** `ask(path, options)` fetches; `onPick(t_s)` shows a time, null where records are of other drives. */
   constructor(system, ask, canErase, onPick) {
-    Object.assign(this, { system, ask, canErase, onPick });
-    this.shown = null;
-    this.seqs = new Set();
+    Object.assign(this, { system, ask, canErase, onPick, last: null, missed: false });
+    this.known = new Map(); // by code: what the item was, its element and the charts in it
+    this.asking = this.again = false;
     $("records").replaceChildren();
     $("earlier").onclick = () => this.earlier();
   }
 
-  /** The faults, asked for anew; those that are open stay so. Where the service is away, they are asked for later. */
+  /** The faults, asked for anew, one question at a time; `missed` where they could not be. */
   async refresh() {
+    this.again = true;
+    if (this.asking) return;
+    this.asking = true;
     const path = `/v1/components/${encodeURIComponent(this.system.name)}/faults`;
-    const items = await this.ask(path).then((answer) => answer.items, () => null);
-    if (items === null) return;
-    const key = JSON.stringify(items);
-    if (key === this.shown) return;
-    this.shown = key;
-    const open = new Set([...$("faults").querySelectorAll("details[open]")].map((each) => each.dataset.code));
-    $("faults").replaceChildren(...(items.length ? items.map((item) => this._fault(path, item, open.has(item.code))) : [el("p", {}, "No fault is remembered.")]));
+    while (this.again) {
+      this.again = false;
+      try {
+        this._faults(path, (await this.ask(path)).items);
+        this.missed = false;
+      } catch (error) {
+        this.missed = true;
+        if (!this.known.size) $("faults").replaceChildren(el("p", {}, `Not known: ${error.message}`));
+      }
+    }
+    this.asking = false;
   }
 
   /** Takes records, in any order and any twice; the latest are on top. */
   take(records) {
+    const lines = $("records").children;
     for (const each of records) {
-      if (this.seqs.has(each.seq)) continue;
-      this.seqs.add(each.seq);
-      const before = [...$("records").children].find((line) => Number(line.dataset.seq) < each.seq);
-      $("records").insertBefore(this._record(each), before ?? null);
+      let k = 0;
+      while (k < lines.length && Number(lines[k].dataset.seq) > each.seq) k += 1;
+      if (lines[k]?.dataset.seq === String(each.seq)) continue;
+      $("records").insertBefore(this._record(each), lines[k] ?? null);
+      this.last = Math.max(this.last ?? 0, each.seq);
     }
-    $("earlier").hidden = !this.seqs.size || Math.min(...this.seqs) <= 1;
+    while (lines.length > MOST) lines[lines.length - 1].remove();
+    $("earlier").hidden = !lines.length || lines.length >= MOST || this._first() <= 1;
   }
 
+  /** What was told before the first that is shown. */
   async earlier() {
-    const before = this.seqs.size ? `&before=${Math.min(...this.seqs)}` : "";
     try {
+      const before = $("records").children.length ? `&before=${this._first()}` : "";
       const { records } = await this.ask(`/v1/records?count=${PAGE}${before}`);
       this.take(records);
       if (records.length < PAGE) $("earlier").hidden = true;
     } catch (error) {
-      $("earlier").replaceWith(el("p", {}, `Nothing earlier: ${error.message}.`));
+      $("earlier").textContent = `Earlier (${error.message})`;
     }
+  }
+
+  _first() {
+    return Number($("records").lastChild.dataset.seq);
+  }
+
+  /** Those that are as they were stay as they are, opened or half filled in. */
+  _faults(path, items) {
+    const before = this.known;
+    this.known = new Map(items.map((item) => {
+      const key = JSON.stringify(item), was = before.get(item.code);
+      if (was?.key === key) return [item.code, was];
+      const charts = [];
+      return [item.code, { key, charts, element: this._fault(path, item, Boolean(was?.element.open), charts) }];
+    }));
+    for (const [code, was] of before) {
+      if (this.known.get(code) !== was) was.charts.forEach((chart) => chart.remove());
+    }
+    const elements = [...this.known.values()].map((each) => each.element);
+    const shown = elements.length ? elements : [el("p", {}, "No fault is remembered.")];
+    if (shown.length !== $("faults").children.length || shown.some((each, k) => $("faults").children[k] !== each)) $("faults").replaceChildren(...shown);
   }
 
   _record(one) {
     const when = wallClock(one.wall);
     const goes = this.onPick && one.t_s !== undefined;
     const time = goes ? el("button", { type: "button", onclick: () => this.onPick(one.t_s) }, clock(one.t_s)) : el("time", {}, when || `no. ${one.seq}`);
-    return el("li", { dataset: { seq: one.seq } }, time, record(this.system, one));
+    const other = (one.fault && one.fault.system !== this.system.name) || (one.bundle && one.bundle !== this.system.bundle);
+    const whose = other ? `${one.fault?.system ?? "another bundle"}: ` : "";
+    return el("li", { dataset: { seq: one.seq } }, time, whose + record(this.system, one));
   }
 
-  _fault(path, item, open) {
+  _fault(path, item, open, charts) {
     const status = item.status;
     const tags = [
       el("span", { class: `tag ${status.aggregatedStatus}` }, status.aggregatedStatus),
@@ -69,7 +104,9 @@ export class Memory {
     made.addEventListener("toggle", async () => {
       if (!made.open) return;
       try {
-        body.replaceChildren(...this._detail(path, item, await this.ask(`${path}/${item.code}`)));
+        const known = await this.ask(`${path}/${item.code}`);
+        charts.splice(0).forEach((chart) => chart.remove());
+        body.replaceChildren(...this._detail(path, item, known, charts));
       } catch (error) {
         body.replaceChildren(el("p", {}, error.message));
       }
@@ -78,7 +115,7 @@ export class Memory {
     return made;
   }
 
-  _detail(path, item, { environment_data: known }) {
+  _detail(path, item, { environment_data: known }, charts) {
     const more = known.extended_data_records;
     const seen = (which) => wallClock(more[which].wall) || more[which].id;
     const facts = [
@@ -86,23 +123,23 @@ export class Memory {
       `${item.symptom}`,
       `seen ${more.occurrences}×, first ${seen("first")}, last ${seen("latest")}`,
     ];
-    const frames = known.snapshots.filter((each) => each.data).flatMap((each) => this._frame(each.record, each.data));
+    const frames = known.snapshots.filter((each) => each.data).flatMap((each) => this._frame(each.record, each.data, charts));
     return [el("ul", {}, ...facts.map((text) => el("li", {}, text))), ...frames, ...(this.canErase ? [this._eraser(path, item)] : [])];
   }
 
-  _frame(which, frame) {
+  _frame(which, frame, charts) {
     const title = `Freeze frame, ${which === "first" ? "when it was told first" : "the latest time"}`;
     const where = `${wallClock(frame.wall) || frame.event}, ${clock(frame.t_s)} into the drive, mode ${frame.mode}${frame.complete ? "" : "; the service was stopped before its end"}`;
     const inputs = table(["signal", "last good value", "quality", "age"], frame.inputs.map((each) => [signalName(each.signal), withUnit(each.value, each.unit), each.quality, each.age_s === null ? "never" : `${each.age_s.toFixed(1)} s`]));
     const tests = table(["test", "verdict", "residual", "CUSUM"], frame.tests.map((each) => [each.generator, each.verdict, withUnit(each.residual, this._unit(each.predicts)), each.sum.toFixed(2)]));
     const host = el("div", {});
-    this._excerpt(host, frame);
+    this._excerpt(host, frame, charts);
     const conditions = frame.conditions.length ? [el("p", {}, `Standing then: ${frame.conditions.join("; ")}`)] : [];
     return [el("h3", {}, title), el("p", { class: "soft" }, where), host, ...conditions, wide(inputs), wide(tests)];
   }
 
   /** What the first test that fired predicts, measured and predicted around that time. */
-  _excerpt(host, frame) {
+  _excerpt(host, frame, charts) {
     const test = frame.tests.find((each) => each.verdict === "alarm") ?? frame.tests[0];
     if (!test) return;
     const { first_tick: first, period_s: period, signals, residuals, sums } = frame.excerpt;
@@ -111,11 +148,17 @@ export class Memory {
     const measured = signals[test.predicts].map((value) => (value === null ? null : value * factor));
     const predicted = measured.map((value, k) => (value === null || residuals[test.generator][k] === null ? null : value - residuals[test.generator][k] * factor));
     const name = signalName(test.predicts);
+    const draw = (options, data, values, text) => {
+      const chart = new Chart(host, options);
+      charts.push(chart);
+      chart.set(data, frame.t_s, values, text);
+    };
     requestAnimationFrame(() => {  // once it has a width
-      new Chart(host, { title: name, unit, series: [{ colour: "predicted", dash: [6, 4] }, { colour: "measured" }] })
-        .set([t, predicted, measured], frame.t_s, [el("span", { class: "measured" }, "measured"), el("span", { class: "predicted" }, `predicted by ${test.generator}`)], `${name} around the time of the freeze frame, measured, and as ${test.generator} predicts it`);
-      new Chart(host, { title: `CUSUM of ${test.generator}`, unit: "parts of the threshold", series: [{ colour: "measured" }], limits: [-1, 1] })
-        .set([t, sums[test.generator]], frame.t_s, [], `CUSUM of ${test.generator} around that time`);
+      draw({ title: name, unit, series: [{ colour: "predicted", dash: [6, 4] }, { colour: "measured" }] }, [t, predicted, measured],
+        [el("span", { class: "measured" }, "measured"), el("span", { class: "predicted" }, `predicted by ${test.generator}`)],
+        `${name} around the time of the freeze frame, measured, and as ${test.generator} predicts it`);
+      draw({ title: `CUSUM of ${test.generator}`, unit: "parts of the threshold", series: [{ colour: "measured" }], limits: [-1, 1] },
+        [t, sums[test.generator]], [], `CUSUM of ${test.generator} around that time`);
     });
   }
 

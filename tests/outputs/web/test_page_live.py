@@ -43,7 +43,8 @@ def test_a_live_alarm_its_history_and_its_end(chromium: Browser, tmp_path: Path)
             opened.locator("#at").focus()
             opened.keyboard.press("Home")
             expect(opened.locator("#follow")).to_have_attribute("aria-pressed", "false")
-            expect(verdict).not_to_have_attribute("data-kind", "fault")
+            expect(opened.locator("#verdict-text")).to_have_text(re.compile("^Now: Fault"))  # whatever is looked at
+            expect(more).to_have_text(re.compile(r"^At \d:\d\d\.\d, which is shown: (?!Fault)"))
             opened.locator("#follow").press("Enter")
             expect(opened.locator("#follow")).to_have_attribute("aria-pressed", "true")
 

@@ -34,7 +34,8 @@ def test_says_the_verdict_of_the_recording(chromium: Browser, url: str) -> None:
         last = EVENTS[-1]["diagnoses"]
         expect(opened.locator("#diagnoses li")).to_have_count(len(last))
         expect(opened.locator("#verdict")).to_have_attribute("data-kind", "fault")
-        assert opened.title().startswith("Fault: ")
+        assert re.match(r"At \d:\d\d\.\d: Fault: ", opened.title())
+        expect(opened.locator("#verdict-more")).to_contain_text("Confirmed in what is shown of this drive")
         expect(opened.locator("#verdict-more")).to_contain_text(", ".join(EVENTS[-1]["alarm"]))
 
 

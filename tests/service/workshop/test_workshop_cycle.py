@@ -14,7 +14,7 @@ from service.core.faults import Fault
 from service.core.health import Standing
 from service.workshop.answers import Tick
 from service.workshop.cycle import Cycle
-from service.workshop.plan import plan
+from service.workshop.plan import Step, plan
 from service.workshop.progress import Progress
 from service.workshop.trace import MOST, Trace
 from service.workshop.verdict import Seen, Verdict, judge
@@ -212,3 +212,13 @@ def test_the_trace_stays_small_and_keeps_the_largest_sums() -> None:
         trace.add(k * PERIOD, msgspec.convert(line(k, sums=[2.0 if k == 777 else 0.1, None]), Tick))
     assert len(trace.samples) <= MOST + 1
     assert max(each.sums[0] or 0.0 for each in trace.samples) == 2.0
+
+
+def test_a_second_visit_is_not_asked_for_before_the_first_is_left() -> None:
+    progress = Progress([Step("idle", 1, 2.0), Step("idle", 2, 2.0), Step("partial", 1, 2.0)])
+    asked = [progress.must_leave]
+    for mode, ticks in (("idle", 5), ("idle", 15), ("partial", 1), ("idle", 1)):
+        for _ in range(ticks):
+            progress.add(mode, 0.2)
+        asked.append(progress.must_leave)
+    assert asked == [False, False, True, False, False]
