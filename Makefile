@@ -14,7 +14,7 @@ demo: .venv/.demo  ## the main job, end to end, with a picture
 # One process more than there are cores: one test mostly waits, for two minutes. Those of the service run with the
 # vehicle's libraries alone. What must not share the machine comes after, by itself.
 WORKERS ?= 3
-TOGETHER := -m "not alone and not long" -n $(WORKERS) --dist worksteal
+TOGETHER := -m "not alone and not long" -n $(WORKERS) --dist worksteal --durations 20 --durations-min 8
 test: lint .venv-vehicle/.done  ## everything that CI checks
 	@bash tests/broker.sh
 	@bash tests/browser.sh

@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,10 +35,10 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def page(browser: Browser, url: str, refused: int | None = None, **options: Any) -> Iterator[Page]:
+def page(browser: Browser, url: str, refused: Sequence[int] = (), **options: Any) -> Iterator[Page]:
     """The page in a window of its own; what its console says and what fails is a failure of the test.
 
-    But for an answer of the status `refused`, which the browser says on its own.
+    But for answers of a status in `refused`, which the browser says on its own.
     """
     context = browser.new_context(**{"viewport": DESK, **options})
     context.set_default_timeout(PATIENCE_MS)
@@ -46,7 +46,8 @@ def page(browser: Browser, url: str, refused: int | None = None, **options: Any)
     wrong: list[str] = []
 
     def hear(said: ConsoleMessage) -> None:
-        if said.type in ("error", "warning") and f"responded with a status of {refused} " not in said.text:
+        expected = any(f"responded with a status of {status} " in said.text for status in refused)
+        if said.type in ("error", "warning") and not expected:
             wrong.append(said.text)
 
     opened.on("console", hear)
