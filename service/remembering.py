@@ -19,7 +19,8 @@ from service.core.faults import (
 )
 from service.core.frame import Frame
 from service.core.freeze import Recorder, Sample
-from service.core.memory import FaultMemory, News, Remembered, Rules, System
+from service.core.memory import FaultMemory, News, Remembered, Rules
+from service.core.system import System
 from service.cycle import Cycle, OperationCycle
 from service.scribe import Scribe
 from service.store.file import Record

@@ -16,15 +16,12 @@ import numpy as np
 from msgspec import Meta, structs
 
 from service.core.debounce import Debounce, Disabled
-from service.core.events import Diagnosis, Event, candidates
-from service.core.faults import Change, Dtc, Fault, Seen, Status, names
-from service.core.manifest import MODES, Manifest
+from service.core.events import Event, candidates
+from service.core.faults import Change, Fault, Seen, Status, names
+from service.core.manifest import MODES
 from service.core.modes import EDGE
 from service.core.signals import Mask
-
-AMBIGUOUS, UNKNOWN = Dtc(spn=520192, fmi=11), Dtc(spn=520192, fmi=31)
-"""The watched system as a whole, of a manufacturer's numbers: root cause not known (it is one of several components),
-condition exists (it is no component that the model knows)."""
+from service.core.system import System
 
 LOOK_TICKS = 25  # 5 s at the usual period
 Cycles = Annotated[int, Meta(ge=1, le=255)]
@@ -50,41 +47,6 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     passed_after_s: Seconds = 0.0
     disabled: Disabled = "freeze"
     quiet_s: Annotated[float, Meta(ge=1, le=3600)] = 60.0
-
-
-class System(NamedTuple):
-    """What a bundle watches: its name, the manifest's SHA-256 and period [s], and what its names mean."""
-
-    name: str
-    bundle: str
-    period_s: float
-    tests: tuple[str, ...]  # of every generator
-    components: dict[str, str]  # by fault
-    dtcs: dict[str, Dtc]  # by fault, those that have one
-
-    @classmethod
-    def of(cls, manifest: Manifest, bundle: str) -> "System":
-        """The system of a bundle."""
-        return cls(
-            manifest.name,
-            bundle,
-            manifest.period_s,
-            tuple(generator.test for generator in manifest.generators),
-            {fault.name: fault.component for fault in manifest.faults},
-            {
-                fault.name: Dtc(spn=fault.spn, fmi=fault.fmi)
-                for fault in manifest.faults
-                if fault.spn is not None and fault.fmi is not None
-            },
-        )
-
-    def codes(self, diagnoses: Sequence[Diagnosis]) -> list[Dtc]:
-        """Those of its faults where one explanation is left; the system's where several are, or no known one is."""
-        if not any(one.faults for one in diagnoses):
-            return [UNKNOWN]
-        if len(diagnoses) > 1:
-            return [AMBIGUOUS]
-        return [self.dtcs[name] for name in diagnoses[0].faults if name in self.dtcs]
 
 
 class News(NamedTuple):

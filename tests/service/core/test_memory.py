@@ -7,8 +7,9 @@ import pytest
 
 from service.core.events import SCHEMA, Diagnosis, Event, Transition
 from service.core.faults import Dtc, Fault
-from service.core.memory import AMBIGUOUS, UNKNOWN, FaultMemory, News, Rules, System
+from service.core.memory import FaultMemory, News, Rules
 from service.core.modes import IDLE, MAXIMUM
+from service.core.system import AMBIGUOUS, UNKNOWN, System
 
 SYSTEM = System(
     "uds4",
