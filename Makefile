@@ -88,7 +88,7 @@ campaign-training: .venv/.test  ## networks beside the calibrated equations; wri
 	@$(BIN)/python tests/campaigns/effort.py
 
 clean:
-	rm -rf .venv .venv-vehicle .venv-peer .venv-mutation out build faultline.egg-info
+	rm -rf .venv .venv-vehicle .venv-peer .venv-mutation out build *.egg-info
 
 .venv/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -130,5 +130,5 @@ MUTATION := tests/campaigns/mutation-requirements.txt
 	@echo "setting up .venv-mutation (mutmut, half a minute)"
 	@$(PYTHON) -m venv .venv-mutation
 	@.venv-mutation/bin/pip install --quiet --constraint constraints.txt --requirement $(MUTATION) . pytest hypothesis
-	@.venv-mutation/bin/pip uninstall --quiet --yes faultline
+	@.venv-mutation/bin/pip uninstall --quiet --yes faultline-diagnosis
 	@touch $@

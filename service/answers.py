@@ -1,7 +1,6 @@
 """What other processes may ask (docs/control.md): the fault memory, the state, what names mean, live values."""
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import msgspec
@@ -11,6 +10,7 @@ from service.core.health import Standing
 from service.core.manifest import MODES
 from service.core.separating import separations
 from service.core.signals import Quality
+from service.distribution import installed_version
 from service.outputs.control import Asker, Live, Question, RefusedError
 from service.remembering import Observed, Remembering
 from service.scribe import now
@@ -18,10 +18,7 @@ from service.store.file import Record
 from service.store.journal import Journal, Page
 
 LIVE = "faultline.live/1"
-try:
-    VERSION = version("faultline")
-except PackageNotFoundError:  # a checkout that is not installed
-    VERSION = "unknown"
+VERSION = installed_version()
 LARGEST_PAGE = 500
 
 Then = Callable[[Mapping[str, Any]], None]

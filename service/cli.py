@@ -10,10 +10,11 @@ import os
 import re
 import sys
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from importlib.util import find_spec
 from pathlib import Path
 
+from service import distribution
 from service.core.errors import InputError
 
 GROUP = "faultline.commands"
@@ -45,7 +46,7 @@ def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
             print(overview(commands), file=sys.stdout if arguments else sys.stderr)
             code = 0 if arguments else 2
         elif arguments[0] == "--version":
-            print(f"faultline {_version()}")
+            print(f"faultline {distribution.installed_version()}")
             code = 0
         elif arguments[0] not in commands:
             code = _unknown(arguments[0], commands)
@@ -119,18 +120,11 @@ def _remedy(module: str) -> str | None:
     if top in PLACES:
         return "this installation of faultline is without it, use a full one"
     try:
-        declared = requires("faultline") or []
+        declared = requires(distribution.NAME) or []
     except PackageNotFoundError:
         return None
     for line in declared:
         match = re.fullmatch(r"([A-Za-z0-9_.-]+).*extra == ['\"](\w+)['\"].*", line)
         if match and match[1] == top:
-            return f"pip install 'faultline[{match[2]}]'"
+            return distribution.install_command(match[2])
     return None
-
-
-def _version() -> str:
-    try:
-        return version("faultline")
-    except PackageNotFoundError:
-        return "(not installed)"

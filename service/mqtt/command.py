@@ -5,9 +5,9 @@ import signal
 import sys
 import time
 from contextlib import closing, suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from service.distribution import installed_version
 from service.mqtt import config as format_of_the_file
 from service.mqtt.access import context, password
 from service.mqtt.bridge import Bridge
@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
         context(config.tls)
     notifier = Notifier()
     with closing(CursorFile(Path(config.cursor))) as file:
-        bridge = Bridge(config, file, _version(), notifier, Said(_say, time.monotonic))
+        bridge = Bridge(config, file, installed_version(), notifier, Said(_say, time.monotonic))
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: bridge.stop())
         with Supervisor(notifier, {"loop": bridge.heartbeat}, _say):
@@ -50,10 +50,3 @@ def main(argv: list[str]) -> int:
 def _say(text: str) -> None:
     with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
         print(f"faultline mqtt: {text}", file=sys.stderr, flush=True)
-
-
-def _version() -> str:
-    try:
-        return version("faultline")
-    except PackageNotFoundError:
-        return "unknown"

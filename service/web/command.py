@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from service import distribution
 from service.core.errors import InputError
 
 LISTEN = "127.0.0.1:8080"
@@ -31,7 +32,7 @@ def main(argv: list[str]) -> int:
         import starlette
         import uvicorn
     except ModuleNotFoundError as error:
-        raise InputError(f"needs {error.name}; pip install 'faultline[web]'") from error
+        raise InputError(f"needs {error.name}; {distribution.install_command('web')}") from error
     del starlette, uvicorn
     if options.recording is None:
         return _serve(options)

@@ -1,5 +1,6 @@
 """The shape of the project: what the wheel holds, who may import whom, what the folders are."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -7,6 +8,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from service import distribution
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -61,3 +64,12 @@ def test_the_wheels_top_level_is_the_five_packages(wheel: Path) -> None:
     page = {"index.html", "main.js", "page.css", "icon.svg", "vendor/uPlot.js", "vendor/LICENSE"}
     assert {f"service/web/page/{name}" for name in page} <= set(zipfile.ZipFile(wheel).namelist())
     assert "analysis/model/uds4.toml" in data
+
+
+def test_every_text_that_says_what_to_install_names_our_distribution() -> None:
+    """`faultline` is somebody else's on the public index; `faultline-diagnosis` was free."""
+    assert PROJECT["project"]["name"] == distribution.NAME
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    texts = {name: ROOT / name for name in tracked if name.endswith((".py", ".md", ".toml", "Makefile", "Dockerfile"))}
+    wrong = [name for name, path in texts.items() if path.exists() and re.search(r"faultline\[\w", path.read_text())]
+    assert wrong == []

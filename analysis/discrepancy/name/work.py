@@ -181,7 +181,7 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise InputError("--scheduler needs dask: pip install 'faultline[scale]'") from error
+        raise InputError("--scheduler needs dask: pip install 'faultline-diagnosis[scale]'") from error
     try:
         client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:

@@ -118,7 +118,7 @@ sys.exit(dispatch(sys.argv[1:], {{"serve": EntryPoint("serve", "service.web.comm
     arguments = ["serve", *PLACES, "--listen", "127.0.0.1:0"]
     ended = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == f"faultline serve: error: needs {missing}; pip install 'faultline[web]'\n"
+    assert ended.stderr == f"faultline serve: error: needs {missing}; pip install 'faultline-diagnosis[web]'\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -122,7 +122,7 @@ def test_a_missing_extra_is_named(
     monkeypatch.setattr(cli, "requires", lambda _: ["numpy>=2", 'scipy>=1.14; extra == "design"'])
     commands = _command(package, "fit", "raise ModuleNotFoundError(name='scipy.signal')")
     assert dispatch(["fit"], commands) == 2
-    assert "needs scipy.signal; pip install 'faultline[design]'" in capsys.readouterr().err
+    assert "needs scipy.signal; pip install 'faultline-diagnosis[design]'" in capsys.readouterr().err
     commands = _command(package, "rigged", "raise ModuleNotFoundError(name='testbench')")
     assert dispatch(["rigged"], commands) == 2
     assert "this installation of faultline is without it" in capsys.readouterr().err
