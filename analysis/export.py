@@ -21,7 +21,7 @@ from service.bundle import Bundle, Golden, load_bundle, verify_golden
 from service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from service.core.consistency import FILE_NAME
 from service.core.dbc import compile_dbc
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
@@ -109,7 +109,7 @@ def _golden(runnable: Runnable, tuning: Tuning) -> bytes:
 def _put(files: dict[str, bytes], out: Path) -> Bundle:
     """Writes the folder, whole or not at all: a bundle that was there is gone only when the new one has proved good."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".faultline-", dir=out.parent) as scratch:
+    with writing(out), TemporaryDirectory(prefix=".faultline-", dir=out.parent) as scratch:
         new = Path(scratch) / out.name
         new.mkdir()
         for name, content in files.items():

@@ -1,15 +1,19 @@
 """The one command, `faultline`: finds a subcommand by its entry point and imports only what that one needs.
 
-Exit codes: 0 done, 1 the answer is no (a fault, a failed verification), 2 wrong use or bad input, 130 interrupted,
-141 nobody reads the output any more.
+Exit codes: 0 done, 1 the answer is no (a fault, a failed verification), 2 wrong use, bad input or a file that cannot be
+written, 3 an error of faultline itself or an output that cannot be written, 130 interrupted, 141 nobody reads the
+output any more. All of them, by command: docs/exit-codes.md.
 """
 
 import ast
 import difflib
+import errno
 import os
 import re
 import sys
+import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,8 +33,16 @@ HEAD = """usage: faultline COMMAND ...
 Finds which component of a vehicle subsystem is failing, from the CAN bus.
 """
 
+FOOT = """Exit codes: 0 done, 1 the answer is no (a fault), 2 wrong use or bad input, 3 an error of faultline itself,
+130 interrupted, 141 nobody reads the output (docs/exit-codes.md).
+"""
+
+REFUSED = 2
+INTERNAL = 3
 INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
 UNREAD = 141  # 128 + SIGPIPE
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -41,48 +53,83 @@ def main(argv: list[str] | None = None) -> int:
 
 def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
     """As `main`, with the commands given."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who called us: what is written goes nowhere, not into another file
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115 for as long as the process lives
+    code, said = _outcome(arguments, commands)
+    trouble = _trouble("stdout")
+    if isinstance(trouble, BrokenPipeError):
+        code, said = UNREAD, ""
+    elif trouble is not None:
+        code, said = INTERNAL, f"error: {_no_room(trouble)}"
+    if said:
+        who = f"faultline {arguments[0]}" if arguments and arguments[0] in commands else "faultline"
+        with suppress(OSError):
+            print(f"{who}: {said}", file=sys.stderr, flush=True)
+    _trouble("stderr")
+    return code
+
+
+def _outcome(arguments: list[str], commands: Mapping[str, EntryPoint]) -> tuple[int, str]:
+    """The exit code, and the line for the user if there is one; a traceback goes before it."""
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(overview(commands), file=sys.stdout if arguments else sys.stderr)
-            code = 0 if arguments else 2
-        elif arguments[0] == "--version":
+            return 0 if arguments else REFUSED, ""
+        if arguments[0] == "--version":
             print(f"faultline {distribution.installed_version()}")
-            code = 0
-        elif arguments[0] not in commands:
-            code = _unknown(arguments[0], commands)
-        else:
-            code = _run(commands[arguments[0]], arguments[1:])
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The interpreter flushes once more at its end: give it something that takes the rest.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return UNREAD
-    return code
-
-
-def _run(command: EntryPoint, arguments: list[str]) -> int:
-    try:
-        code: int = command.load()(arguments)
+            return 0, ""
+        if arguments[0] not in commands:
+            return REFUSED, _unknown(arguments[0], commands)
+        code: int = commands[arguments[0]].load()(arguments[1:])
+    except SystemExit as ended:  # argparse's, and of a signal
+        return (ended.code if isinstance(ended.code, int) else 0 if ended.code is None else INTERNAL), ""
     except InputError as error:
-        print(f"faultline {command.name}: error: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        if error.filename is None:  # no file of the user's, but something that went wrong
-            raise
-        print(
-            f"faultline {command.name}: error: {error.filename}: {error.strerror}; give another path", file=sys.stderr
-        )
-        return 2
+        return REFUSED, f"error: {error}"
+    except KeyboardInterrupt:
+        return INTERRUPTED, "interrupted"
     except ModuleNotFoundError as error:
         remedy = _remedy(error.name or "")
-        if remedy is None:
-            raise
-        print(f"faultline {command.name}: error: needs {error.name}; {remedy}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"faultline {command.name}: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    return code
+        return _internal(error) if remedy is None else (REFUSED, f"error: needs {error.name}; {remedy}")
+    except OSError as error:
+        return _of_system(error)
+    except Exception as error:  # noqa: BLE001 a crash must not look like an answer
+        return _internal(error)
+    return code, ""
+
+
+def _of_system(error: OSError) -> tuple[int, str]:
+    """Of an error of the operating system that nobody caught: of a file, of our own output, or unexpected."""
+    full = error.errno in FULL
+    if error.filename is not None:
+        remedy = "free some, or give another path" if full else "give another path"
+        return REFUSED, f"error: {error.filename}: {error.strerror}; {remedy}"
+    if isinstance(error, BrokenPipeError):
+        return UNREAD, ""
+    return (INTERNAL, f"error: {_no_room(error)}") if full else _internal(error)
+
+
+def _no_room(error: OSError) -> str:
+    return f"the output cannot be written: {error.strerror}; free some, or send it elsewhere"
+
+
+def _internal(error: Exception) -> tuple[int, str]:
+    with suppress(OSError):
+        traceback.print_exception(error)
+    words = " ".join(str(error).split())
+    return INTERNAL, f"internal error: {type(error).__name__}: {words}; please report it with the lines above"
+
+
+def _trouble(name: str) -> OSError | None:
+    """Why the stream cannot be written; None where it can. What it holds then is dropped."""
+    stream = getattr(sys, name)
+    try:
+        stream.flush()
+    except OSError as error:
+        # The interpreter flushes once more at its end, and would exit with 120: give it something that takes the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return error
+    return None
 
 
 def overview(commands: Mapping[str, EntryPoint]) -> str:
@@ -92,7 +139,7 @@ def overview(commands: Mapping[str, EntryPoint]) -> str:
         here = [entry for _, entry in sorted(commands.items()) if entry.module.partition(".")[0] == package]
         if here:
             lines += [f"{heading}:", *(f"  {entry.name:<12}{_first_line(entry.module)}" for entry in here), ""]
-    return "\n".join(lines).rstrip()
+    return "\n".join([*lines, FOOT]).rstrip()
 
 
 def _first_line(module: str) -> str:
@@ -107,11 +154,10 @@ def _first_line(module: str) -> str:
     return "(not part of this installation)"
 
 
-def _unknown(name: str, commands: Mapping[str, EntryPoint]) -> int:
+def _unknown(name: str, commands: Mapping[str, EntryPoint]) -> str:
     near = difflib.get_close_matches(name, commands, n=1)
     hint = f"; did you mean `faultline {near[0]}`?" if near else "; `faultline --help` lists them"
-    print(f"faultline: error: no command {name!r}{hint}", file=sys.stderr)
-    return 2
+    return f"error: no command {name!r}{hint}"
 
 
 def _remedy(module: str) -> str | None:

@@ -73,7 +73,7 @@ def _make_room(out: Path) -> None:
         out.mkdir(parents=True)
         (out / MARKER).touch()
     except OSError as error:
-        raise DemoError(f"{error.filename}: {error.strerror}; name another folder with --out") from error
+        raise DemoError(f"{error.filename or out}: {error.strerror}; name another folder with --out") from error
 
 
 class Demo:

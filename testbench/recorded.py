@@ -84,7 +84,7 @@ def _bus(log: Path, dbc: Path) -> dict[str, Track]:
                     scaled = np.nan if beyond else value * SCALES.get(signal.unit or "", 1.0)
                     found.setdefault(signal.name, []).append((frame.timestamp - start, scaled))
     except OSError as error:
-        raise RigError(f"{error.filename}: {error.strerror}; is the recording whole?") from error
+        raise RigError(f"{error.filename or log}: {error.strerror}; is the recording whole?") from error
     except (ValueError, CantoolsError) as error:  # python-can's readers raise the former
         raise RigError(f"{log}: cannot be decoded with {dbc.name}: {_line(error)}") from error
     if not found:

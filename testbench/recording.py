@@ -56,7 +56,7 @@ def record(
             whole.rename(folder)
         truth_file.write_text(truth_text)
     except OSError as error:
-        raise RigError(f"{error.filename}: {error.strerror}") from error
+        raise RigError(f"{error.filename or folder}: {error.strerror}; give another --out and --truth") from error
     return folder, truth_file
 
 
@@ -66,7 +66,7 @@ def write_truth(request: Request, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(_truth_toml(request, None))
     except OSError as error:
-        raise RigError(f"{error.filename}: {error.strerror}") from error
+        raise RigError(f"{error.filename or path}: {error.strerror}; give another --truth") from error
 
 
 def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> tuple[dict[str, bytes], str]:

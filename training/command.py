@@ -10,7 +10,7 @@ from analysis.graph.bank import inputs_of
 from analysis.graph.networks import Networks, save_networks
 from analysis.model import Model
 from analysis.structure.lint import sound_model
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 from service.core.manifest import Generator
 from training.bank import HELD, networks_of
 from training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
@@ -89,8 +89,9 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
             )
         networks = networks_of(training, samples, options.seed)
     save_networks(options.out, networks)
-    save_weights(options.out, training, networks.description)
-    (options.out / "training.png").write_bytes(picture(training))
+    with writing(options.out):
+        save_weights(options.out, training, networks.description)
+        (options.out / "training.png").write_bytes(picture(training))
     drop_checkpoint(options.out)
     return networks
 

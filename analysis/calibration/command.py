@@ -21,7 +21,7 @@ from analysis.recordings.observe import open_for
 from analysis.simulation import system_of
 from analysis.structure.lint import sound_model
 from service.core.dbc import compile_dbc
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 from service.logs import Log
 
 EXAMPLE = """example:
@@ -58,14 +58,16 @@ def main(argv: list[str]) -> int:
         text = dump_model(calibrated)
         good = options.force or not told.doubts
         if good:
-            options.out.write_text(text)
+            with writing(options.out):
+                options.out.write_text(text)
         if options.report:
             progress.say("report")
             drawn = {model.name: runs}
             if other and beside:  # what is of valve and sensors is not of a model
                 drawn[other.name] = beside.run(other, nuisance)
             told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
-            _write(told, model, drawn, options.report)
+            with writing(options.report):
+                _write(told, model, drawn, options.report)
     if options.json:
         print(msgspec.json.encode(told).decode())
     else:

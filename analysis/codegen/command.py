@@ -10,7 +10,7 @@ from analysis.codegen.python import python_source
 from analysis.codegen.sequence import ComputationSequence, Form, computation_sequence
 from analysis.model import Model
 from analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 
 PERIOD_S = 0.2
 
@@ -61,7 +61,8 @@ def main(argv: list[str]) -> int:
     options.out.mkdir(parents=True, exist_ok=True)  # all could be made: nothing is left half written
     for name, files in written.items():
         for file, text in files.items():
-            (options.out / file).write_text(text)
+            with writing(options.out / file):
+                (options.out / file).write_text(text)
         print(f"wrote {', '.join(files)}: residual {chosen[name].residual}, {chosen[name].causality} causality")
     return 0
 

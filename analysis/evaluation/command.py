@@ -19,7 +19,7 @@ from analysis.evaluation.story import Story, tell
 from analysis.places import check_folder
 from analysis.progress import Progress
 from service.bundle import Bundle, load_bundle
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 from service.core.events import Event
 
 EXAMPLE = """example:
@@ -176,7 +176,8 @@ def _judged(
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:
     from analysis.evaluation.picture import draw  # matplotlib takes a second to import
 
-    draw(story, live, verdict, path)
+    with writing(path):
+        draw(story, live, verdict, path)
 
 
 def _report(

@@ -17,7 +17,7 @@ from analysis.structure.report import report
 from analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
 from analysis.structure.structure import Structure, structure_of
 from analysis.structure.supports import find_tests
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 
 EXAMPLE = """examples:
   faultline structure uds4 --tests
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
     if options.figures:
         from analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
 
-        with Progress("drawing"):
+        with Progress("drawing"), writing(options.figures):
             written = draw_all(model, options.figures, name)
         print(f"wrote {len(written)} pictures to {options.figures}", file=sys.stderr)
     wrong = [f for f in lint(model) if f.severity == "error"] if isinstance(model, Model) else []

@@ -29,7 +29,7 @@ from analysis.tuning.numbers import widest
 from analysis.tuning.plausible import doubts
 from analysis.tuning.target import Rule
 from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
-from service.core.errors import InputError
+from service.core.errors import InputError, writing
 from service.core.manifest import Evidence, brief
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +61,8 @@ def main(argv: list[str]) -> int:
             given = Given(also=also, target=options.target, kinds=kinds, claim=True)
             tuning = tune(runnable, options.recording, progress, given)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_bytes(msgspec.json.encode(tuning))
+    with writing(options.out):
+        options.out.write_bytes(msgspec.json.encode(tuning))
     print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
     return 0
 

@@ -38,5 +38,5 @@ def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> li
         for name, content in files.items():
             (folder / name).write_bytes(content)
     except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; give --out another place") from error
+        raise InputError(f"{error.filename or folder}: {error.strerror}; give --out another place") from error
     return [folder / name for name in files]

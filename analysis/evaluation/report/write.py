@@ -38,5 +38,5 @@ def write(
         for name, content in files.items():
             (folder / name).write_bytes(content)
     except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; give --report another place") from error
+        raise InputError(f"{error.filename or folder}: {error.strerror}; give --report another place") from error
     return document

@@ -128,11 +128,88 @@ def test_a_missing_extra_is_named(
     assert "this installation of faultline is without it" in capsys.readouterr().err
 
 
-def test_a_module_that_nobody_promised_is_a_bug(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_that_nobody_promised_is_a_bug(
+    package: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cli, "requires", lambda _: ["numpy>=2"])
     commands = _command(package, "broken", "raise ModuleNotFoundError(name='numpyy')")
-    with pytest.raises(ModuleNotFoundError):
-        dispatch(["broken"], commands)
+    assert dispatch(["broken"], commands) == 3
+    assert (
+        capsys.readouterr().err.splitlines()[-1].startswith("faultline broken: internal error: ModuleNotFoundError: ")
+    )
+
+
+@pytest.mark.parametrize(
+    "crash", ["assert argv", "raise ValueError('two\\nlines')", "raise MemoryError", "raise OSError(9, 'Bad file')"]
+)
+def test_a_crash_is_no_answer(package: Path, capsys: pytest.CaptureFixture[str], crash: str) -> None:
+    """1 would mean that a fault was found."""
+    assert dispatch(["crash"], _command(package, "crash", crash)) == 3
+    *before, last = capsys.readouterr().err.splitlines()
+    assert before[0] == "Traceback (most recent call last):"
+    assert last.startswith("faultline crash: internal error: ")
+    assert last.endswith("; please report it with the lines above")
+
+
+def test_wrong_use_and_help_keep_argparses_codes(package: Path) -> None:
+    body = "import argparse; argparse.ArgumentParser('x').parse_args(argv)"
+    commands = _command(package, "parsed", body)
+    assert dispatch(["parsed", "--zzz"], commands) == 2
+    assert dispatch(["parsed", "--help"], commands) == 0
+
+
+@pytest.mark.parametrize(
+    ("body", "line"),
+    [
+        ("raise OSError(28, 'No space left on device', 'a.csv')", "a.csv: No space left on device; free some, or give"),
+        ("raise PermissionError(13, 'Permission denied', 'b.csv')", "b.csv: Permission denied; give another path"),
+        ("open('/nowhere/x')", "/nowhere/x: No such file or directory; give another path"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_one_line(
+    package: Path, capsys: pytest.CaptureFixture[str], body: str, line: str
+) -> None:
+    assert dispatch(["keep"], _command(package, "keep", body)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"faultline keep: error: {line}")
+    assert error.count("\n") == 1
+
+
+def _run(package: Path, body: str, redirection: str, *, unbuffered: bool) -> subprocess.CompletedProcess[str]:
+    """A process of its own, as what the interpreter does at its end counts."""
+    _command(package, "talk", body)
+    script = (
+        "import sys; from importlib.metadata import EntryPoint; from service.cli import dispatch\n"
+        "sys.exit(dispatch(sys.argv[1:], {'talk': EntryPoint('talk', 'fakecommands.talk:main', 'g')}))"
+    )
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}", "PYTHONUNBUFFERED": "1" * unbuffered}
+    shell = f'exec {sys.executable} -c "$1" talk {redirection}'
+    words = ["sh", "-c", shell, "sh", script]
+    return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize("body", ["print('x'); return 0", "print('x' * 100_000); return 1", "print(1); sys.exit(0)"])
+def test_an_output_that_cannot_be_written_is_no_answer(package: Path, body: str, unbuffered: bool) -> None:
+    done = _run(package, f"import sys; {body}", "> /dev/full", unbuffered=unbuffered)
+    assert (done.returncode, done.stdout) == (3, "")
+    why = "the output cannot be written: No space left on device"
+    assert done.stderr == f"faultline talk: error: {why}; free some, or send it elsewhere\n"
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize("redirection", ["2> /dev/full", "2>&-"])
+def test_messages_that_cannot_be_written_change_no_code(package: Path, redirection: str, unbuffered: bool) -> None:
+    done = _run(package, "print('x'); raise InputError('y')", redirection, unbuffered=unbuffered)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "x\n", "")
+    done = _run(package, "raise ValueError", redirection, unbuffered=unbuffered)
+    assert done.returncode == 3
+
+
+def test_a_closed_output_is_written_nowhere(package: Path, tmp_path: Path) -> None:
+    body = f"file = open({str(tmp_path / 'x')!r}, 'w'); print('y'); file.write('x'); return 1"
+    assert _run(package, body, ">&-", unbuffered=False).returncode == 1
+    assert (tmp_path / "x").read_text() == "x"
 
 
 def test_version_without_installation(capsys: pytest.CaptureFixture[str]) -> None:
