@@ -37,6 +37,7 @@ WORDS = {
     "occurred": "FAULT",
     "refined": "FAULT, refined",
     "healed": "healed",
+    "withdrawn": "WITHDRAWN",
     "cannot_tell": "cannot tell",
 }
 """How a transition reads."""
@@ -48,6 +49,7 @@ CHANGES: dict[Change, str] = {
     "failed": "is there again",
     "refined": "has other candidates",
     "withdrawn": "was not it",
+    "revoked": "is erased: it was another one, or rested on samples that are doubted",
     "passed": "is not there any more",
     "settled": "was not there for a cycle",
     "aged": "is forgotten",
@@ -215,6 +217,8 @@ def describe_fault(record: FaultRecord) -> str:
 
 def _nothing(event: Event) -> str:
     """No candidate is not the same as no fault."""
+    if event.transition == "withdrawn":
+        return "what was told rests on samples that are doubted now: whether there is a fault is not known"
     if event.transition == "dismissed":
         if event.alarm:
             return "nothing was confirmed: it is taken for what this day is like, though a test alarms"

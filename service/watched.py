@@ -152,6 +152,7 @@ def watched(bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], 
 
     def make(bundle: Bundle) -> tuple[Monitor, Traffic]:
         monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, source, bundle.id)
+        bundle.table.run_at(speed)
         return monitor, Traffic(bundle.table, bundle.manifest.inputs, 0.0, speed)
 
     return Watched(bundle, make, speed, seen)

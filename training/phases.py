@@ -49,9 +49,9 @@ class Start(NamedTuple):
         """The messages as frames, whose data is the message's number."""
         return (Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(self.messages))
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
+    def decode(self, can_id: int, is_extended: bool, data: bytes, t: float | None = None) -> Signals:
         """The signals of one of the frames."""
-        del can_id, is_extended
+        del can_id, is_extended, t
         return self.messages[int.from_bytes(data, "big")].signals
 
 

@@ -24,6 +24,7 @@ class Losses:
             "error frames": counts.errors,
             "shorter than in the DBC": _all(rejected, "short"),
             "of another sender": _all(rejected, "other_source"),
+            "too early to be the same sender's": _all(rejected, "early"),
             "claims of their senders' addresses by others": _all(rejected, "claimed"),
             "multiplexed by an unknown value": _all(rejected, "unknown_selector"),
             "times bus-off": counts.bus_offs,

@@ -14,6 +14,8 @@ A fault may come and go (`service.core.intermittence`): seconds in which it was 
 and from then on explanations are not ranked, as that hangs on which modes have seen how much of it.
 """
 
+from functools import partial
+
 import numpy as np
 
 from service.core.detectors.bank import DetectorBank
@@ -72,7 +74,9 @@ class Decision:
     def __init__(self, manifest: Manifest) -> None:
         self._tests = [generator.test for generator in manifest.generators]
         names = [generator.name for generator in manifest.generators]
-        self._detectors = DetectorBank(manifest.detectors, names)
+        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names)
+        self._detectors = self._fresh_detectors()
+        self._inputs = [frozenset(generator.inputs) for generator in manifest.generators]
         of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
         self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
         self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
@@ -95,7 +99,7 @@ class Decision:
         self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
-        self.confirmed = False
+        self.confirmed = self.withdrawn = False
         self.level = np.zeros(len(self._tests))  # the residuals without the day, as detectors of the level see them
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
 
@@ -129,8 +133,23 @@ class Decision:
         else:
             self._wait(tick, mode)
 
+    def withdraw(self, tick: int, signal: str) -> None:
+        """Discard an episode that began at `tick` or later and rests on `signal`, whose samples since then are doubted.
+
+        What its tests have seen of that signal is no evidence: detectors begin anew. An older fault stands.
+        """
+        rests = any(signal in self._inputs[row] for row in self._deviating | self._alarmed | self._detectors.firing)
+        if self._latest is None or self._first < tick or not rests:
+            return
+        self._detectors = self._fresh_detectors()
+        self._unlike.suspect()
+        self._unlike.rest()
+        self._latest, self._doubted, self._diagnoses = None, None, []
+        self.withdrawn, self.confirmed = self.confirmed, False
+
     def _open(self, tick: int) -> None:
         """An episode begins: what is seen from now on is looked at apart."""
+        self.withdrawn = False
         self._look, self._deviating, self._settled = None, frozenset(), False
         self._showing[:], self._alarmed = False, frozenset()
         self._first, self._cleared, self._unseen = tick, False, 0

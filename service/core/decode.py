@@ -2,14 +2,18 @@
 
 A frame gives all its signals or none. J1939 frames are matched on parameter group and source address (the priority may
 differ), so that a second sender of the same group never overwrites a value; it is counted.
+
+A second sender under the same address is known by when its frames come (`service.core.arrivals`): their signals are
+`DOUBTED`.
 """
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
-from math import ceil, floor, inf, isfinite
+from math import ceil, floor, inf, isfinite, nan
 from typing import NamedTuple
 
+from service.core.arrivals import Arrival, Arrivals
 from service.core.signals import Quality, j1939_quality
 
 PRIORITY_MASK = 0x03FF_FFFF
@@ -19,6 +23,8 @@ GROUP_MASK = 0x03FF_FF00
 CLAIM = 0x00EE_FF00
 """The group in which a device claims its address, with its NAME (SAE J1939-81), without priority and source."""
 STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
+SENDERS = 8
+"""Other source addresses of a message that are remembered."""
 
 _GOOD = Quality.GOOD
 _FLOATS = {16: struct.Struct(">e"), 32: struct.Struct(">f"), 64: struct.Struct(">d")}
@@ -143,11 +149,13 @@ class Rejected:
     other_source: dict[str, int] = field(default_factory=dict)  # the same parameter group of another sender
     unknown_selector: dict[str, int] = field(default_factory=dict)  # multiplexed by a value that the DBC does not know
     claimed: dict[str, int] = field(default_factory=dict)  # another device has claimed its sender's address
+    senders: dict[str, set[int]] = field(default_factory=dict)  # source addresses of `other_source`, some
+    early: dict[str, int] = field(default_factory=dict)  # far too soon after the one before to be the same sender's
 
     @property
     def total(self) -> int:
         """Of all reasons and messages."""
-        kinds = (self.short, self.other_source, self.unknown_selector, self.claimed)
+        kinds = (self.short, self.other_source, self.unknown_selector, self.claimed, self.early)
         return sum(sum(counts.values()) for counts in kinds)
 
 
@@ -168,7 +176,9 @@ class DecodeTable:
             self._groups.setdefault(identifier & GROUP_MASK, []).append(layout)
         self._names: dict[int, bytes] = {}  # of devices, by the address that they claimed
         self.taken = {layout.name: 0 for layout in layouts.values()}
+        self.repeated = dict(self.taken)
         self.rejected = Rejected()
+        self._arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -183,24 +193,51 @@ class DecodeTable:
         others = {Wanted(n, EXTENDED, True) for n in self._other} | {Wanted(n, STANDARD, False) for n in self._standard}
         return tuple(sorted(groups | others))
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
-        """Name, value and quality of every wanted signal in the frame; empty where it carries none or is too short."""
+    def carries(self, can_id: int, is_extended: bool) -> bool:
+        """True if frames of this identifier carry wanted signals."""
+        if not is_extended:
+            return can_id in self._standard
+        return can_id & PRIORITY_MASK in self._j1939 or can_id in self._other
+
+    def strangers(self) -> list[str]:
+        """Return what to mend in the DBC: messages that never came, while their group did, of other addresses."""
+        found = []
+        for layout in self._j1939.values():
+            senders = self.rejected.senders.get(layout.name)
+            if senders and not self.taken[layout.name]:
+                there = ", ".join(f"0x{each:02X}" for each in sorted(senders))
+                own = f"{layout.name} never came from 0x{layout.identifier & 0xFF:02X}"
+                found.append(f"{own}, its parameter group came from {there}: give the DBC that source address")
+        return found
+
+    def run_at(self, speed: float) -> None:
+        """Set how many times real time goes by: a sender that is held up is held up in real time."""
+        for arrivals in self._arrivals.values():
+            arrivals.speed = max(1.0, speed)
+
+    def decode(
+        self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
+    ) -> list[tuple[str, float, Quality]]:
+        """Return name, value and quality of every wanted signal in the frame that came at log time `t` [s].
+
+        Empty where it carries none, is too short, or repeats the one before. Without `t` its arrival is not judged.
+        """
         if is_extended:
             layout = self._j1939.get(can_id & PRIORITY_MASK) or self._other.get(can_id)
         else:
             layout = self._standard.get(can_id)
         if layout is None:
-            if is_extended and (group := self._groups.get(can_id & GROUP_MASK)) is not None:
-                for each in group:
-                    _count(self.rejected.other_source, each.name)
-            elif is_extended and can_id & GROUP_MASK == CLAIM:
-                self._claimed(can_id & 0xFF, data)
+            if is_extended:
+                self._other_extended(can_id, data)
             return []
         if len(data) != layout.size:
             if len(data) < layout.size:
                 _count(self.rejected.short, layout.name)
                 return []
             data = data[: layout.size]
+        arrivals = None if t is None else self._arrivals.get(layout.name)
+        if t is not None and arrivals is not None and (came := arrivals.judge(t, data)) is not Arrival.DUE:
+            return self._undue(layout, came)
         self.taken[layout.name] += 1
         little = int.from_bytes(data, "little")
         found: list[tuple[str, float, Quality]] = []
@@ -212,6 +249,25 @@ class DecodeTable:
             else:
                 take(one.read(little, 0, layout.j1939))
         return found if layout.is_plain else [*found, *self._others(layout, little, int.from_bytes(data, "big"))]
+
+    def _undue(self, layout: Layout, came: Arrival) -> list[tuple[str, float, Quality]]:
+        """Count a frame that came too soon; one that is no repetition makes its signals doubted."""
+        if came is Arrival.REPEATED:
+            self.repeated[layout.name] += 1
+            return []
+        _count(self.rejected.early, layout.name)
+        return [(name, nan, Quality.DOUBTED) for name in layout.signals]
+
+    def _other_extended(self, can_id: int, data: bytes) -> None:
+        """Count what another sender says under a wanted group, and take note of claims of addresses."""
+        if (group := self._groups.get(can_id & GROUP_MASK)) is not None:
+            for each in group:
+                _count(self.rejected.other_source, each.name)
+                senders = self.rejected.senders.setdefault(each.name, set())
+                if len(senders) < SENDERS:
+                    senders.add(can_id & 0xFF)
+        elif can_id & GROUP_MASK == CLAIM:
+            self._claimed(can_id & 0xFF, data)
 
     def _claimed(self, address: int, name: bytes) -> None:
         """A device claims an address; who speaks under it from now on is another one if its NAME is."""

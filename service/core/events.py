@@ -12,11 +12,12 @@ import msgspec
 
 SCHEMA = "faultline.event/1"
 
-Transition = Literal["started", "suspected", "dismissed", "occurred", "refined", "healed", "cannot_tell"]
+Transition = Literal["started", "suspected", "dismissed", "occurred", "refined", "healed", "withdrawn", "cannot_tell"]
 """started: the first tick was evaluated. suspected: a test alarms, and nothing is confirmed yet; *pending* in AUTOSAR's
 terms. dismissed: nothing is suspected any more, or it is taken for what this day is like, and nothing was confirmed.
 occurred: a fault was confirmed where there was none. refined: the explanations or their ranks changed. healed: no test
-has alarmed for a while. cannot_tell: other tests than before cannot tell."""
+has alarmed for a while. withdrawn: what was confirmed rests on samples that came to be doubted, as of two senders, so
+that nothing is known. cannot_tell: other tests than before cannot tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):

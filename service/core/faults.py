@@ -13,13 +13,25 @@ from service.core.events import Diagnosis
 
 SCHEMA = "faultline.fault/1"
 
-Change = Literal["pending", "confirmed", "failed", "refined", "withdrawn", "passed", "settled", "aged", "displaced"]
+Change = Literal[
+    "pending",
+    "confirmed",
+    "failed",
+    "refined",
+    "withdrawn",
+    "revoked",
+    "passed",
+    "settled",
+    "aged",
+    "displaced",
+]
 """pending: failed, in fewer operation cycles than confirm it. confirmed: failed in as many. failed: one that was
 confirmed before, and had passed, is there again. refined: its candidates changed. withdrawn: what looked like it again
-was something else. passed: it is not there any more. settled: a cycle without it ended, and its status changed. aged:
+was something else, or rested on samples that came to be doubted. revoked: the same of one that was not remembered
+before; it is erased. passed: it is not there any more. settled: a cycle without it ended, and its status changed. aged:
 so many cycles without it that it is erased. displaced: erased for want of room. Erased by a person: `Cleared`."""
 
-ERASED: frozenset[str] = frozenset(("aged", "displaced"))
+ERASED: frozenset[str] = frozenset(("revoked", "aged", "displaced"))
 """Changes after which the fault is not remembered any more."""
 
 

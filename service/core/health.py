@@ -70,6 +70,8 @@ assert set(MEANINGS) == set(get_args(Kind))
 
 RAISED_S = 2.0
 """A condition is told once it has lasted so long."""
+AT_ONCE: frozenset[Kind] = frozenset(("second-sender",))
+"""These are told at once: no loose plug brings them, and what has been diagnosed meanwhile may be forged."""
 CLEARED_S = 10.0
 """It is gone once it was away for so long."""
 
@@ -131,7 +133,7 @@ class Conditions:
             self._seen[condition] = t
         self._begun = {condition: self._begun.get(condition, t) for condition in now - before}
         for condition, begun in list(self._begun.items()):
-            if t - begun >= RAISED_S:
+            if t - begun >= RAISED_S or condition.kind in AT_ONCE:
                 del self._begun[condition]
                 self._seen[condition] = t
         self._seen = {condition: seen for condition, seen in self._seen.items() if t - seen < CLEARED_S}

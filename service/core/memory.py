@@ -111,6 +111,8 @@ class FaultMemory:
             return self._occur(episode)
         if event.transition == "healed":
             return self._seen(episode, is_there=False)
+        if event.transition == "withdrawn":
+            return [*self._withdraw(episode)]
         if event.transition == "started":  # it has forgotten what it told
             episode.told = episode.number = episode.before = None
             episode.debounce.counter = 0
@@ -260,6 +262,19 @@ class FaultMemory:
         yield News("withdrawn", before)
         episode.number = None
         yield from self._fail(episode)
+
+    def _withdraw(self, episode: _Episode) -> Iterator[News]:
+        """What was told rests on samples that came to be doubted: the entry is as it was before, or there is none."""
+        number, before = episode.number, episode.before
+        episode.told = episode.number = episode.before = None
+        episode.debounce.counter = 0
+        if before is not None:
+            self.faults[before.number] = before
+            yield News("withdrawn", before)
+        elif number is not None:
+            fault = self.faults[number]
+            self._erase(number)
+            yield News("revoked", fault)
 
     def _pass(self, fault: Fault) -> News:
         return self._put(structs.replace(fault, fdc=-128), "passed", test_failed=False, not_completed_this_cycle=False)

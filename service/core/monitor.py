@@ -3,7 +3,7 @@
 Live, in replay and offline the same frames at the same times give the same events.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from service.core.decision import Decision
 from service.core.decode import DecodeTable
@@ -67,9 +67,9 @@ class Monitor:
         """Goes on under another bundle that decides alike (`service.core.alike`)."""
         self._teller.bundle = bundle_id
 
-    def doubt(self, signals: Collection[str]) -> None:
-        """These signals are not believed from now on, though they come: there is more than one sender of them."""
-        self._sampler.doubt(signals)
+    def doubt(self, ages: Mapping[str, float]) -> None:
+        """Stop believing these signals, and no others: for so long [s of log time] they may have had two senders."""
+        self._sampler.doubt({signal: self._observer.now - age for signal, age in ages.items()})
 
     @property
     def quality(self) -> Qualities | None:
@@ -90,6 +90,8 @@ class Monitor:
         events: list[Event] = []
         for tick in ticks:
             self._quality = tick.quality
+            for signal, since in self._sampler.new_doubts().items():
+                self._decision.withdraw(self._observer.tick_at(since), signal)
             self._decision.update(tick.number, tick.mode, tick.residuals)
             events += self._teller.update(tick.number, self._decision)
             if self.watch is not None:

@@ -5,6 +5,7 @@ known, or `start_within_s` after the first frame where a signal never appears. C
 same object.
 """
 
+from math import ceil
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -38,8 +39,10 @@ class Tick(NamedTuple):
 class Decoder(Protocol):
     """What frames mean."""
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
-        """Name, value and quality of every wanted signal in a frame."""
+    def decode(
+        self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
+    ) -> list[tuple[str, float, Quality]]:
+        """Name, value and quality of every wanted signal in a frame that came at log time `t` [s]."""
 
 
 class Observer:
@@ -75,7 +78,7 @@ class Observer:
         self._now = t
         if self._first is None:
             self._first = t
-        for signal, value, quality in self._table.decode(can_id, is_extended, data):
+        for signal, value, quality in self._table.decode(can_id, is_extended, data, t):
             self._sampler.receive(signal, t, value, quality)
         if self._origin is None and self._sampler.complete:
             self._origin = t + PHASE_S
@@ -87,6 +90,11 @@ class Observer:
         return self._run(self._now, including=True)
 
     @property
+    def now(self) -> float:
+        """Latest log time that was given [s]."""
+        return self._now
+
+    @property
     def next_tick_s(self) -> float | None:
         """Log time of the next tick [s], None before the first frame."""
         if self._first is None:
@@ -94,6 +102,10 @@ class Observer:
         if self._origin is None:
             return self._first + self._start_within
         return self._origin + self._number * self._period
+
+    def tick_at(self, t_s: float) -> int:
+        """Return the first tick that has seen what came at log time `t_s` [s]."""
+        return 0 if self._origin is None else max(0, ceil((t_s - self._origin) / self._period))
 
     def _run(self, t: float, including: bool) -> list[Tick]:
         ticks: list[Tick] = []

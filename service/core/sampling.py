@@ -4,12 +4,15 @@ A sample is the last value received at or before the tick, with its quality. The
 evaluation and the vehicle.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from service.core.manifest import Input
 from service.core.signals import Qualities, Quality, Vector
+
+DOUBTED_S = 10.0
+"""For so long after a frame that nobody knows whose it is, its signals are not believed [s]."""
 
 _NO_NUMBER = (Quality.MISSING, Quality.NOT_AVAILABLE, Quality.ERROR, Quality.RESERVED)
 
@@ -17,7 +20,7 @@ _NO_NUMBER = (Quality.MISSING, Quality.NOT_AVAILABLE, Quality.ERROR, Quality.RES
 class Sampler:
     """Holds the latest value of every input; `sample(t)` reads them all at a tick.
 
-    State: two values, two times and one quality per input: constant memory.
+    State: two values, three times and one quality per input: constant memory.
     """
 
     def __init__(self, inputs: Sequence[Input]) -> None:
@@ -30,19 +33,35 @@ class Sampler:
         self._heard = [np.nan] * len(inputs)  # the last number, believed or not
         self._changed = [-np.inf] * len(inputs)  # when it became another one, or came into the operating region
         self._doubted = np.zeros(len(inputs), dtype=np.bool_)
+        self._doubted_until = np.full(len(inputs), -np.inf)
+        self._new_doubts: dict[str, float] = {}
 
     @property
     def complete(self) -> bool:
         """Whether every input has been received with a usable value at least once."""
         return not np.isnan(self._value).any()
 
-    def doubt(self, signals: Collection[str]) -> None:
-        """These are `DOUBTED` from now on, whatever is received; the others are not."""
-        self._doubted[:] = [channel.signal in signals for channel in self._inputs]
+    def doubt(self, since: Mapping[str, float]) -> None:
+        """Mark these signals, and no others, as `DOUBTED` whatever is received; `since` when each has been [s]."""
+        for signal, t in since.items():
+            if signal in self._column and not self._doubted[self._column[signal]]:
+                self._new_doubts[signal] = min(t, self._new_doubts.get(signal, t))
+        self._doubted[:] = [channel.signal in since for channel in self._inputs]
+
+    def new_doubts(self) -> Mapping[str, float]:
+        """Return the signals that came to be doubted since the last call, and the time [s] of the first such sample."""
+        found, self._new_doubts = self._new_doubts, {}
+        return found
 
     def receive(self, signal: str, t: float, value: float, quality: Quality) -> None:
         """Takes a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
         column = self._column[signal]
+        if quality is Quality.DOUBTED:  # and so is the sample before it: one of the two is another sender's
+            if t >= self._doubted_until[column]:
+                before = float(self._time[column])
+                self._new_doubts[signal] = min(before if np.isfinite(before) else t, self._new_doubts.get(signal, t))
+            self._doubted_until[column] = t + DOUBTED_S
+            return
         if quality is Quality.GOOD:
             quality = self._plausible(column, t, value)
         self._time[column] = t
@@ -57,7 +76,7 @@ class Sampler:
         """
         late = (t - self._time > self._maximum_age) & (self._quality != Quality.MISSING)
         quality = np.where(late, np.int8(Quality.LATE), self._quality)
-        doubted = self._doubted & (quality == Quality.GOOD)
+        doubted = (self._doubted | (t < self._doubted_until)) & (quality == Quality.GOOD)
         return self._value.copy(), np.where(doubted, np.int8(Quality.DOUBTED), quality)
 
     def _plausible(self, column: int, t: float, value: float) -> Quality:

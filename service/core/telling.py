@@ -37,6 +37,10 @@ class Decided(Protocol):
     def since(self) -> int | None:
         """The tick at which the evidence began."""
 
+    @property
+    def withdrawn(self) -> bool:
+        """True if the last confirmed fault rested on samples that came to be doubted."""
+
 
 class Told(NamedTuple):
     """What subscribers know: whether something is suspected, and what explains a confirmed fault."""
@@ -84,7 +88,7 @@ class Teller:
         before = self._told.value
         if self._told.update(Told(decision.suspected, candidates(decision.diagnoses))):
             self._diagnoses = decision.diagnoses
-            events.append(self._event(tick, _transition(before, self._told.value), decision))
+            events.append(self._event(tick, _transition(before, self._told.value, decision.withdrawn), decision))
             if before.candidates and not self._told.value.candidates:
                 self._told.value = Told(False, [])  # what is suspected besides is news of its own
         if self._blind.update(decision.cannot_tell):
@@ -111,9 +115,9 @@ class Teller:
         )
 
 
-def _transition(before: Told, after: Told) -> Transition:
+def _transition(before: Told, after: Told, withdrawn: bool) -> Transition:
     if after.candidates:
         return "refined" if before.candidates else "occurred"
     if before.candidates:
-        return "healed"
+        return "withdrawn" if withdrawn else "healed"
     return "suspected" if after.suspected else "dismissed"

@@ -13,7 +13,8 @@ WINDOW_S = 10.0
 """What is wrong with frames is told for so long after the last one."""
 TOO_MANY: Mapping[float, float] = {3.0: 1.5, 10.0: 1.5, 60.0: 1.25}
 """Within so many seconds, of real time, more than so many times as many frames as the DBC's cycle time allows are of
-more than one sender: two are seen within three seconds, and one that adds every third frame within a minute."""
+more than one sender: two are seen within three seconds, and one that adds every third frame within a minute. Of a
+message slower than 25 Hz a frame that comes too early tells at once (`service.core.arrivals`)."""
 SLACK = 3
 """Frames more that a window may have: its ends, and one that waited."""
 COUNTED_S = 1.0
@@ -61,7 +62,8 @@ class Traffic:
         self._quiet_s, self._silent_s = max(QUIET_S, 2.0 * slowest), max(SILENT_S, 3.0 * slowest)
         self._total = self._expected()
         self._counts = deque([_Count(begin_s, self._counted())])
-        self._doubted: frozenset[str] = frozenset()
+        self._doubted: dict[str, float] = {}  # signal: since when
+        self._looked = begin_s
 
     def note(self, t: float) -> None:
         """All frames up to time `t` [s] have been decoded, if there were any."""
@@ -75,10 +77,13 @@ class Traffic:
     def look(self, t: float, quality: Qualities | None) -> set[Condition]:
         """What is wrong at time `t` [s], with what the signals (nz,) were worth at the last tick, if there was one."""
         silent = t - (self._begin if self._heard is None else self._heard)
-        crowded, claimed, others = {*self._crowded()}, {*self._more("claimed")}, {*self._more("other_source")}
-        self._doubted = frozenset(s for name in crowded | claimed for s in self._messages[name].signals)
+        crowded, claimed, others = dict(self._crowded()), {*self._more("claimed")}, {*self._more("other_source")}
+        doubts = dict.fromkeys(claimed, self._stretch * COUNTED_S) | crowded
+        since = {signal: t - age for name, age in doubts.items() for signal in self._messages[name].signals}
+        self._doubted = {signal: min(at, self._doubted.get(signal, at)) for signal, at in since.items()}
+        self._looked = t
         strangers = {name for name in others if not _is_proprietary(self._messages[name])}
-        found = {Condition("second-sender", name) for name in crowded | strangers}
+        found = {Condition("second-sender", name) for name in {*crowded, *strangers, *self._more("early")}}
         found |= {Condition("address-claim", name) for name in claimed}
         found |= {Condition("short-frames", name) for name in self._more("short")}
         found |= {Condition("unknown-selector", name) for name in self._more("unknown_selector")}
@@ -90,16 +95,17 @@ class Traffic:
         return found | {Condition(_WORTH[q], signal) for signal, q in worth if q in _WORTH}
 
     @property
-    def doubted(self) -> frozenset[str]:
-        """The signals of messages that are not surely their sender's, as of the last look."""
-        return self._doubted
+    def doubted(self) -> Mapping[str, float]:
+        """The signals of messages that are not surely their sender's, and for how long [s] before the last look."""
+        return {signal: self._looked - since for signal, since in self._doubted.items()}
 
     def _expected(self) -> int:
         """Frames that came of those that should, whole or not."""
-        return sum(self._table.taken.values()) + sum(self._table.rejected.short.values())
+        counts = self._table.taken, self._table.repeated, self._table.rejected.short, self._table.rejected.early
+        return sum(sum(each.values()) for each in counts)
 
-    def _crowded(self) -> Iterator[str]:
-        """Messages that come more often than one sender sends them."""
+    def _crowded(self) -> Iterator[tuple[str, float]]:
+        """Yield messages that come more often than one sender sends them, and within how long that was seen [s]."""
         now = self._counts[-1]
         for window, times in TOO_MANY.items():
             if now.t - self._counts[0].t < self._stretch * window:
@@ -108,7 +114,7 @@ class Traffic:
             for name, layout in self._messages.items():
                 more = now.by["taken"][name] - before.by["taken"][name]
                 if layout.period_s is not None and more > times * (now.t - before.t) / layout.period_s + SLACK:
-                    yield name
+                    yield name, self._stretch * window
 
     def _more(self, what: str) -> Iterator[str]:
         """Messages of which such frames came lately."""
@@ -128,6 +134,7 @@ class Traffic:
             "short": rejected.short,
             "unknown_selector": rejected.unknown_selector,
             "claimed": rejected.claimed,
+            "early": rejected.early,
         }
         return {what: dict(each) for what, each in counts.items()}
 

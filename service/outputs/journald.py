@@ -23,6 +23,7 @@ MESSAGES: dict[Change | None, tuple[str, int, str]] = {
     "passed": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a04", 5, "is not faulty any more"),
     "aged": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a05", 6, "is forgotten"),
     "displaced": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a06", 5, "is forgotten for want of room"),
+    "revoked": ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a08", 4, "was another one, or rested on doubted samples: taken back"),
     None: ("5b8c1d1f0a8d4b0e9f7f6c1e2a4d9a07", 5, "erased"),
 }
 """Message id, priority (syslog(3)) and words of a change; None is faults that a person has erased."""

@@ -15,8 +15,8 @@ BAD = b"bad"
 class Ramps:
     """A table: every message says the time at which it was sent, that of FAST as `a`, that of SLOW as `b`."""
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> Signals:
-        del is_extended
+    def decode(self, can_id: int, is_extended: bool, data: bytes, t: float | None = None) -> Signals:
+        del is_extended, t
         if can_id not in PERIODS:
             return []
         if data == BAD:

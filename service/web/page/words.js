@@ -6,12 +6,13 @@ const SIGNALS = {
 };
 const CHANGES = {
   pending: "is pending", confirmed: "is confirmed", failed: "is there again", refined: "has other candidates",
-  withdrawn: "was not it", passed: "is not there any more", settled: "was not there for a cycle", aged: "is forgotten",
+  withdrawn: "was not it", revoked: "is erased: it was another one, or rested on samples that are doubted", passed: "is not there any more", settled: "was not there for a cycle", aged: "is forgotten",
   displaced: "is forgotten, for want of room",
 };
 const TRANSITIONS = {
   started: "started", suspected: "suspected", dismissed: "suspicion dismissed", occurred: "fault confirmed",
   refined: "explanations changed", healed: "healed", cannot_tell: "other tests cannot tell",
+  withdrawn: "withdrawn: it rested on samples that are doubted",
 };
 
 export const signalName = (signal) => SIGNALS[signal] ?? signal;

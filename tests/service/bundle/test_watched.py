@@ -1,7 +1,7 @@
 """A bundle at work on a bus: what is doubted is not believed, and one bundle's failure is its own."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -52,18 +52,32 @@ def test_waiting_for_the_ignition_makes_no_second_sender() -> None:
     }
 
 
-def test_signals_of_two_senders_are_told_by_nobody() -> None:
-    made = watched(load_bundle(GOLDEN), "truck", 1.0)
-    events: list[Event] = []
+def doubled(made: Watched, other: Callable[[Frame], Frame]) -> tuple[list[Event], set[Condition]]:
+    """The events, and what was wrong at any look, where from 30 s on each frame is followed by another."""
+    events, found = list[Event](), set[Condition]()
     for k, frame in enumerate(recording(until_s=60.0)):
         events += made.hear([frame])
         if frame.t > 30.0:
-            events += made.hear([frame])  # as somebody else would send it
+            events += made.hear([other(frame)])
         if k % 100 == 0:
-            found = made.look(frame.t)
+            found |= made.look(frame.t)
+    return events, found
+
+
+def test_signals_of_two_senders_are_told_by_nobody() -> None:
+    made = watched(load_bundle(GOLDEN), "truck", 1.0)
+    events, found = doubled(made, lambda frame: frame._replace(data=bytes([frame.data[0] ^ 1]) + frame.data[1:]))
     assert {each.of for each in found if each.kind == "second-sender"} == MESSAGES
     assert events[-1].transition == "cannot_tell"
     assert set(events[-1].cannot_tell) == {each.test for each in BUNDLE.manifest.generators}
+
+
+def test_a_gateway_that_repeats_each_frame_is_no_second_sender() -> None:
+    made = watched(load_bundle(GOLDEN), "truck", 1.0)
+    events, found = doubled(made, lambda frame: frame)
+    assert {each.kind for each in found} <= {"jump"}, found
+    alone = watched(load_bundle(GOLDEN), "truck", 1.0)
+    assert events == [event for frame in recording(until_s=60.0) for event in alone.hear([frame])]
 
 
 def test_what_it_has_not_had_time_to_see_it_does_not_know() -> None:

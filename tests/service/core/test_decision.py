@@ -171,6 +171,26 @@ def test_a_disturbance_that_passes_is_withdrawn_though_its_sum_never_comes_back_
     assert vehicle.named == []
 
 
+def test_a_fault_whose_samples_come_to_be_doubted_is_withdrawn_and_an_older_one_stands() -> None:
+    vehicle = Vehicle()
+    vehicle.drive(100, PARTIAL)
+    vehicle.drive(200, PARTIAL, {"fA_du": 0.6})
+    assert vehicle.decision.confirmed
+    vehicle.decision.withdraw(250, "y_p_du")
+    vehicle.decision.withdraw(100, "a signal of no test")
+    assert vehicle.named
+    vehicle.decision.withdraw(100, "y_p_du")
+    assert (vehicle.named, vehicle.decision.confirmed, vehicle.decision.suspected) == ([], False, False)
+    assert vehicle.decision.withdrawn
+    assert not vehicle.decision.sums.any()
+    vehicle.drive(600, PARTIAL)
+    assert vehicle.named == []
+    for mode in (PARTIAL, MAXIMUM, IDLE):
+        vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
+    assert vehicle.named == [("fA_du", 1)], "a true fault is found after that"
+    assert not vehicle.decision.withdrawn
+
+
 def test_a_sensor_that_has_nothing_to_do_with_it_does_not_keep_a_fault_from_healing() -> None:
     vehicle = calm()
     for mode in (PARTIAL, MAXIMUM, PARTIAL, MAXIMUM):

@@ -350,3 +350,17 @@ def test_a_signal_in_two_messages_is_refused() -> None:
     text = BIG_ENDIAN + 'BO_ 257 N: 8 A\n SG_ up : 0|8@1+ (1,0) [0|0] "Pa" A\n'
     with pytest.raises(InputError, match="signal up is in several messages"):
         compile_dbc(text, {"up": "Pa"}, "m.dbc")
+
+
+def test_a_dbc_with_another_source_address_is_told_which_senders_there_are() -> None:
+    """0xFE, the null address, is what vendors' DBCs of J1939 have."""
+    ours = resources.files("dbc").joinpath("uds.dbc").read_text()
+    table = compile_dbc(ours.replace(str(0x98FF103D), str(0x98FF10FE)), {"y_p_du": "Pa"}, "vendors.dbc")
+    assert table.strangers() == []
+    for address in (0x3D, 0x3D, 0x21):
+        assert table.decode(0x18FF1000 | address, True, bytes(8)) == []
+    assert table.strangers() == [
+        "UDS_ECU never came from 0xFE, its parameter group came from 0x21, 0x3D: give the DBC that source address"
+    ]
+    assert table.decode(0x18FF10FE, True, bytes(8))
+    assert table.strangers() == []

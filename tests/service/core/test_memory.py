@@ -142,6 +142,24 @@ def test_what_turns_out_to_be_another_one_leaves_the_first_as_it_was() -> None:
     assert changes(truck.tell("refined", one("fA_du"))) == [("withdrawn", 1), ("confirmed", 2)]
     assert truck.faults[0] == before
     assert changes(truck.tell("healed")) == [("passed", 2)]
+def test_what_rested_on_doubted_samples_was_never_there() -> None:
+    truck = Vehicle()
+    truck.tell("occurred", one("fA_t"))
+    assert changes(truck.tell("withdrawn")) == [("revoked", 1)]
+    assert truck.faults == []
+    assert truck.drive(10.0) == []
+    assert changes(truck.tell("occurred", one("fA_t"))) == [("confirmed", 2)], "no number is used twice"
+
+
+def test_a_remembered_fault_is_as_it_was_where_its_coming_again_rested_on_doubted_samples() -> None:
+    truck = Vehicle()
+    truck.tell("occurred", one("fA_t"))
+    truck.tell("healed")
+    before = truck.faults[0]
+    truck.tell("occurred", one("fA_t"), one("fA_du"))
+    assert changes(truck.tell("withdrawn")) == [("withdrawn", 1)]
+    assert truck.faults == [before]
+    assert truck.tell("withdrawn") == []
 
 
 def test_a_new_one_follows_its_candidates_wherever_they_go() -> None:

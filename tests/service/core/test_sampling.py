@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from service.core.manifest import Input
-from service.core.sampling import Sampler
+from service.core.sampling import DOUBTED_S, Sampler
 from service.core.signals import Quality
 
 INPUTS = [Input(signal=name, unit="Pa", maximum_age_s=1.0, lower=0.0, upper=10.0) for name in ("a", "b")]
@@ -98,10 +98,28 @@ def test_what_is_doubted_is_not_good_until_it_no_longer_is() -> None:
     sampler = Sampler(INPUTS)
     for channel in INPUTS:
         sampler.receive(channel.signal, 0.0, 1.0, Quality.GOOD)
-    sampler.doubt({"a"})
+    sampler.doubt({"a": 0.05})
     assert [Quality(q) for q in sampler.sample(0.1)[1]][:2] == [Quality.DOUBTED, Quality.GOOD]
-    sampler.doubt(())
+    assert sampler.new_doubts() == {"a": 0.05}
+    sampler.doubt({"a": 0.0})
+    assert sampler.new_doubts() == {}, "it is doubted already"
+    sampler.doubt({})
     assert {Quality(q) for q in sampler.sample(0.1)[1]} == {Quality.GOOD}
+
+
+def test_a_doubted_frame_makes_its_signals_doubted_for_ten_seconds_and_the_sample_before_it_too() -> None:
+    sampler = Sampler(INPUTS)
+    for k in range(100):
+        for channel in INPUTS:
+            sampler.receive(channel.signal, 0.2 * k, 1.0, Quality.GOOD)
+        if k == 10:
+            sampler.receive("a", 2.001, np.nan, Quality.DOUBTED)
+            assert sampler.new_doubts() == {"a": 2.0}
+        values, worth = sampler.sample(0.2 * k + 0.1)
+        assert values[0] == 1.0
+        assert Quality(worth[0]) is (Quality.DOUBTED if k >= 10 and 0.2 * k + 0.1 < 2.001 + DOUBTED_S else Quality.GOOD)
+        assert Quality(worth[1]) is Quality.GOOD
+    assert sampler.new_doubts() == {}
 
 
 def test_a_spike_is_not_believed_and_a_step_is_once_it_lasts() -> None:

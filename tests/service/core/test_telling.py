@@ -18,6 +18,7 @@ class Decided:
     suspected: bool = False
     intermittent: bool = False
     since: int | None = None
+    withdrawn: bool = False
 
 
 def _diagnosis(*faults: str, rank: int = 1) -> Diagnosis:
@@ -101,3 +102,10 @@ def test_an_event_is_one_line_and_comes_back_as_it_was() -> None:
     line = encode(event)
     assert line.count(b"\n") == 1
     assert decode(line) == event
+
+
+def test_a_fault_that_rests_on_doubted_samples_is_withdrawn_and_does_not_heal() -> None:
+    fault, none = Decided([_diagnosis("fA")]), Decided(withdrawn=True)
+    told = _tell([fault, *[fault] * (2 * SETTLE_TICKS), *[none] * (2 * SETTLE_TICKS)])
+    assert [event.transition for event in told] == ["started", "occurred", "withdrawn"]
+    assert told[-1].diagnoses == []

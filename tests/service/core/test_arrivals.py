@@ -1,0 +1,89 @@
+"""Frames that come too early for one sender: any phase of a second one, and none of jitter, stalls and slow clocks."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pytest
+
+from service.core.arrivals import EARLY, REPEATED, Arrival, Arrivals
+
+T = 0.2
+
+
+def judged(times: Iterable[float], own: Sequence[bytes] = (), speed: float = 1.0) -> list[str]:
+    """How frames of these times came; each has bytes of its own unless `own` gives them."""
+    arrivals = Arrivals(T)
+    arrivals.speed = speed
+    return [arrivals.judge(t, own[k] if own else k.to_bytes(8, "big")).name for k, t in enumerate(times)]
+
+
+def on_time(count: int) -> np.ndarray:
+    return T * np.arange(count, dtype=np.float64)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_jitter_of_20_ms_makes_no_frame_early(seed: int) -> None:
+    times = np.sort(on_time(5000) + np.random.default_rng(seed).uniform(-0.02, 0.02, 5000))
+    assert set(judged(times)) == {"DUE"}, seed
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_repeating_gateway_is_no_second_sender_and_a_constant_value_is_no_repetition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = on_time(2000) + rng.uniform(-0.02, 0.02, 2000)
+    both = np.concatenate([times, times + rng.uniform(1e-4, 0.02, 2000)])
+    order = np.argsort(both)
+    came = judged(both[order], [bytes([k % 2000 % 7]) for k in order])
+    assert (came.count("DUE"), came.count("REPEATED")) == (2000, 2000), seed
+    assert set(judged(times, [bytes(8)] * 2000)) == {"DUE"}
+
+
+@pytest.mark.parametrize("phase", [0.001, 0.03, 0.08, 0.1, 0.12, 0.17, 0.199])
+@pytest.mark.parametrize("every", [1, 2, 8, 60])
+def test_a_second_sender_is_seen_with_its_first_frame_or_the_next_genuine_one(phase: float, every: int) -> None:
+    """Whatever its phase: a frame more in a period leaves some interval below half of it."""
+    times = on_time(1000)
+    forged = times[100::every] + phase
+    came = judged(np.sort(np.concatenate([times, forged])))
+    early = [k for k, each in enumerate(came) if each == "EARLY"]
+    assert early[0] in (101, 102)
+    if abs(phase - T / 2) > (0.5 - EARLY) * T:
+        assert len(early) >= len(forged) - 1  # the last one has no genuine frame after it
+
+
+def test_a_sender_that_was_held_up_catches_up() -> None:
+    times = on_time(200)
+    for stall in (0.15, 0.5, 3.0, 20.0):
+        held = np.where((times >= 10.0) & (times < 10.0 + stall), 10.0 + stall, times)
+        assert set(judged(np.sort(held))) == {"DUE"}, stall
+
+
+@pytest.mark.parametrize("period", [0.13, 0.19, 0.21, 0.4])
+def test_another_cycle_time_than_the_dbc_says_is_no_second_sender(period: float) -> None:
+    assert set(judged(period * np.arange(2000))) == {"DUE"}
+
+
+def test_a_clock_that_is_slow_grants_a_forger_no_credit_that_grows() -> None:
+    """4 % slow: each interval is a delay of 8 ms, which a CUSUM that never forgets adds up to a frame of credit."""
+    times = 1.04 * on_time(2000)
+    forged = times[1000::8] + 0.001
+    came = judged(np.sort(np.concatenate([times, forged])))
+    assert came.count("EARLY") == len(forged)
+
+
+def test_at_twenty_times_real_time_a_stall_of_a_second_is_twenty_of_log_time() -> None:
+    times = on_time(400)
+    late = np.where((times >= 30.0) & (times < 50.0), 50.0 + 0.02 * (times - 30.0), times)
+    assert set(judged(np.sort(late), speed=20.0)) == {"DUE"}
+
+
+def test_what_waited_for_the_beginning_is_not_early_nor_is_a_log_that_begins_anew() -> None:
+    arrivals = Arrivals(T)
+    for _ in range(3):
+        came = [arrivals.judge(t, bytes([k])) for k, t in enumerate([0.0] * 20 + [T * k for k in range(1, 50)])]
+        assert set(came) == {Arrival.DUE}
+
+
+def test_the_same_bytes_after_a_quarter_of_the_period_are_a_second_sender() -> None:
+    came = judged([*on_time(200), 199 * T + 1.01 * REPEATED * T], [bytes(8)] * 201)
+    assert came[-1] == "EARLY"
