@@ -2,20 +2,23 @@
 
 import argparse
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
-from service.bundle import load_bundle, verify_golden
+from service.bundle import Bundle, load_bundle, verify_golden
+from service.core.decision import Decision
 from service.core.errors import InputError
 from service.core.events import encode
 from service.core.monitor import Monitor
-from service.logs import open_log
+from service.logs import Log, open_log
 from service.watch import describe, meanings
 
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle
 
 It exits with 1 where a fault was found, and with 0 where none was and every test could tell at some time. Where some
-could not, or the log ends while something is suspected, that is no all-clear: it says so and exits with 2.
+could not, or the log ends while something is suspected, or is damaged or cut off, that is no all-clear: it says so and
+exits with 2. --partial accepts what could be read of a damaged log; the verdict names the span.
 """
 
 
@@ -23,50 +26,95 @@ def main(argv: list[str]) -> int:
     """Runs the command; returns 1 where the log ends with a fault or held one, 0 where it held none.
 
     Raises:
-        InputError: no fault was found, but some test could never tell, or the log ends in a suspicion, so that "no
-            fault" would be a guess.
+        InputError: no fault was found, but the log is damaged, or some test could never tell, or the log ends in a
+            suspicion, so that "no fault" would be a guess.
     """
     parser = argparse.ArgumentParser(
         "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")
+    parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a log file")
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
+    parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")
+    parser.add_argument("--channel", help="the bus to take, of a log of several")
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
     options = parser.parse_args(argv)
     bundle = load_bundle(options.bundle)
     verify_golden(bundle)
-    log = open_log(options.log)
+    log = open_log(options.log, options.channel)
+    log.check_channels(bundle.table.carries)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
         log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")
-    if log.report.lost:
+    accepted = options.partial or not log.report.damaged
+    if log.report.lost and accepted:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
+    found, blind = _printed(monitor, log, bundle, options.json)
+    if not (found or accepted):
+        raise InputError(
+            f"{options.log}: damaged, so no alarm is no all-clear: {log.report.summary()}; give a whole log, or accept "
+            "with --partial what was read"
+        )
+    second = _second_senders(bundle)
+    if not found:
+        _check_conclusive(monitor.decision, blind, bundle, options.log)
+        if second:
+            raise InputError(f"{options.log}: {second}, so no alarm is no all-clear; give a log without them")
+    for loss in ("" if accepted else log.report.summary(), second):
+        if loss:
+            print(f"faultline diagnose: {options.log}: {loss}", file=sys.stderr)
+    verdict = "a fault was found" if found else "no fault: every test could tell at some time, and none alarms"
+    loss = ", as far as the damaged log could be read" if log.report.damaged else ""
+    print(f"from {log.report.span}{loss}: {verdict}", file=sys.stderr if options.json else sys.stdout)
+    return 1 if found else 0
+
+
+def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple[bool, set[str]]:
+    """Print the events; return whether there was a fault, not a withdrawn one, and the tests that never could tell."""
     faults, equations = meanings(bundle.manifest)
-    found = False
+    found = stands = False
     blind = {generator.test for generator in bundle.manifest.generators}
     for event in monitor.log(log.relative()):
-        found = found or bool(event.diagnoses)
+        if event.diagnoses:
+            stands = True
+        elif event.transition in ("healed", "withdrawn"):  # the latter was no fault: its samples are doubted
+            found, stands = found or (stands and event.transition == "healed"), False
         blind &= set(event.cannot_tell)
-        if options.json:
+        if as_json:
             sys.stdout.buffer.write(encode(event))
         else:
             print(describe(event, faults, equations))
     sys.stdout.flush()
-    found = found or bool(monitor.decision.diagnoses)  # a log may end before what is decided is told
-    if blind and not found:
+    return found or stands or bool(monitor.decision.diagnoses), blind  # a log may end before what is decided is told
+
+
+def _second_senders(bundle: Bundle) -> str:
+    """Messages of which frames came far too early for one sender; nothing where there are none."""
+    early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
+    if not early:
+        return ""
+    return f"frames came far too early for one sender ({early}): a second one, or two buses; they are not believed"
+
+
+def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:
+    """Refuses to call a log without a fault free of faults where it does not show it; `blind` tests never could tell.
+
+    Raises:
+        InputError: some test could never tell, or the log ends in a suspicion.
+    """
+    if blind:
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
+        strangers = "".join(f"; {text}" for text in bundle.table.strangers())
         raise InputError(
-            f"{options.log}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
-            f"give a longer log that has {signals}, within their operating ranges"
+            f"{path}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
+            f"give a longer log that has {signals}, within their operating ranges{strangers}"
         )
-    if monitor.decision.suspected and not found:
+    if decision.suspected:
         raise InputError(
-            f"{options.log}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
+            f"{path}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
         )
-    if monitor.decision.alarm and not found:
+    if decision.alarm:
         raise InputError(
-            f"{options.log}: ends while {' '.join(monitor.decision.alarm)} alarms, which is taken for what this day is "
+            f"{path}: ends while {' '.join(decision.alarm)} alarms, which is taken for what this day is "
             "like: no fault was confirmed, and none is ruled out; record another drive"
         )
-    return 1 if found else 0

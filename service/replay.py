@@ -35,11 +35,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")
     parser.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     parser.add_argument("--speed", type=float, default=1.0, help="how many times real time (default: 1)")
+    parser.add_argument("--channel", help="the bus to replay, of a log of several")
     parser.add_argument("--json", action="store_true", help="print at the end what was sent, as one JSON object")
     options = parser.parse_args(argv)
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
-    log = open_log(options.log)
+    log = open_log(options.log, options.channel)
+    log.check_channels()
     if log.report.lost:
         _say(log.report.summary())
     with open_bus(options.bus) as bus:

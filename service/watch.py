@@ -228,7 +228,7 @@ def _nothing(event: Event) -> str:
         return f"{why}not confirmed yet: what is seen now decides"
     if event.cannot_tell:
         return "no alarm, but not known to be free of faults: some tests cannot tell"
-    return "no fault: every test is quiet"
+    return "no fault so far: every test is quiet"
 
 
 def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:

@@ -72,7 +72,7 @@ def read_bench(folder: Path) -> Bench:
     if REFERENCE not in recording.external.tables:
         raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
     dbc = (folder / recording.can.dbc).read_bytes()
-    frames, log = read_log(folder / recording.can.file)
+    frames, log = read_log(folder / recording.can.file, recording.can.channel)
     ecu = _ecu(frames, dbc, folder / recording.can.dbc, folder / recording.can.file)
     sha256 = hashlib.sha256((folder / recording.can.file).read_bytes()).hexdigest()
     return Bench(folder, recording, sha256, dbc, frames, log, ecu, read_external(folder, recording.external))

@@ -35,7 +35,9 @@ class Losses:
         if now == self._told:
             return None
         self._told = now
-        return "since the start: " + ", ".join(f"{what} {count}" for what, count in now.items())
+        strangers = [text for table in self.tables for text in table.strangers()]
+        counted = ", ".join(f"{what} {count}" for what, count in now.items())
+        return "; ".join([f"since the start: {counted}", *strangers])
 
 
 def _all(rejected: Sequence[Rejected], what: str) -> int:

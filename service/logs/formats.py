@@ -1,56 +1,66 @@
-"""Logs in the formats that python-can reads, told apart by the file's ending; candump's is read by our own."""
+"""Logs in the formats that loggers write, distinguished by the file's ending: any other ending is candump's text."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
 
-from service.logs.candump import Frame, LogError, LogReport, in_order, parse_candump
+from service.logs.asc import read_asc
+from service.logs.blf import read_blf
+from service.logs.candump import no_candump, read_candump
+from service.logs.report import Frame, LogError, LogReport, OnChannel, in_order
+from service.logs.tables import read_csv, read_sqlite
+from service.logs.trc import read_trc
 
-ENDINGS = (".asc", ".blf", ".csv", ".db", ".trc")
-"""What is left to python-can: Vector's ASC and BLF, its own CSV and SQLite, PEAK's TRC."""
+READERS: Mapping[str, Callable[[bytes, LogReport], Iterator[OnChannel]]] = {
+    ".asc": read_asc,
+    ".blf": read_blf,
+    ".csv": read_csv,
+    ".db": read_sqlite,
+    ".trc": read_trc,
+}
+"""Vector's ASC and BLF, python-can's CSV and SQLite, PEAK's TRC."""
 
 
-def read_log(path: Path) -> tuple[list[Frame], LogReport]:
-    """The data frames of a log in time order, and what was lost.
-
-    A file that goes bad midway costs what follows; what was read before is kept, and the report says so.
+def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
+    """The data frames of a log in time order, and what was lost; of one channel, where that is given.
 
     Raises:
-        LogError: the file cannot be read, or holds no frame.
+        LogError: the file cannot be read, or holds no frame, or none of the channel.
     """
     try:
-        if path.suffix.lower() not in ENDINGS:
-            return parse_candump(path.read_bytes(), str(path))
-        with path.open("rb"):  # a reader's own error for a file that is not there depends on the format
-            pass
+        content = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    return parse_log(content, path, channel)
+
+
+def parse_log(content: bytes, path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
+    """As `read_log`, of the content of the file at `path`, whose ending gives the format."""
     report = LogReport()
+    reader = READERS.get(path.suffix.lower(), read_candump)
+    chosen = None if channel is None else channel.encode()
+    seen: dict[bytes, set[tuple[int, bool]]] = {}
     frames: list[Frame] = []
     try:
-        frames.extend(_frames(path, report))
-    except Exception as error:  # noqa: BLE001 (python-can's readers raise whatever parsing raises; it is told)
-        report.reject(len(frames) + report.remote + report.errors + 1, f"reading ends here: {error!r}")
+        for name, frame in reader(content, report):
+            seen.setdefault(name, set()).add((frame.can_id, frame.is_extended))
+            if chosen is None or name == chosen:
+                frames.append(frame)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+    report.channels = {name.decode(errors="replace"): found for name, found in sorted(seen.items())}
     if not frames:
-        reason = report.told[0][1] if report.told else "it holds none"
-        raise LogError(f"{path}: no frame could be read ({reason}); is it really a {path.suffix[1:].upper()} log?")
+        raise LogError(f"{path}: {_no_frame(content, path, report, channel)}")
     report.frames = len(frames)
-    return in_order(frames, report), report
+    frames = in_order(frames, report)
+    report.length_s = frames[-1].t - frames[0].t
+    return frames, report
 
 
-def _frames(path: Path, report: LogReport) -> Iterator[Frame]:
-    import can  # takes a quarter of a second, and only these formats need it
-
-    def opened(file: BinaryIO) -> AbstractContextManager[Iterable[can.Message]]:
-        """LogReader leaves a BLF file open when it does not like its head, so that one is given a file."""
-        return can.BLFReader(file) if path.suffix.lower() == ".blf" else can.LogReader(path)
-
-    with path.open("rb") as file, opened(file) as reader:
-        for message in reader:
-            if message.is_error_frame:
-                report.errors += 1
-            elif message.is_remote_frame:
-                report.remote += 1
-            else:
-                yield Frame(message.timestamp, message.arbitration_id, message.is_extended_id, bytes(message.data))
+def _no_frame(content: bytes, path: Path, report: LogReport, channel: str | None) -> str:
+    if report.channels:
+        there = ", ".join(report.channels)
+        return f"has no frame of channel {channel}; " + (f"it has {there}" if there else "it names no channels")
+    if path.suffix.lower() not in READERS:
+        return no_candump(content, report)
+    reason = f"{report.unit} {report.told[0][0]}: {report.told[0][1]}" if report.told else report.missing
+    return f"no frame could be read ({reason or 'it holds none'}); is it really a {path.suffix[1:].upper()} log?"

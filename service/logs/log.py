@@ -1,20 +1,25 @@
 """A log as commands take it: an instrumented recording, or a bare log file."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from service.logs.candump import Frame, LogError, LogReport
-from service.logs.formats import read_log
+from service.logs.formats import parse_log
 from service.logs.recording import Recording, load_recording
+from service.logs.report import Frame, LogError, LogReport
+
+
+def _any(_can_id: int, _is_extended: bool) -> bool:
+    return True
 
 
 @dataclass(frozen=True)
 class Log:
     """Frames in time order under an id; `sha256` is the hash of the log's bytes.
 
-    Of a bare file neither its DBC is known nor what `recording.toml` says: they are None.
+    Of a bare file neither its DBC is known nor what `recording.toml` says: they are None. `channel` is the bus whose
+    frames they are, None where the frames of all buses in the log are merged.
     """
 
     id: str
@@ -23,6 +28,7 @@ class Log:
     sha256: str
     dbc_path: Path | None = None
     recording: Recording | None = None
+    channel: str | None = None
 
     @property
     def drive(self) -> str:
@@ -57,6 +63,21 @@ class Log:
                 "export a bundle for this vehicle's DBC"
             )
 
+    def check_channels(self, wanted: Callable[[int, bool], bool] = _any) -> None:
+        """Refuse to merge two buses: the same `wanted` message on both may be of two vehicles.
+
+        Raises:
+            LogError: an identifier that is wanted comes on more than one channel, and none was chosen.
+        """
+        of: dict[tuple[int, bool], list[str]] = {}
+        for channel, identifiers in self.report.channels.items():
+            for each in identifiers:
+                of.setdefault(each, []).append(channel)
+        both = [channels for each, channels in sorted(of.items()) if len(channels) > 1 and wanted(*each)]
+        if self.channel is None and both:
+            how = "--channel" if self.recording is None else "`channel` under [can] in recording.toml"
+            raise LogError(f"{self.id}: the same messages come on {' and '.join(both[0])}: say which bus with {how}")
+
     @property
     def duration_s(self) -> float:
         """From the first frame to the last [s]."""
@@ -68,25 +89,27 @@ class Log:
         return (Frame(t - start, can_id, extended, data) for t, can_id, extended, data in self.frames)
 
 
-def open_log(path: Path) -> Log:
+def open_log(path: Path, channel: str | None = None) -> Log:
     """The log at `path`: the folder of an instrumented recording, or a log file that `read_log` takes.
+
+    Of one `channel`, where that is given or the recording names it.
 
     Raises:
         LogError: it is neither, or a bench recording, which has first to be ingested.
     """
     if not path.is_dir():
-        return _bare(path)
+        return _bare(path, channel)
     recording = load_recording(path)
     if recording.kind == "bench":
         raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
-    log = _bare(path / recording.can.file)
+    log = _bare(path / recording.can.file, channel or recording.can.channel)
     return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
 
 
-def _bare(path: Path) -> Log:
+def _bare(path: Path, channel: str | None) -> Log:
     try:
         content = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    frames, report = read_log(path)
-    return Log(path.stem, frames, report, hashlib.sha256(content).hexdigest())
+    frames, report = parse_log(content, path, channel)
+    return Log(path.stem, frames, report, hashlib.sha256(content).hexdigest(), channel=channel)

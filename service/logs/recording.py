@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from service.logs.candump import LogError
+from service.logs.report import LogError
 
 FILE = "recording.toml"
 SCHEMA = 1
@@ -31,13 +31,14 @@ class Can(_Part, frozen=True):
     """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal.
 
     `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
-    another clock, the log is another one, but the drive is the same.
+    another clock, the log is another one, but the drive is the same. `channel` is the bus to take of a log of several.
     """
 
     file: str
     dbc: str
     dbc_sha256: Sha256
     bench_sha256: Sha256 | None = None
+    channel: str | None = None
 
 
 class Table(_Part, frozen=True):

@@ -14,7 +14,9 @@ EVERY = 0.1  # of the log between two words of progress
 
 
 @contextmanager
-def served(path: Path, folder: Path, say: Callable[[str], None]) -> Iterator[tuple[Path, Path]]:
+def served(
+    path: Path, folder: Path, say: Callable[[str], None], channel: str | None = None
+) -> Iterator[tuple[Path, Path]]:
     """The control socket and the events socket of a finished recording, diagnosed with the bundle in the folder.
 
     Raises:
@@ -22,7 +24,8 @@ def served(path: Path, folder: Path, say: Callable[[str], None]) -> Iterator[tup
     """
     bundle = load_bundle(folder)
     verify_golden(bundle)
-    log = open_log(path)
+    log = open_log(path, channel)
+    log.check_channels(bundle.table.carries)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
         log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
@@ -31,7 +34,8 @@ def served(path: Path, folder: Path, say: Callable[[str], None]) -> Iterator[tup
     recording = Recording(log, path, bundle, say, _Progress(log.duration_s, say))
     if recording.history.latest is None:
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
-        raise InputError(f"{path}: never has all of {signals}; give a log of this bundle's vehicle")
+        strangers = "".join(f"; {text}" for text in bundle.table.strangers())
+        raise InputError(f"{path}: never has all of {signals}; give a log of this bundle's vehicle{strangers}")
     with TemporaryDirectory(prefix="faultline-") as place, Serving(Path(place), recording) as serving:
         yield serving.control, serving.events
 

@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
         return _serve(options)
     from service.recorded.command import served  # brings in the inference library, which serving does without
 
-    with served(options.recording, options.bundle, _say) as (control, events):
+    with served(options.recording, options.bundle, _say, options.channel) as (control, events):
         options.control, options.events = str(control), str(events)
         return _serve(options)
 
@@ -85,6 +85,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--token-file", help="and the file of tokens that may clear faults, one a line")
     add("--recording", type=Path, help="instead of a running service: a finished recording, or a log")
     add("--bundle", type=Path, help="and the bundle folder that diagnoses it")
+    add("--channel", help="and the bus to take, of a log of several")
     add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)
     if options.recording is not None:

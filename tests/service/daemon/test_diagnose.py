@@ -1,9 +1,11 @@
 """`faultline diagnose`: the golden log's events byte by byte, and every kind of bad input."""
 
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import can
 import pytest
 
 from service import diagnose
@@ -11,6 +13,7 @@ from service.bundle import load_bundle
 from service.bundle_files import SEAL, seal
 from service.cli import main
 from service.core.dbc import compile_dbc
+from service.core.errors import InputError
 from service.core.events import Event, decode, encode
 from service.core.monitor import Monitor
 from service.logs import Frame, open_log
@@ -48,7 +51,7 @@ def test_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert diagnose.main([str(LOG), "--bundle", str(BUNDLE)]) == 1
     out = capsys.readouterr().out
     assert "1. fA_du (dosing unit filter: filter clogged)" in out
-    assert "no fault: every test is quiet" in out
+    assert "no fault so far: every test is quiet" in out
 
 
 def test_a_log_without_fault_ends_with_0(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
@@ -102,6 +105,76 @@ def test_a_log_cut_in_mid_line_is_used_as_far_as_it_goes_and_the_loss_is_said(
     captured = capfdbinary.readouterr()
     assert captured.out == EVENTS
     assert b"the last line is cut off and was not used" in captured.err
+
+
+def in_another_format(path: Path, frames: list[Frame]) -> bytes:
+    """The log that python-can writes at the path, whose ending gives the format."""
+    with can.Logger(path) as logger:
+        for frame in frames:
+            logger(can.Message(timestamp=frame.t, arbitration_id=frame.can_id, data=frame.data, channel=0))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(("ending", "said"), [("blf", " of 60.0 s"), ("asc", ""), ("trc", "")])
+def test_a_log_cut_off_in_the_middle_is_no_all_clear(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str, said: str
+) -> None:
+    """Its first 60 s hold no fault, and end whole; those of the cut file do not."""
+    frames = open_log(LOG).frames
+    path = tmp_path / f"drive.{ending}"
+    whole = in_another_format(path, [frame for frame in frames if frame.t - frames[0].t < 60])
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 0
+    assert capsys.readouterr().out.endswith(
+        "from 0.0 to 60.0 s: no fault: every test could tell at some time, and none alarms\n"
+    )
+    path.write_bytes(whole[: len(whole) * 9 // 10])
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert f"error: {path}: damaged, so no alarm is no all-clear: " in captured.err
+    assert "frames read, from 0.0 to 5" in captured.err
+    assert f"s{said}, the end is missing: " in captured.err
+    assert captured.err.endswith("give a whole log, or accept with --partial what was read\n")
+    assert "could tell at some time" not in captured.out
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--partial"]) == 0
+    out = capsys.readouterr().out.splitlines()[-1]
+    assert out.startswith("from 0.0 to 5")
+    assert f"{said}, as far as the damaged log could be read: no fault" in out
+
+
+def test_a_fault_in_a_damaged_log_is_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "drive.blf"
+    whole = in_another_format(path, open_log(LOG).frames)
+    path.write_bytes(whole[:-2000])
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 1
+    captured = capsys.readouterr()
+    assert "as far as the damaged log could be read: a fault was found" in captured.out
+    assert "the end is missing" in captured.err
+
+
+@pytest.mark.parametrize(("options", "code"), [([], 2), (["--partial"], 0)])
+def test_a_bad_line_within_a_quiet_log_is_no_all_clear(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int
+) -> None:
+    lines = (LOG / "can.log").read_text().splitlines(keepends=True)
+    path = tmp_path / "quiet.log"
+    path.write_text("".join([*lines[:100], "(1767225600.1) can0 18FF10\n", *lines[100 : len(lines) // 2]]))
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--json", *options]) == code
+    captured = capsys.readouterr()
+    assert "1 lines could not be read (line 101: no frame after the time in" in captured.err
+    assert decode(captured.out.splitlines()[-1].encode()).transition == "cannot_tell"  # nothing but events
+
+
+def test_an_incomplete_last_line_alone_is_reported_and_no_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (LOG / "can.log").read_text().splitlines(keepends=True)
+    path = tmp_path / "quiet.log"
+    path.write_text("".join(lines[: len(lines) // 2]) + lines[0][:20])
+    assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--json"]) == 0
+    err = capsys.readouterr().err
+    assert "the last line is cut off and was not used" in err
+    assert "from 0.0 to 60.0 s: no fault" in err
 
 
 def test_what_is_not_a_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -201,3 +274,70 @@ def test_the_decode_table_of_the_bundle_is_that_of_its_dbc() -> None:
     bundle = load_bundle(BUNDLE)
     units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
     assert bundle.table.wanted == compile_dbc((BUNDLE / "uds.dbc").read_text(), units, "x").wanted
+
+
+def two_buses(path: Path) -> Path:
+    """The golden log's first minute, without a fault, on can0, and its second, with one, at the same times on can1."""
+    frames = list(open_log(LOG).relative())
+    merged = sorted((frame.t % 60.0, f"can{int(frame.t // 60.0)}", frame) for frame in frames if frame.t < 119.9)
+    lines = [f"({1e9 + t:.6f}) {channel} {frame.can_id:08X}#{frame.data.hex()}\n" for t, channel, frame in merged]
+    path.write_text("".join(lines))
+    return path
+
+
+def test_a_log_of_two_buses_is_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both = two_buses(tmp_path / "both.log")
+    said = refused([str(both), "--bundle", str(BUNDLE)], capsys)
+    assert "the same messages come on can0 and can1: say which bus with --channel" in said
+    assert diagnose.main([str(both), "--bundle", str(BUNDLE), "--channel", "can0"]) == 0
+    capsys.readouterr()
+    said = refused([str(both), "--bundle", str(BUNDLE), "--channel", "can7"], capsys)
+    assert "it has can0, can1" in said
+
+
+def test_other_messages_on_another_bus_are_no_question(tmp_path: Path) -> None:
+    quiet = tmp_path / "quiet.log"
+    lines = (LOG / "can.log").read_text().splitlines(keepends=True)
+    lines = lines[: len(lines) // 2]
+    quiet.write_text("".join(line.replace(" can0 18FF", " can3 18FF") for line in lines))
+    assert diagnose.main([str(quiet), "--bundle", str(BUNDLE)]) == 0
+
+
+def test_a_recording_of_two_buses_names_its_own(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(LOG, tmp_path / "two"))
+    two_buses(folder / "can.log")
+    with pytest.raises(InputError, match=r"say which bus with `channel` under .can. in recording.toml"):
+        open_log(folder).check_channels()
+    described = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(described.replace("[can]\n", '[can]\nchannel = "can0"\n'))
+    open_log(folder).check_channels()
+    assert {*open_log(folder).report.channels} == {"can0", "can1"}
+
+
+def forged(path: Path, begin_s: float, every: int, until_s: float) -> Path:
+    """The golden log in which frames of the controller have a twin 1 ms later, of 100 kPa more."""
+    lines, seen = [], 0
+    for frame in open_log(LOG).relative():
+        if frame.t >= until_s:
+            break
+        lines.append(f"({1e9 + frame.t:.6f}) can0 {frame.can_id:08X}#{frame.data.hex()}\n")
+        if frame.can_id == 0x18FF103D and frame.t > begin_s:
+            seen += 1
+            if seen % every == 0:
+                data = (int.from_bytes(frame.data[:2], "little") + 2000).to_bytes(2, "little") + frame.data[2:]
+                lines.append(f"({1e9 + frame.t + 0.001:.6f}) can0 {frame.can_id:08X}#{data.hex()}\n")
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("every", [2, 8])
+def test_a_log_with_forged_frames_is_no_all_clear(
+    tmp_path: Path, every: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["diagnose", str(forged(tmp_path / "x.log", 45.0, every, 68.0)), "--bundle", str(BUNDLE)]) == 2
+    assert re.search(r"frames came far too early for one sender \(\d+ of UDS_ECU\)", capsys.readouterr().err)
+
+
+def test_a_fault_from_before_the_forged_frames_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert diagnose.main([str(forged(tmp_path / "x.log", 100.0, 8, 1e9)), "--bundle", str(BUNDLE)]) == 1
+    assert "far too early for one sender" in capsys.readouterr().err

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.logs import Frame, LogError, read_log
-from service.logs.candump import parse_candump
+from service.logs.formats import parse_log
 
+X = Path("x.log")
 LINE = b"(1767225600.123456) can0 18FF103D#0011223344556677\n"
 
 
@@ -24,7 +25,8 @@ def test_reads_both_identifier_lengths_and_can_fd(tmp_path: Path) -> None:
         Frame(1767225601.0, 0x123, True, b"\xab" * 12),
     ]
     assert not report.lost
-    assert report.summary() == "3 frames read"
+    assert report.summary() == "3 frames read, from 0.0 to 0.9 s"
+    assert list(report.channels) == ["can0", "vcan1"]
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,7 @@ def test_reads_both_identifier_lengths_and_can_fd(tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_line_costs_only_itself(bad: bytes, reason: str) -> None:
-    frames, report = parse_candump(LINE + bad + b"\n" + LINE, "x.log")
+    frames, report = parse_log(LINE + bad + b"\n" + LINE, X)
     assert len(frames) == report.frames == 2
     assert (report.bad, report.lost) == (1, True)
     number, told = report.told[0]
@@ -52,25 +54,26 @@ def test_a_bad_line_costs_only_itself(bad: bytes, reason: str) -> None:
 
 
 def test_only_the_first_bad_lines_are_told() -> None:
-    _, report = parse_candump(LINE + b"?\n" * 5, "x.log")
+    _, report = parse_log(LINE + b"?\n" * 5, X)
     assert (report.bad, [number for number, _ in report.told]) == (5, [2, 3, 4])
     assert report.summary().endswith("; ...)")
 
 
 @pytest.mark.parametrize("cut", range(1, len(LINE)))
 def test_a_line_cut_anywhere_is_counted_and_not_used(cut: int) -> None:
-    frames, report = parse_candump(LINE + LINE[:cut], "x.log")
+    frames, report = parse_log(LINE + LINE[:cut], X)
     assert len(frames) == 1
     assert report.truncated
     assert report.lost
+    assert not report.damaged  # nothing in the file says that more follows
     assert "the last line is cut off" in report.summary()
 
 
 def test_remote_and_error_frames_are_skipped_and_counted() -> None:
-    frames, report = parse_candump(b"(1.0) can0 123#R8\n(1.0) can0 20000004#0000000000000000\n" + LINE, "x.log")
+    frames, report = parse_log(b"(1.0) can0 123#R8\n(1.0) can0 20000004#0000000000000000\n" + LINE, X)
     assert (len(frames), report.remote, report.errors) == (1, 1, 1)
     assert not report.lost
-    assert report.summary() == "1 frames read, 1 remote and 1 error frames skipped"
+    assert report.summary() == "1 frames read, from 0.0 to 0.0 s, 1 remote and 1 error frames skipped"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +107,7 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path, name: str) -> None:
 
 def _times(*times: float) -> tuple[list[float], int]:
     lines = b"".join(b"(%.6f) can0 123#00\n" % t for t in times)
-    frames, report = parse_candump(lines, "x.log")
+    frames, report = parse_log(lines, X)
     return [round(frame.t, 6) for frame in frames], report.clock_steps
 
 
@@ -116,15 +119,14 @@ def test_a_clock_that_was_set_does_not_tear_the_log_apart() -> None:
     """A vehicle without a clock starts in 1970 and jumps: nobody must wait for fifty years of ticks."""
     assert _times(10.0, 11.0, 1767225600.0, 1767225601.0, 5.0, 6.0) == ([10.0, 11.0, 11.0, 12.0, 12.0, 13.0], 2)
     assert (
-        "the clock was set 1 times"
-        in parse_candump(b"(9.0) can0 1#\n(9.0) can0 123#\n(2.0) can0 123#\n", "x")[1].summary()
+        "the clock was set 1 times" in parse_log(b"(9.0) can0 1#\n(9.0) can0 123#\n(2.0) can0 123#\n", X)[1].summary()
     )
 
 
 @given(st.lists(st.binary(max_size=60).filter(lambda line: b"\n" not in line), max_size=20))
 def test_no_content_breaks_the_reader(lines: list[bytes]) -> None:
     content = LINE + b"\n".join([*lines, b""])
-    frames, report = parse_candump(content, "x.log")
+    frames, report = parse_log(content, X)
     used = report.frames + report.bad + report.remote + report.errors
     assert frames[0].can_id == 0x18FF103D
     assert used + sum(not line.strip() for line in lines) == len(lines) + 1
@@ -152,6 +154,6 @@ def test_gives_back_what_was_written(rows: list[tuple[int, bool, int, int, bytes
         mark = b"##0" if size > 8 else b"#"
         text += b"(%.6f) can0 %s%s%s\n" % (t, name, mark, data[:size].hex().upper().encode())
         expected.append((can_id, extended, data[:size]))
-    frames, report = parse_candump(text, "x.log")
+    frames, report = parse_log(text, X)
     assert [tuple(frame[1:]) for frame in frames] == expected
     assert not report.lost

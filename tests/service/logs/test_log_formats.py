@@ -51,14 +51,14 @@ def test_remote_and_error_frames_are_counted(tmp_path: Path) -> None:
     assert (report.remote, report.errors) == (1, 1)
 
 
-def test_what_was_read_before_a_file_goes_bad_is_kept(tmp_path: Path) -> None:
+def test_a_bad_row_costs_only_itself(tmp_path: Path) -> None:
     path = write(tmp_path / "drive.csv")
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:101], "1767225602.0,zz,yes", *lines[101:]]))
     frames, report = read_log(path)
-    assert len(frames) == report.frames == 100
-    assert report.lost
-    assert "line 101: reading ends here: ValueError" in report.summary()
+    assert len(frames) == report.frames == len(FRAMES)
+    assert report.damaged
+    assert "line 102: no row of a log: '1767225602.0,zz,yes'" in report.summary()
 
 
 @pytest.mark.parametrize("ending", [".asc", ".blf", ".csv", ".db", ".trc"])

@@ -51,7 +51,7 @@ def test_opens_an_instrumented_recording(tmp_path: Path) -> None:
     assert log.sha256 == hashlib.sha256(LOG.encode()).hexdigest()
     assert [frame.t for frame in log.frames] == [100.0, 101.5]
     assert [frame.t for frame in log.relative()] == [0.0, 1.5]
-    assert log.report.summary() == "2 frames read"
+    assert log.report.summary() == "2 frames read, from 0.0 to 1.5 s"
 
 
 def test_opens_a_bare_log_which_has_no_dbc(tmp_path: Path) -> None:
