@@ -1,7 +1,8 @@
 """A workshop's act: a tuning of reference vehicles is taken over for this one, which brings where its residuals lie.
 
-Thresholds and what is known of days come from the base; the offset of each residual without a fault, and how loud it is
-within a drive where that is more than the base knows, from a short fault-free drive of this vehicle. A fault that is
+Thresholds and how large drifts are come from the base; what a drift does to residuals from this vehicle's own model, as
+hypotheses do. The offset of each residual without a fault, and how loud it is within a drive where that is more than
+the base knows, come from a short fault-free drive of this vehicle. A fault that is
 there already would be adapted away: so an offset is taken only where the reference vehicles make it plausible, and only
 where the drive was long enough to know it.
 """
@@ -20,7 +21,7 @@ from analysis.graph.runnable import Runnable
 from analysis.model import dump_model
 from analysis.progress import Progress
 from analysis.recordings.modes import modes_of, stand_ins
-from analysis.tuning.evidence import no_surer
+from analysis.tuning.evidence import no_surer, with_drifts
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.numbers import widest
 from analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
@@ -56,6 +57,8 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
     described = stand_ins(bank.model)
     _check_length(vehicle, described)
     found = offsets(vehicle.drives, described)
+    evidence = with_drifts(base.evidence, base.drift_sizes or [], bank, [d.seen for d in vehicle.drives], described)
+    base = msgspec.structs.replace(base, evidence=evidence)
     _check_plausible(vehicle, base, found, described, path)
     names = [generator.name for generator in bank.generators]
     detectors: list[Detector] = [
@@ -113,13 +116,19 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
         raise InputError(f"{path}: its signals are not the model's; adapt a base of the same model")
     if base.modes != modes_of(runnable.bank.model):
         raise InputError(f"{path}: its operating modes are not the model's; adapt a base of the same model")
+    if base.drift_sizes is None:
+        raise InputError(f"{path}: does not say how large its drifts are; run `faultline tune` for it again")
+    model = runnable.bank.model
+    named = sum(bool(p.drift) for p in model.parameters.values()) + sum(bool(k.drift) for k in model.known.values())
+    if len(base.drift_sizes) != named or named > len(base.evidence.drifts):
+        raise InputError(f"{path}: its drifts are not the model's; adapt a base of the same model")
 
 
 def _check_length(vehicle: Vehicle, described: Sequence[int]) -> None:
     names = ", ".join(drive.seen.name for drive in vehicle.drives)
     short, remedies = [], []
     for mode in dict.fromkeys(described):
-        ticks = sum(drive.seen.usable[drive.seen.mode == mode].sum(axis=0).min() for drive in vehicle.drives)
+        ticks = sum(drive.seen.usable[drive.seen.mode == mode].all(axis=1).sum() for drive in vehicle.drives)
         if (seconds := float(ticks) * PERIOD_S) < LEAST_S:
             short.append(f"{MODES[mode]!r} for {seconds:.0f} s")
             remedies.append(more_of(mode))

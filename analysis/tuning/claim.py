@@ -50,10 +50,11 @@ class Fold:
 
 
 class Found(NamedTuple):
-    """Detectors, and the evidence whose days they were set without."""
+    """Detectors, and the evidence whose days they were set without, with the sizes of the model's drifts in it."""
 
     detectors: list[Detector]
     evidence: Evidence
+    drift_sizes: list[float]
 
 
 @dataclass(frozen=True)
@@ -91,18 +92,20 @@ def thresholds(
 
     A fold's factor is found without its own drives, so that what is counted there has chosen nothing.
     """
-    evidence, *of_folds = (rule.evidence(each, to) for each in (vehicles, *(fold.train for fold in left_out)))
+    (evidence, sizes), *of_folds = (rule.evidence(each, to) for each in (vehicles, *(fold.train for fold in left_out)))
     if target is None:
         usual = [
-            Found(_usual(each, rule, to, own), own)
-            for each, own in zip((vehicles, *(fold.train for fold in left_out)), (evidence, *of_folds), strict=True)
+            Found(_usual(each, rule, to, own), own, own_sizes)
+            for each, (own, own_sizes) in zip(
+                (vehicles, *(fold.train for fold in left_out)), ((evidence, sizes), *of_folds), strict=True
+            )
         ]
         return Thresholds(usual[0], usual[1:])
     whole = levels(vehicles, rule, to, evidence)
-    each_level = [levels(fold.train, rule, to, own) for fold, own in zip(left_out, of_folds, strict=True)]
+    each_level = [levels(fold.train, rule, to, own) for fold, (own, _) in zip(left_out, of_folds, strict=True)]
     blocks: list[list[Trace]] = [
         [trace(level, without_day(moved(d.seen, to - o), own, rule.generators), rule, d.hours) for d, o in fold.test]
-        for fold, level, own in zip(left_out, each_level, of_folds, strict=True)
+        for fold, level, (own, _) in zip(left_out, each_level, of_folds, strict=True)
     ]
     if not blocks:  # a single drive must do for both
         centred = [without_day(s, evidence, rule.generators) for s in pooled(vehicles, to, rule.stand_ins)]
@@ -112,9 +115,9 @@ def thresholds(
     others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(each_level))]
     of_others = [factor_for(target, other) for other in others]
     return Thresholds(
-        whole=Found(scaled(whole, factor.value), evidence),
+        whole=Found(scaled(whole, factor.value), evidence, sizes),
         of_folds=[
-            Found(scaled(level, other.value), own)
+            Found(scaled(level, other.value), *own)
             for level, other, own in zip(each_level, of_others, of_folds, strict=True)
         ],
         extrapolated=factor.extrapolated or any(other.extrapolated for other in of_others),

@@ -87,7 +87,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--detector", choices=LEVEL_KINDS, default="cusum", help="what tests a level (default: cusum)")
     parser.add_argument("--spread", action="store_true", help="test the variance besides: it raises suspicion only")
     parser.add_argument(
-        "--adapt", type=Path, metavar="BASE", help="keep this tuning of other vehicles, find this one's offsets only"
+        "--adapt",
+        type=Path,
+        metavar="BASE",
+        help="keep this tuning of other vehicles, find this one's offsets and drifts only",
     )
     parser.add_argument(
         "--networks", type=Path, metavar="DIR", help="networks besides, as `faultline train` wrote them"
@@ -191,8 +194,8 @@ def _vehicles(
     return vehicles
 
 
-def _evidence(vehicles: Sequence[Vehicle], to: Array) -> Evidence:
-    """From the drives of these vehicles, by the model of the first; of the equations' generators alone."""
+def _evidence(vehicles: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
+    """Evidence and sizes of drifts, by the model of the first vehicle; of the equations' generators alone."""
     bank = vehicles[0].runnable.bank
     described, own = stand_ins(bank.model), len(bank.generators)
     seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
@@ -213,6 +216,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
         start_within_s=START_WITHIN_S,
         detectors=found.detectors,
         evidence=found.evidence,
+        drift_sizes=found.drift_sizes,
         inputs=widest([drive.inputs for vehicle in vehicles for drive in vehicle.drives]),
         zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,

@@ -40,8 +40,10 @@ def gather(
     recordings: Sequence[Seen],
     stand_ins: Sequence[int] = OWN,
     apart: Sequence[Seen] | None = None,
-) -> Evidence:
-    """The evidence of a bundle; mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`.
+) -> tuple[Evidence, list[float]]:
+    """Return the evidence of a bundle, and the sizes of the drifts that the model names, in parts of what it says.
+
+    Mode m is described by the ticks of mode `stand_ins[m]`, as in `tune_detectors`.
 
     `offset` (T, modes) is where the residuals lie without a fault. `apart` are the same recordings, each centred by the
     others of its vehicle: how far a drive strays is seen in them, as a drive that has been centred by itself too
@@ -60,10 +62,11 @@ def gather(
         noise[mode] = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
         visit[mode] = _between(recordings, mode, rows, noise[mode])
     own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
-    drifts = np.array(_drifts(bank.only(order), recordings, described)).reshape(-1, len(MODES), len(order))
+    drifts = named_drifts(bank.only(order), recordings, described)
+    sizes = np.ones(len(drifts))
     if len(recordings) >= ENOUGH:
-        own, drifts = as_seen(_strays(apart or recordings, order, around)[:, described], everywhere, drifts, K)
-    return Evidence(
+        own, drifts, sizes = as_seen(_strays(apart or recordings, order, around)[:, described], everywhere, drifts, K)
+    evidence = Evidence(
         generators=[bank.generators[row].name for row in rows],
         offset=offset.tolist(),
         spread=spread.tolist(),
@@ -83,6 +86,26 @@ def gather(
         graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
         hypotheses=hypotheses,
     )
+    return evidence, sizes.tolist()
+
+
+def with_drifts(
+    evidence: Evidence, sizes: Sequence[float], bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]
+) -> Evidence:
+    """Return the evidence with the drifts that this bank's model names, `sizes` times as large as it says.
+
+    The other drifts, which no model names, stay: only many drives show them.
+    """
+    names = [generator.name for generator in bank.generators]
+    order = [names.index(name) for name in (*evidence.generators, *(f.generator for f in evidence.followers))]
+    K, own = len(evidence.generators), named_drifts(bank.only(order), recordings, stand_ins)
+    own *= np.array(sizes).reshape(-1, 1, 1)
+    followers = [
+        msgspec.structs.replace(f, drifts=[*own[..., column].tolist(), *f.drifts[len(own) :]])
+        for column, f in enumerate(evidence.followers, start=K)
+    ]
+    drifts = [*own[..., :K].tolist(), *evidence.drifts[len(own) :]]
+    return msgspec.structs.replace(evidence, drifts=drifts, followers=followers)
 
 
 def no_surer(evidence: Evidence, bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Evidence:
@@ -185,8 +208,8 @@ def _mean(s: Seen, mode: int, rows: list[int]) -> Array:
     return s.r[inside][:, rows].mean(axis=0) if inside.sum() >= MINIMUM_TICKS else np.full(len(rows), np.nan)
 
 
-def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, Array]:
-    """What each mean strays by itself (modes, K), and the drifts (n, modes, T), as large as R drives show them.
+def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, Array, Array]:
+    """What each mean strays by itself (modes, K), the drifts (n, modes, T), as large as R drives show them, and sizes.
 
     `means` are the deviations of the drives (R, modes, T), `drifts` those that the model names, at the sizes that it
     gives. First their sizes are found, by expectation maximisation: x of a drive is normal with the sizes' variances,
@@ -218,7 +241,7 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
     found = np.zeros((len(W) + len(more), len(means[0]), T))
     found[:, :EDGE] = np.concatenate([size[:, None, None] * all_W, more])
     found[: len(W), EDGE] = size[:, None] * (drifts / spread)[:, EDGE]
-    return alone * spread[:, :K], found * spread
+    return alone * spread[:, :K], found * spread, size
 
 
 def _directions(y: Array) -> Array:
@@ -234,15 +257,15 @@ def _hypotheses(model: Model) -> list[Hypothesis]:
     return [Hypothesis(fault=each.name, size=size) for each in model.assumable.values() for size in each.sizes]
 
 
-def _drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> list[Array]:
-    """The shift (modes, rows) that a standard deviation of every drift of the model makes."""
+def named_drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:
+    """Return the shifts (n, modes, T) of the mean residuals by a standard deviation of each drift of the model."""
     model = bank.model
     changed = [{name: p.value * (1.0 + p.drift)} for name, p in model.parameters.items() if p.drift]
     found = [*_shifts(bank, recordings, changed, stand_ins)] if changed else []
     for column, known in enumerate(model.known.values()):
         if known.drift:
             found += _shifts(bank, recordings, [{}], stand_ins, known.drift * np.eye(len(model.known))[column])
-    return found
+    return np.array(found).reshape(-1, len(MODES), len(bank.tests))
 
 
 def _shifts(

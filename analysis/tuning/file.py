@@ -18,7 +18,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     drives used (`Log.drive`), `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from
     the beginning of the first of the logs. `inputs` have the limits of what is believed of a sensor
     (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie, root mean
-    square; `base` the SHA-256 of the tuning that this one was adapted from.
+    square; `base` the SHA-256 of the tuning that this one was adapted from. `drift_sizes` are those of the first drifts
+    of the evidence, which the model names, in parts of what it says; tunings made before do not have them.
     """
 
     schema: str
@@ -35,6 +36,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     networks_sha256: str | None = None
     claim: Claim | None = None
     base: str | None = None
+    drift_sizes: list[float] | None = None
 
 
 def model_digest(text: str) -> str:

@@ -36,14 +36,15 @@ SEED = 1
 class Rule:
     """How detectors are made: for these generators, `floor` (T,), `stand_ins`, `kinds` as in `tune_detectors`.
 
-    `evidence` gives what drives of vehicles show of days, around the offsets (T, modes) that all are moved to.
+    `evidence` gives what drives of vehicles show of days, around the offsets (T, modes) that all are moved to, and the
+    sizes of the drifts that the model names (`analysis.tuning.evidence`).
     """
 
     generators: Sequence[str]
     floor: Array
     stand_ins: Sequence[int]
     kinds: Sequence[Kind]
-    evidence: Callable[[Sequence[Vehicle], Array], Evidence]
+    evidence: Callable[[Sequence[Vehicle], Array], tuple[Evidence, list[float]]]
 
 
 @dataclass(frozen=True)

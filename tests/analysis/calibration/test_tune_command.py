@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 from made_drive import DBC, ECU, HOLD_S, UDS4, frames, freed, write_recording
 
@@ -24,9 +25,11 @@ from analysis.tuning.thresholds import MARGIN
 from service.bundle import load_bundle
 from service.bundles import main as show
 from service.core.errors import InputError
-from service.core.manifest import CusumDetector
+from service.core.manifest import MODES, CusumDetector
 from service.core.modes import IDLE
 from service.logs import open_log
+
+Array = npt.NDArray[np.float64]
 
 ZERO = {"y_p_ap": 0.0}
 
@@ -160,6 +163,70 @@ def test_adapting_keeps_the_base_and_brings_the_offsets(
     told = capsys.readouterr().out
     assert "\nfalse alarms: nothing is claimed of them\nadapted to this vehicle from the tuning " in told
     assert f"{adapted.base[:12]} of others\n" in told
+
+
+def drifts_of(tuning: Tuning) -> dict[str, Array]:
+    """By generator, those that are no evidence too: how far each drift moves it (drift, mode)."""
+    evidence = tuning.evidence
+    own = {name: np.array(evidence.drifts)[..., column] for column, name in enumerate(evidence.generators)}
+    return own | {follower.generator: np.array(follower.drifts) for follower in evidence.followers}
+
+
+@pytest.fixture(scope="module")
+def leaky(fleet: Fleet) -> tuple[Path, Path]:
+    """A vehicle `c` whose pump leaks three times as much, so that viscosity moves its flow by more: model and drive."""
+    leak = {"C_v": 3.0 * UDS4.parameters["C_v"].value}
+    model = fleet.folder / "c.toml"
+    model.write_text(dump_model(of("c").with_parameters(leak, {"command": "by hand"})))
+    return model, write_recording(fleet.folder / "c1", frames(UDS4, leak, 50, zero=ZERO), "c")
+
+
+def test_drifts_of_an_adapted_vehicle_are_those_of_its_own_model(fleet: Fleet, leaky: tuple[Path, Path]) -> None:
+    base = drifts_of(load_tuning(fleet.base))
+    adapted, own = (drifts_of(fleet.tune(*leaky, *more)) for more in (("--adapt", fleet.base), ()))
+    assert {*adapted} == {*own} == {*base}
+    for name in own:
+        np.testing.assert_allclose(adapted[name], own[name], rtol=1e-9, atol=1e-6)
+    viscosity = np.array([np.linalg.norm(drifts["t12.ode"][0]) for drifts in (base, adapted)])
+    assert viscosity[1] > 2.0 * viscosity[0] > 1000.0
+
+
+def test_how_large_drifts_are_is_the_bases_and_what_no_model_names_stays(
+    fleet: Fleet, leaky: tuple[Path, Path], tmp_path: Path
+) -> None:
+    base = load_tuning(fleet.base)
+    assert base.drift_sizes == [1.0] * 5  # eight drives are too few to see it
+    K, sizes, unnamed = len(base.evidence.generators), [0.5, 1.0, 1.5, 1.0, 2.0], [7.0] * len(MODES)
+    evidence = msgspec.structs.replace(
+        base.evidence,
+        drifts=[*base.evidence.drifts, [[5.0] * K] * len(MODES)],
+        followers=[msgspec.structs.replace(f, drifts=[*f.drifts, unnamed]) for f in base.evidence.followers],
+    )
+    path = tmp_path / "base.json"
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(base, evidence=evidence, drift_sizes=sizes)))
+    adapted, own = (fleet.tune(*leaky, *more) for more in (("--adapt", path), ()))
+    for name, drifts in drifts_of(adapted).items():
+        wanted = np.array(sizes)[:, None] * drifts_of(own)[name]
+        np.testing.assert_allclose(drifts[:5], wanted, rtol=1e-9, atol=1e-6)
+        np.testing.assert_array_equal(drifts[5], 5.0 if name in evidence.generators else 7.0)
+    assert adapted.drift_sizes == sizes
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        (None, "does not say how large its drifts are; run `faultline tune` for it again"),
+        ([1.0] * 4, "its drifts are not the model's; adapt a base of the same model"),
+        ([1.0] * 6, "its drifts are not the model's; adapt a base of the same model"),
+    ],
+)
+def test_a_base_whose_drifts_are_not_known_is_refused(
+    fleet: Fleet, leaky: tuple[Path, Path], tmp_path: Path, sizes: list[float] | None, message: str
+) -> None:
+    path = tmp_path / "base.json"
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(load_tuning(fleet.base), drift_sizes=sizes)))
+    with pytest.raises(InputError, match=f"{path}: {message}"):
+        fleet.tune(*leaky, "--adapt", path)
 
 
 def test_what_an_adapted_tuning_claims_is_said(

@@ -93,7 +93,7 @@ def made() -> Made:
     bank = build_bank(without_drifts(load_model("uds4")))
     recordings = [watched(bank, 1), watched(bank, 2)]
     offset = np.array([d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)])
-    return Made(bank, offset, recordings, gather(bank, offset, recordings))
+    return Made(bank, offset, recordings, gather(bank, offset, recordings)[0])
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
@@ -179,7 +179,7 @@ def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None
         mode = s.mode.copy()
         mode[::40] = EDGE  # every level is a visit
         strayed.append(replace(s, r=r, mode=mode))
-    evidence = gather(made.bank, made.offset, strayed)
+    evidence, _ = gather(made.bank, made.offset, strayed)
     column = evidence.generators.index("t02.ode")
     for visit in np.array(evidence.visit)[list(STEADY)]:
         assert np.sqrt(visit[column, column]) == pytest.approx(1e3, rel=0.35)
@@ -193,7 +193,7 @@ def test_a_drift_of_the_model_is_a_shift_that_all_means_share(made: Made) -> Non
     known = {**model.known, "y_p_du": replace(model.known["y_p_du"], drift=300.0)}
     parameters = {**model.parameters, "A_du": replace(model.parameters["A_du"], drift=0.15)}
     bank = build_bank(replace(model, known=known, parameters=parameters))
-    area, sensor = np.array(gather(bank, made.offset, made.recordings).drifts)
+    area, sensor = np.array(gather(bank, made.offset, made.recordings)[0].drifts)
     column = made.column("t02")
     np.testing.assert_allclose(sensor[:, column], 300.0, rtol=1e-9)
     clogged = made.shift("fA_du", -0.15)[list(STEADY), column]
@@ -213,7 +213,7 @@ def test_the_allowance_is_never_below_its_part_of_the_spread(made: Made) -> None
 
 
 def test_the_same_recordings_give_the_same_evidence(made: Made) -> None:
-    assert gather(made.bank, made.offset, made.recordings) == made.evidence
+    assert gather(made.bank, made.offset, made.recordings)[0] == made.evidence
 
 
 def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None:
@@ -226,14 +226,14 @@ def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None
         r = one.r.copy()
         r[:, row] += rng.normal(0.0, 500.0)
         drives.append(replace(one, name=f"drive-{number}", r=r))
-    evidence = gather(made.bank, made.offset, drives)
+    evidence, _ = gather(made.bank, made.offset, drives)
     column = evidence.generators.index("t02.ode")
     first = np.array(evidence.drifts[0])[list(STEADY)]
     assert np.abs(first[:, column]) == pytest.approx(500.0, rel=0.35)
     assert np.ptp(first[:, column]) < 150.0  # of one sign, and of one size
     others = [k for k in range(len(evidence.generators)) if k != column]
     assert np.abs(first[:, others]).max() < 100.0
-    few = gather(made.bank, made.offset, drives[:4])
+    few, _ = gather(made.bank, made.offset, drives[:4])
     assert few.drifts == []
     assert np.array(few.allowance)[STEADY[0], column] > np.array(evidence.allowance)[STEADY[0], column]
 
@@ -248,8 +248,8 @@ def test_drifts_that_the_model_names_have_the_size_that_drives_show() -> None:
     means = 0.5 * rng.standard_normal((200, 1, 1, 1))[:, 0] * drifts[0] + 20.0 * rng.standard_normal(
         (200, *spread.shape)
     )
-    own, found = as_seen(means, spread, drifts, 2)
-    size = np.abs(found[:2]).max(axis=(1, 2)) / np.abs(drifts).max(axis=(1, 2))
+    own, found, size = as_seen(means, spread, drifts, 2)
+    assert found[:2] == pytest.approx(size[:, None, None] * drifts)
     assert size == pytest.approx([0.5, 0.0], abs=0.1)
     strayed = np.sqrt(own**2 + (found**2).sum(axis=0))[:EDGE]
     assert strayed == pytest.approx(np.sqrt(20.0**2 + (0.5 * drifts[0]) ** 2)[:EDGE], rel=0.15)
@@ -264,7 +264,7 @@ def test_generators_that_are_no_evidence_move_with_the_drifts_of_those_that_are(
     means = np.zeros((200, *spread.shape))
     means[:, :EDGE] = x[:, None] * [100.0, -100.0, 300.0] + u[:, None] * [200.0, 200.0, -400.0]
     means[..., :2] += 5.0 * rng.standard_normal((200, len(MODES), 2))
-    own, found = as_seen(means, spread, drifts, 2)
+    own, found, _ = as_seen(means, spread, drifts, 2)
     assert own.shape == (len(MODES), 2)
     told = np.einsum("kmt,kms->mts", found, found)[:EDGE]  # of modes, the covariance that drifts make of generators
     wanted = np.cov(means[:, 0].T, bias=True)

@@ -18,7 +18,9 @@ class Said(DecodeTable):
     def __init__(self) -> None:
         super().__init__({})
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes) -> list[tuple[str, float, Quality]]:
+    def decode(
+        self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
+    ) -> list[tuple[str, float, Quality]]:
         return [("a", float(data), Quality.GOOD)] if data else [("a", 99.0, Quality.ERROR)]
 
 

@@ -58,10 +58,10 @@ def rule(kind: Kind = "cusum") -> Rule:
     return Rule(NAMES, FLOOR, OWN, (kind,), no_days)
 
 
-def no_days(_: Sequence[Vehicle], to: Array) -> Evidence:
+def no_days(_: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
     """Evidence of the first generator, which does not stray from one day to the next."""
     [*noise] = ([[float(s**2)]] for s in SPREAD)
-    return Evidence(
+    evidence = Evidence(
         generators=NAMES[:1],
         offset=to[:1].T.tolist(),
         spread=[[float(s)] for s in SPREAD],
@@ -73,6 +73,7 @@ def no_days(_: Sequence[Vehicle], to: Array) -> Evidence:
         graph=None,
         hypotheses=[],
     )
+    return evidence, []
 
 
 def suspected(detectors: Sequence[Detector], s: Drive) -> int:
@@ -129,7 +130,7 @@ def shifted(s: Drive, by: float, ticks: slice) -> Drive:
 def doubted(*drives: Drive, days: float = 500.0) -> list[str]:
     """What is said of drives of a vehicle whose means stray by `days` from day to day."""
     found, to = folds([vehicle(*drives)], OWN), np.zeros((2, len(MODES)))
-    evidence = msgspec.structs.replace(no_days([], to), allowance=[[days]] * len(MODES))
+    evidence = msgspec.structs.replace(no_days([], to)[0], allowance=[[days]] * len(MODES))
     return [doubt for fold in found for doubt in doubts(fold, evidence, NAMES, OWN)]
 
 
@@ -245,10 +246,10 @@ def test_a_single_drive_has_thresholds_and_no_claim() -> None:
 
 def test_levels_are_the_mean_of_what_drives_reach_and_never_below_the_least() -> None:
     to = offsets(THREE[0].drives, OWN)
-    usual = levels(THREE, rule(), to, no_days(THREE, to))
+    usual = levels(THREE, rule(), to, no_days(THREE, to)[0])
     assert {d.J for d in usual} == {LEAST["cusum"] / MARGIN}
     strange = vehicle(*THREE[0].drives, drive(7, 900.0))  # a drive whose level differs: nu must cover it
-    covering = levels([strange], rule(), to, no_days([strange], to))
+    covering = levels([strange], rule(), to, no_days([strange], to)[0])
     assert covering[0].nu > usual[0].nu + 0.5  # type: ignore[union-attr]
 
 
