@@ -13,11 +13,12 @@ from analysis.graph.bank import FAULTS, GRAPH, Bank, build_bank
 from analysis.graph.networks import GRAPH as NETWORKS
 from analysis.graph.networks import load_networks
 from analysis.graph.runnable import Runnable
+from analysis.graph.writer import with_metadata
 from analysis.model import dump_model
 from analysis.structure.lint import sound_model
 from analysis.tuning.file import Tuning, load_tuning, model_digest
 from analysis.tuning.manifest import GOLDEN, manifest_of
-from service.bundle import Bundle, Golden, load_bundle, verify_golden
+from service.bundle import Bundle, Golden, graph_metadata, load_bundle, verify_golden
 from service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from service.core.consistency import FILE_NAME
 from service.core.dbc import compile_dbc
@@ -74,7 +75,11 @@ def bundle_files(
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    graphs = runnable.graphs | runnable.of_hypotheses(tuning.evidence)
+    described = manifest_of(runnable, tuning, {}, dbc_name, version)
+    graphs = {
+        name: with_metadata(raw, graph_metadata(described, name))
+        for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
+    }
     files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
     manifest = manifest_of(runnable, tuning, files, dbc_name, version)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"

@@ -1,6 +1,6 @@
 """A bundle that can be run: its files whole (`service.bundle_files`), its graphs what the manifest says they are."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -26,6 +26,9 @@ GRAPH_ERRORS: tuple[type[Exception], ...] = (
     *(RuntimeError, ValueError, IndexError, OverflowError, MemoryError),
 )
 """What onnxruntime raises: its own exceptions, which have no base in common, and what pybind11 makes of C++'s."""
+
+UNNAMED_PERIOD = "0.2"
+"""Period [s] of graphs without metadata: until graphs carried it, every export had this one."""
 
 
 class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,17 +72,28 @@ def bundle_of(given: Whole, folder: Path) -> Bundle:
     bundle_id, manifest, contents = given
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
-    for name, content in graphs.items():
-        own = [generator for generator in manifest.generators if generator.graph == name]
-        _check_graph(content, own, len(manifest.inputs), None, str(folder / name))
+    for name in graphs:
+        _check_graph(contents[name], manifest, name, None, str(folder / name))
     if (faults := manifest.evidence.graph) is not None:
         graphs[faults] = contents[faults]
-        known = {generator.name: generator for generator in manifest.generators}
-        own = [known[generator] for generator in manifest.evidence.generators]
-        rows = len(manifest.evidence.hypotheses)
-        _check_graph(contents[faults], own, len(manifest.inputs), rows, str(folder / faults))
+        _check_graph(contents[faults], manifest, faults, len(manifest.evidence.hypotheses), str(folder / faults))
     golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
     return Bundle(bundle_id, str(folder), manifest, graphs, table, golden)
+
+
+def graph_metadata(manifest: Manifest, graph: str) -> dict[str, str]:
+    """Return the ONNX metadata of a graph by file name: what the manifest says of its step, columns and rows, as JSON.
+
+    Export writes it into the graph and loading compares: golden vectors have columns without names, and no time.
+    """
+    entries: dict[str, object] = {
+        "period_s": manifest.period_s,
+        "inputs": [(channel.signal, channel.unit) for channel in manifest.inputs],
+        "generators": [(generator.name, generator.predicts) for generator in _columns(manifest, graph)],
+    }
+    if graph == manifest.evidence.graph:
+        entries["hypotheses"] = [(hypothesis.fault, hypothesis.size) for hypothesis in manifest.evidence.hypotheses]
+    return {field: msgspec.json.encode(value).decode() for field, value in entries.items()}
 
 
 def verify_golden(bundle: Bundle) -> None:
@@ -141,11 +155,20 @@ def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
         raise BundleError(str(error)) from error
 
 
-def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None, where: str) -> None:
-    """Whether the graph's inputs and outputs are those that its `own` generators imply: z (B, nz), x (B, nx), ...
+def _columns(manifest: Manifest, graph: str) -> list[Generator]:
+    """The generators that are the columns of a graph's outputs."""
+    if graph == manifest.evidence.graph:
+        known = {generator.name: generator for generator in manifest.generators}
+        return [known[generator] for generator in manifest.evidence.generators]
+    return [generator for generator in manifest.generators if generator.graph == graph]
 
-    B is open, or `rows` where that is given.
+
+def _check_graph(raw: bytes, manifest: Manifest, graph: str, rows: int | None, where: str) -> None:
+    """Raise BundleError unless the graph's inputs, outputs and metadata are those that the manifest implies.
+
+    Inputs are z (B, nz) and x (B, nx); B is open, or `rows` where that is given.
     """
+    own, nz = _columns(manifest, graph), len(manifest.inputs)
     try:
         check_graph_file(raw, where)
     except GraphError as error:
@@ -158,6 +181,7 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
     options.log_severity_level = 4  # what is wrong is said once, by the exception
     try:
         session = ort.InferenceSession(raw, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        metadata = session.get_modelmeta().custom_metadata_map
     except GRAPH_ERRORS as error:
         raise BundleError(
             f"{where}: no graph that onnxruntime {ort.__version__} runs: {one_line(error)}; export the bundle again"
@@ -174,6 +198,17 @@ def _check_graph(raw: bytes, own: Sequence[Generator], nz: int, rows: int | None
                     f"{where}: {kind} {node.name} is a {node.type} of shape {node.shape}, the manifest needs "
                     f"a tensor(double) of shape [{B}, {wanted[node.name]}]; export the bundle again"
                 )
+    _check_metadata(metadata, graph_metadata(manifest, graph), where)
+
+
+def _check_metadata(found: Mapping[str, str], wanted: Mapping[str, str], where: str) -> None:
+    """Raise BundleError where a graph was exported with another period, order of columns or hypotheses."""
+    if not found:
+        found = {**wanted, "period_s": UNNAMED_PERIOD}
+    for field, value in wanted.items():
+        if (own := found.get(field, "missing")) != value:
+            what = f"period_s {own[:20]}, not {value}" if field == "period_s" else f"other {field} than those"
+            raise BundleError(f"{where}: was exported with {what} of the manifest; export the bundle again")
 
 
 def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:

@@ -3,7 +3,7 @@
 The allow-list is what the vehicle accepts: no Loop, Scan, If, functions, external data or custom operators.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -92,3 +92,11 @@ class Writer:
         raw: bytes = model.SerializeToString(deterministic=True)
         Graph(raw)
         return raw
+
+
+def with_metadata(raw: bytes, entries: Mapping[str, str]) -> bytes:
+    """Return the model with these ONNX metadata (`metadata_props`); the same entries, the same bytes."""
+    model = onnx.load_model_from_string(raw)
+    helper.set_model_props(model, dict(entries))
+    described: bytes = model.SerializeToString(deterministic=True)
+    return described

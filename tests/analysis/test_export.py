@@ -1,9 +1,13 @@
 """Export: what a tuning and its model say becomes a bundle that loads; what does not belong together is refused."""
 
+import errno
 import hashlib
 import json
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,7 +20,7 @@ from analysis.recordings.modes import modes_of
 from analysis.recordings.observe import START_WITHIN_S
 from analysis.tuning.file import SCHEMA, Tuning, model_digest
 from service.bundle import load_bundle, verify_golden
-from service.bundle_files import BundleError
+from service.bundle_files import SEAL, BundleError, seal
 from service.core.errors import InputError
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"
@@ -87,6 +91,20 @@ def test_the_bundle_loads_computes_and_says_what_it_was_made_from(
     assert len(bundle.golden.r) == 40
 
 
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # of a write, which names no file
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left on device") as caught:
+        made.export(tmp_path / "bundle")
+    assert caught.value.filename == str(tmp_path / "bundle")  # what `faultline` says, with exit code 2
+    assert not list(tmp_path.glob(".faultline-*"))
+    assert not (tmp_path / "bundle").exists()
+
+
 def test_the_graph_has_the_models_own_parameters(made: Made, tmp_path: Path) -> None:
     """Samples through the bundle give the residuals of the calibrated filter, not those of the datasheet's."""
     made.export(tmp_path / "bundle")
@@ -97,6 +115,58 @@ def test_the_graph_has_the_models_own_parameters(made: Made, tmp_path: Path) -> 
     expected = bank.simulate([{"A_du": A_DU}, {}], z, bank.start(z[0]))
     np.testing.assert_allclose(r, expected[:, 0], atol=1e-3)
     assert np.abs(r - expected[:, 1]).max() > 100.0
+
+
+def other_period(manifest: dict[str, Any]) -> None:
+    manifest["period_s"] = 0.4
+
+
+def swapped_inputs(manifest: dict[str, Any]) -> None:
+    first, second = manifest["inputs"][:2]
+    first["signal"], second["signal"] = second["signal"], first["signal"]
+
+
+def other_unit(manifest: dict[str, Any]) -> None:
+    manifest["inputs"][0]["unit"] = "kPa"
+
+
+def swapped_generators(manifest: dict[str, Any]) -> None:
+    """Two columns of as many states exchange their names."""
+    generators, detectors = manifest["generators"], manifest["detectors"]
+    one, other = [row for row, generator in enumerate(generators) if len(generator["states"]) == 2][:2]
+    for rows, name in ((generators, "name"), (detectors, "generator")):
+        rows[one][name], rows[other][name] = rows[other][name], rows[one][name]
+
+
+def swapped_hypotheses(manifest: dict[str, Any]) -> None:
+    rows = manifest["evidence"]["hypotheses"]
+    rows[0], rows[-1] = rows[-1], rows[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            other_period,
+            r"ode\.onnx: was exported with period_s 0\.2, not 0\.4 of the manifest; export the bundle again",
+        ),
+        (swapped_inputs, r"ode\.onnx: was exported with other inputs than those of the manifest; export"),
+        (other_unit, r"ode\.onnx: was exported with other inputs than those of the manifest; export"),
+        (swapped_generators, r"ode\.onnx: was exported with other generators than those of the manifest; export"),
+        (swapped_hypotheses, r"faults\.onnx: was exported with other hypotheses than those of the manifest; export"),
+    ],
+)
+def test_a_manifest_that_golden_vectors_cannot_tell_from_the_exported_one_is_refused(
+    made: Made, tmp_path: Path, change: Callable[[dict[str, Any]], None], message: str
+) -> None:
+    made.export(tmp_path / "bundle")
+    manifest = json.loads((tmp_path / "bundle" / "manifest.json").read_bytes())
+    change(manifest)
+    raw = json.dumps(manifest).encode()
+    (tmp_path / "bundle" / "manifest.json").write_bytes(raw)
+    (tmp_path / "bundle" / SEAL).write_bytes(seal(raw))
+    with pytest.raises(BundleError, match=message):
+        load_bundle(tmp_path / "bundle")
 
 
 def test_the_same_inputs_give_the_same_bytes(made: Made, tmp_path: Path) -> None:

@@ -180,6 +180,34 @@ def test_a_graph_with_other_outputs_is_refused(bundle: Path) -> None:
     refused(bundle, r"ode\.onnx: its outputs are 'r', .*'noveltz', 'x_next', not r, y_hat, sigma, novelty, x_next; ")
 
 
+def test_a_graph_from_before_graphs_named_their_period_is_of_a_fifth_of_a_second(bundle: Path) -> None:
+    edit(bundle, lambda manifest: manifest.update(period_s=0.4))
+    refused(bundle, r"ode\.onnx: was exported with period_s 0\.2, not 0\.4 of the manifest; export the bundle again")
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        ({b"period_s": b"0.4"}, r"was exported with period_s 0\.4, not 0\.2 of the manifest; export"),
+        ({b"other": b"1"}, r"was exported with period_s missing, not 0\.2 of the manifest; export"),
+        ({b"period_s": b"0.2"}, r"was exported with other inputs than those of the manifest; export"),
+        ({b"period_s": b"\xff" * 300}, r"ode\.onnx: .*; export"),
+    ],
+)
+def test_a_graph_of_another_period_is_refused(bundle: Path, metadata: dict[bytes, bytes], message: str) -> None:
+    """Metadata are `metadata_props` of a model, field 14: entries of a key, field 1, and a value, field 2."""
+    raw = (bundle / "ode.onnx").read_bytes()
+    for key, value in metadata.items():
+        entry = b"\x0a" + varint(len(key)) + key + b"\x12" + varint(len(value)) + value
+        raw += b"\x72" + varint(len(entry)) + entry
+    put(bundle, "ode.onnx", raw)
+    refused(bundle, message)
+
+
+def varint(number: int) -> bytes:
+    return bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80, number >> 7])
+
+
 def test_a_graph_that_breaks_while_it_runs_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from onnxruntime.capi.onnxruntime_pybind11_state import InvalidArgument
 
