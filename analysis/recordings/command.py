@@ -18,6 +18,9 @@ EXAMPLE = """example:
   faultline ingest recordings/bench-training-s1 --out logs --offset -87.3  # seen at a pressure step
 """
 
+AMBIENT_HPA = 500.0, 1100.0
+"""From 5500 m of altitude to the highest pressure at sea level."""
+
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
@@ -37,13 +40,23 @@ def main(argv: list[str]) -> int:
         metavar="PPM",
         help="what CAN time gains on it, with --offset (default: 0)",
     )
+    parser.add_argument(
+        "--ambient-hpa",
+        type=_number,
+        metavar="HPA",
+        help="pressure around the bench, which sensors show at standstill (default: 1013.25, unless all contradict)",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     options = parser.parse_args(argv)
     if options.drift and options.offset is None:
         parser.error("--drift goes with --offset SECONDS: alone it says nothing")
     by_hand = None if options.offset is None else (options.offset, options.drift * 1e-6)
+    low, high = AMBIENT_HPA
+    if (hPa := options.ambient_hpa) is not None and not low <= hPa <= high:
+        raise InputError(f"--ambient-hpa {hPa:g}: give an absolute pressure between {low:g} and {high:g} hPa")
+    ambient = None if hPa is None else 100.0 * hPa
     with Progress(f"ingesting {options.recording}") as progress:
-        result = ingest(options.recording, progress.say, by_hand)
+        result = ingest(options.recording, progress.say, by_hand, ambient)
         folder = _write(result.files, options.out / result.report.id, options.recording, force=options.force)
     told = f"wrote {folder}: " + "\n".join(sentences(result.report))
     print(msgspec.json.encode(result.report).decode() if options.json else told)

@@ -15,10 +15,10 @@ from analysis.recordings.external import STUCK
 from analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
 from analysis.recordings.lags import likeness
 from analysis.recordings.picture import picture
-from analysis.recordings.report import Report, report
+from analysis.recordings.report import Report, Source, Standstill, report
 from analysis.recordings.track import known_part
 from analysis.recordings.uniform import uniform
-from analysis.recordings.zero import check_drop, check_level, standstill, zero_error
+from analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
 from service.core.errors import InputError
 from service.core.signals import Vector
 
@@ -33,10 +33,16 @@ class Ingested(NamedTuple):
     report: Report
 
 
-def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float] | None = None) -> Ingested:
+def ingest(
+    folder: Path,
+    say: Callable[[str], None],
+    by_hand: tuple[float, float] | None = None,
+    ambient: float | None = None,
+) -> Ingested:
     """Makes an instrumented recording of the bench recording in `folder`; `say` hears what is going on.
 
-    `by_hand` is the second logger's offset [s] and drift, where they are known better.
+    `by_hand` is the second logger's offset [s] and drift, `ambient` the pressure around the bench [Pa], where they are
+    known better.
 
     Raises:
         InputError: it is no bench recording, lacks a file, column, message or signal, or cannot be aligned for certain.
@@ -48,17 +54,20 @@ def ingest(folder: Path, say: Callable[[str], None], by_hand: tuple[float, float
     check_drop(bench.p_ap.value, bench.p_du.value, f"{folder}: {REFERENCE}")
     t = clock.can_time(bench.samples.t)
     pump, p_du = bench.ecu.track("n_p"), bench.p_du
-    end = standstill(pump.t, pump.value, np.interp(pump.t, *p_du))
+    end = standstill(pump.t, pump.value, np.interp(pump.t, *p_du), ambient or ATMOSPHERE)
+    channels = bench.samples.channels
+    still = {signal: channel.pressure[(t >= 0) & (t <= end)] for signal, channel in channels.items()}
+    around = ambient or ambient_seen(still.values(), p_du.value[p_du.t <= end])
     pressures, zero = {}, {}
-    for signal, channel in bench.samples.channels.items():
-        still = channel.pressure[(t >= 0) & (t <= end)]
-        check_level(still, f"{folder}: {signal}")
-        zero[signal] = zero_error(still)
+    for signal, channel in channels.items():
+        check_level(still[signal], f"{folder}: {signal}", around)
+        zero[signal] = zero_error(still[signal], around)
         pressures[signal] = channel.pressure - (zero[signal] or 0.0)
     say("writing")
     inside = (t >= 0) & (t <= bench.length_s)
     text, beyond = _can_log(bench, t[inside], {signal: pressure[inside] for signal, pressure in pressures.items()})
-    found = report(bench, clock, end, zero, beyond)
+    source: Source = "given" if ambient else "assumed" if around == ATMOSPHERE else "seen"
+    found = report(bench, clock, Standstill(round(end, 3), round(around, 1), source), zero, beyond)
     return Ingested(
         {
             "recording.toml": _toml(bench).encode(),

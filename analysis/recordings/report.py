@@ -1,11 +1,14 @@
 """What `ingest` found and did, to each channel and to the clocks: for a program, and in sentences."""
 
+from typing import Literal, NamedTuple
+
 import msgspec
 
 from analysis.recordings.bench import ECU_UNITS, Bench
 from analysis.recordings.clock import MINIMUM_CORRELATION, Clock
 from analysis.recordings.track import Track, known_part
 from analysis.recordings.uniform import PERIOD_S
+from analysis.recordings.zero import ATMOSPHERE, WEATHER
 from service.logs.recording import Table
 
 RESAMPLED = f"{1 / PERIOD_S:g} Hz behind a zero-phase FIR low-pass, empty in gaps"
@@ -33,13 +36,26 @@ class ChannelReport(msgspec.Struct, frozen=True, kw_only=True):
     resampled: str = RESAMPLED
 
 
+Source = Literal["assumed", "given", "seen"]
+
+
+class Standstill(NamedTuple):
+    """The section that zeros come from: its end [s], 0 where there is none, and the ambient pressure [Pa] in it."""
+
+    end_s: float
+    ambient_pa: float
+    source: Source
+
+
 class Report(msgspec.Struct, frozen=True, kw_only=True):
     """What `ingest` found. CAN time = `offset_s` + (1 + `drift_ppm` / 1e6) * logger time, as in the logger's file.
 
     `clock` says how these were found: synchronised, or given. `clock_error_s` is the standard error of the alignment,
     null where given; `correlation` that of the aligned, high-passed pressures; of `clock_windows_telling` windows
     `clock_windows` agree. `slow_p_du_s` is the time constant that y_p_du's sensor seems to have. `standstill_s` is the
-    length of the section that the zeros come from. `outside` samples lay beyond the CAN log's ends.
+    length of the section that the zeros come from, `ambient_pa` the pressure that they are relative to, and `ambient`
+    says why: the standard one is assumed, it was given, or all sensors show it. `outside` samples lay beyond the CAN
+    log's ends.
     """
 
     id: str
@@ -52,6 +68,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     clock_windows_telling: int
     slow_p_du_s: float
     standstill_s: float
+    ambient_pa: float
+    ambient: Source
     can_frames: int
     can_lost: str | None
     samples: int
@@ -62,7 +80,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def report(
-    bench: Bench, clock: Clock, standstill_s: float, zero: dict[str, float | None], clipped: dict[str, int]
+    bench: Bench, clock: Clock, standstill: Standstill, zero: dict[str, float | None], clipped: dict[str, int]
 ) -> Report:
     """The report; `zero` [Pa] and the `clipped` samples are by added sensor."""
     t = clock.can_time(bench.samples.t)
@@ -87,7 +105,9 @@ def report(
         clock_windows=len(clock.windows),
         clock_windows_telling=len(clock.windows) + len(clock.straying),
         slow_p_du_s=round(clock.slow_s, 3),
-        standstill_s=round(standstill_s, 3),
+        standstill_s=standstill.end_s,
+        ambient_pa=standstill.ambient_pa,
+        ambient=standstill.source,
         can_frames=bench.log.frames,
         can_lost=bench.log.summary() if bench.log.lost else None,
         samples=len(t),
@@ -132,12 +152,32 @@ def sentences(found: Report) -> list[str]:
     if found.slow_p_du_s:
         lines.append(f"the sensor of y_p_du is slow: time constant about {found.slow_p_du_s:.2f} s")
     if not found.standstill_s:
-        lines.append("no standstill at atmospheric pressure at the start: the sensors keep their datasheet's zero")
+        lines.append(
+            f"no standstill at {found.ambient_pa / 100:.0f} hPa at the start: the sensors keep their datasheet's zero"
+        )
+    lines += _ambient(found)
     lines += [_line(channel) for channel in found.channels]
     if found.bad_rows:
         lines.append(f"second logger: {found.bad_rows} bad rows (first: {found.first_bad_row})")
     if found.can_lost:
         lines.append(f"CAN log: {found.can_lost}")
+    return lines
+
+
+def _ambient(found: Report) -> list[str]:
+    """Where the ambient pressure is not the one that shipped models assume: what follows, and what is doubtful."""
+    lines = []
+    if found.ambient == "seen":
+        lines.append(
+            f"DOUBTFUL: at standstill all sensors show about {found.ambient_pa / 100:.0f} hPa, y_p_du too, not "
+            f"{ATMOSPHERE / 100:.0f}: taken for the ambient pressure, only what differs from it was taken off; confirm "
+            "it with --ambient-hpa"
+        )
+    if abs(found.ambient_pa - ATMOSPHERE) > WEATHER:
+        lines.append(
+            "before calibrating, set the model's ambient pressures (uds4, uds1: p_tank, p_exh) to "
+            f"{found.ambient_pa:.0f} Pa; the shipped ones assume {ATMOSPHERE:.0f} Pa"
+        )
     return lines
 
 

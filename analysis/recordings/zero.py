@@ -1,7 +1,10 @@
-"""Calibrates the added sensors' zero where the pump stands still at the start: there every pressure is atmospheric.
+"""Calibrates the added sensors' zero where the pump stands still at the start: there every pressure is the ambient one.
 
-The error of an added sensor is mostly its zero (mounting, ageing); the slope is taken from the datasheet.
+The error of an added sensor is mostly its zero (mounting, ageing); the slope is taken from the datasheet. Deviations
+that all sensors share, the controller's own too, are the ambient pressure's and not the sensors'.
 """
+
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -19,6 +22,8 @@ PLAUSIBLE = 0.5e5  # Pa: a larger error is no zero error but a fault
 IMPOSSIBLE = 0.8e5  # Pa: and a still larger one is another sensor, unit or table
 OUTLIER = 4.0  # standard deviations
 RUNNING = 5e5  # Pa: y_p_du from which the system is under pressure
+WEATHER = 4e3
+"""Pa: how far weather moves the ambient pressure from the standard one at sea level; altitude moves it further."""
 UPHILL = 1.5e5  # Pa: fluid does not flow to a pressure that is so much higher, nor is a biased sensor so wrong
 
 
@@ -26,30 +31,43 @@ class LevelError(InputError):
     """A sensor that reads at atmospheric pressure what it cannot."""
 
 
-def standstill(t: Vector, n_p: Vector, y_p_du: Vector) -> float:
+def standstill(t: Vector, n_p: Vector, y_p_du: Vector, ambient: float = ATMOSPHERE) -> float:
     """Until when [s] the pump stands still in a drained system from the first sample on; 0 where it is too short.
 
-    `t`, `n_p` [rev/s] and `y_p_du` [Pa] are (N,) samples from the CAN log.
+    `t`, `n_p` [rev/s] and `y_p_du` [Pa] are (N,) samples from the CAN log, `ambient` [Pa] is the pressure around it.
     """
     turning = np.flatnonzero(n_p > TURNING)
     end = float(t[turning[0]] if len(turning) else t[-1]) - MARGIN_S
     inside = t <= end
-    if end - t[0] < LEAST_S or abs(float(np.median(y_p_du[inside])) - ATMOSPHERE) > PRESSURISED:
+    if end - t[0] < LEAST_S or abs(float(np.median(y_p_du[inside])) - ambient) > PRESSURISED:
         return 0.0
     return end
 
 
-def check_level(pressure: Vector, where: str) -> None:
-    """Refuses readings (N,) [Pa] at standstill, NaN left out, that are steady and far from atmospheric.
+def ambient_seen(added: Iterable[Vector], y_p_du: Vector) -> float:
+    """Return the ambient pressure [Pa] by readings (N,) [Pa] at standstill; the standard one unless all contradict it.
+
+    They do where y_p_du, which the controller trims itself, lies further from it than weather goes, and each of the
+    `added` sensors lies nearer to y_p_du than to it.
+    """
+    off = zero_error(y_p_du)
+    errors = [error for error in map(zero_error, added) if error is not None]
+    alike = off is not None and bool(errors) and all(abs(error - off) <= abs(error) for error in errors)
+    return ATMOSPHERE + off if off is not None and alike and abs(off) > WEATHER else ATMOSPHERE
+
+
+def check_level(pressure: Vector, where: str, ambient: float = ATMOSPHERE) -> None:
+    """Refuses readings (N,) [Pa] at standstill, NaN left out, that are steady and far from `ambient` [Pa].
 
     Raises:
         LevelError: the message starts with `where`.
     """
     known = pressure[np.isfinite(pressure)]
-    if len(known) >= LEAST_COUNT and abs(float(np.median(known)) - ATMOSPHERE) > IMPOSSIBLE:
+    if len(known) >= LEAST_COUNT and abs(float(np.median(known)) - ambient) > IMPOSSIBLE:
         raise LevelError(
-            f"{where} reads {np.median(known) / 1e5:.2f} bar at standstill, where it is 1.01 bar; check that column, "
-            "unit and table are this sensor's and not another's, or leave a broken sensor out of external.tables"
+            f"{where} reads {np.median(known) / 1e5:.2f} bar at standstill, where it is {ambient / 1e5:.2f} bar; check "
+            "that column, unit and table are this sensor's and not another's, or leave a broken sensor out of "
+            "external.tables"
         )
 
 
@@ -72,8 +90,8 @@ def check_drop(p_ap: Vector, p_du: Vector, where: str) -> None:
         )
 
 
-def zero_error(pressure: Vector) -> float | None:
-    """Mean reading less atmospheric pressure [Pa], without outliers; None where it cannot be a zero error.
+def zero_error(pressure: Vector, ambient: float = ATMOSPHERE) -> float | None:
+    """Mean reading less the ambient pressure [Pa], without outliers; None where it cannot be a zero error.
 
     `pressure` (N,) [Pa] are the sensor's readings at standstill; NaN are left out.
     """
@@ -82,5 +100,5 @@ def zero_error(pressure: Vector) -> float | None:
         return None
     middle = float(np.median(known))
     spread = 1.4826 * float(np.median(np.abs(known - middle)))
-    error = float(known[np.abs(known - middle) <= OUTLIER * spread + 1e-9].mean()) - ATMOSPHERE
+    error = float(known[np.abs(known - middle) <= OUTLIER * spread + 1e-9].mean()) - ambient
     return None if spread > STEADY or abs(error) > PLAUSIBLE else error

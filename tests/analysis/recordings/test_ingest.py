@@ -40,6 +40,7 @@ class Bench:
 
     standing: float = STANDING
     duration: float = DURATION
+    ambient: float = ATMOSPHERE
     tables: str = "y_p_tp y_p_ap"
     spoil: Callable[[list[str]], list[str]] = list
     """Changes the rows of the CSV."""
@@ -56,9 +57,9 @@ def _profiles(bench: Bench) -> Callable[[Vector], dict[str, Vector]]:
     for k in range(1, len(t)):
         gauge[k] = gauge[k - 1] + 0.01 / 0.5 * (target[k] - gauge[k - 1])
     fine = {
-        "y_p_ap": ATMOSPHERE + gauge,
-        "y_p_tp": ATMOSPHERE - 0.02 * gauge,
-        "y_p_du": ATMOSPHERE + 0.97 * gauge - 0.03e5 * dose,
+        "y_p_ap": bench.ambient + gauge,
+        "y_p_tp": bench.ambient - 0.02 * gauge,
+        "y_p_du": bench.ambient + 0.97 * gauge - 0.03e5 * dose,
         "n_p": np.where(t < bench.standing, 0.0, 20.0 + 10.0 * dose),
         "dc_dose": dose,
     }
@@ -248,6 +249,30 @@ def test_without_a_standstill_the_datasheets_zero_stays(tmp_path: Path, capsys: 
     assert report["standstill_s"] == 0.0
     assert {channel["zero_pa"] for channel in _channels(report).values()} == {None}
     assert "keep their datasheet's zero" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("hPa", "options", "source"),
+    [(845.0, (), "seen"), (845.0, ("--ambient-hpa", "845"), "given"), (1013.25, (), "assumed")],
+)
+def test_at_altitude_only_each_sensors_own_error_is_taken_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], hPa: float, options: tuple[str, ...], source: str
+) -> None:
+    _, report = _ingest(tmp_path, Bench(duration=120.0, ambient=100.0 * hPa), *options)
+    said = capsys.readouterr().out
+    zero = {name: channel["zero_pa"] for name, channel in _channels(report).items() if name in ZERO}
+    assert zero == {name: pytest.approx(error, abs=300.0) for name, error in ZERO.items()}
+    assert report["ambient"] == source
+    assert _number(report, "ambient_pa") == pytest.approx(100.0 * hPa, abs=200.0)
+    assert ("DOUBTFUL: at standstill all sensors show about 84" in said) == (source == "seen")
+    assert ("set the model's ambient pressures (uds4, uds1: p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
+    assert "mbar taken off" in said
+
+
+@pytest.mark.parametrize("hPa", ["84500", "0.845", "-845"])
+def test_an_ambient_pressure_in_another_unit_is_refused(tmp_path: Path, hPa: str) -> None:
+    with pytest.raises(InputError, match=r"--ambient-hpa .*: give an absolute pressure between 500 and 1100 hPa"):
+        main([str(tmp_path), "--out", str(tmp_path), f"--ambient-hpa={hPa}"])
 
 
 def test_json_is_the_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

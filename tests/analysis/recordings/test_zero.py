@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.recordings.zero import ATMOSPHERE, standstill, zero_error
+from analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
 from service.core.signals import Vector
 
 T = np.arange(0.0, 60.0, 0.2)
@@ -48,3 +48,24 @@ def test_the_zero_error_is_given_back_in_spite_of_outliers_and_gaps() -> None:
 )
 def test_what_cannot_be_a_zero_error_is_none(readings: Vector) -> None:
     assert zero_error(readings) is None
+
+
+@pytest.mark.parametrize(
+    ("tp", "ap", "du", "ambient"),
+    [
+        (-170e2, -192e2, -168e2, -168e2),  # 845 hPa: all sensors show it, and the difference is their own
+        (-120e2, -240e2, -168e2, -168e2),
+        (-170e2, -192e2, 2e2, 0.0),  # the controller's own sensor shows 1013 hPa: both added ones are off
+        (-2e2, 24e2, -168e2, 0.0),  # only the controller's own sensor is off
+        (-170e2, 24e2, -168e2, 0.0),  # one added sensor contradicts
+        (-30e2, -35e2, -30e2, 0.0),  # as much as weather does
+    ],
+)
+def test_only_what_all_sensors_share_is_the_ambient_pressure(tp: float, ap: float, du: float, ambient: float) -> None:
+    added = [_readings(tp, 400.0), _readings(ap, 800.0)]
+    assert ambient_seen(added, _readings(du, 1000.0)) == pytest.approx(ATMOSPHERE + ambient, abs=200.0)
+
+
+def test_without_readings_the_ambient_pressure_is_the_standard_one() -> None:
+    assert ambient_seen([], _readings(-168e2, 1000.0)) == ATMOSPHERE
+    assert ambient_seen([_readings(-168e2, 400.0)], _readings(-168e2, 1000.0, count=3)) == ATMOSPHERE
