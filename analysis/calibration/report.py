@@ -128,7 +128,7 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
         modes = list(dict.fromkeys(mode for by_mode in by_output.values() for mode in by_mode))
         lines.append(f"  {'':<14}" + "".join(f"{mode:>18}" for mode in modes))
         for name, by_mode in by_output.items():
-            told = {mode: f"{a.rms:.0f} ({a.rms / a.floor:.2f}x)" for mode, a in by_mode.items()}
+            told = {mode: f"{_number(a.rms)} ({_times_floor(a) or 'too short'})" for mode, a in by_mode.items()}
             lines.append(f"  {name + f' [{known[name].unit}]':<14}" + "".join(f"{told.get(m, '-'):>18}" for m in modes))
     if r.pulses is not None:
         lines += of_pulses(r.pulses)
@@ -154,12 +154,23 @@ def _width(p: Parameter, interval: tuple[float, float]) -> str:
     return f"{percent:.0f} %" if percent >= 10 else f"{percent:.2g} %"
 
 
+def _number(value: float) -> str:
+    """Three digits, or all before the point: an error may be of Pa or of V."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _times_floor(a: Agreement) -> str:
+    """The error in parts of the noise floor; nothing where the mode is too short for a floor."""
+    return f"{a.rms / a.floor:.2f}x" if a.floor > 0 else ""
+
+
 def page(r: Report, known: Mapping[str, Known], picture: str) -> str:
     """The report as Markdown, with its picture."""
     body = "\n".join(sentences(r, known))
     of = f" of vehicle {r.vehicle}" if r.vehicle else ""
     steady = [
-        f"| {recording} | {name} | {a.rms:.4g} | {a.floor:.4g} | {a.rms / a.floor:.2f} | {a.expected:.4g} |"
+        f"| {recording} | {name} | {a.rms:.4g} | "
+        + (f"{a.floor:.4g} | {times} | {a.expected:.4g} |" if (times := _times_floor(a)) else "too short | | |")
         for recording, by_output in r.agreement.items()
         for name, by_mode in by_output.items()
         if (a := by_mode.get(STEADY)) is not None

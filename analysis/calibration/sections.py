@@ -104,13 +104,18 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
     Raises:
         InputError: no stretch is long enough; the message starts with `where`.
     """
-    found = [
-        (low, high) for low, high in _stretches(model, system, tracks) if high - low >= model.warm_up_s + SHORTEST_S
-    ]
+    if not system.inputs:
+        raise InputError(
+            f"{where}: the model {model.name} has no input, and a free run without one says nothing of the parameters; "
+            "make a signal that drives the system a known variable"
+        )
+    shortest_s = model.warm_up_s + SHORTEST_S
+    found = [(low, high) for low, high in _stretches(model, system, tracks) if high - low >= shortest_s]
     if not found:
         raise InputError(
-            f"{where}: in no {model.warm_up_s + SHORTEST_S:g} s on end do all inputs tell and all signals keep within "
-            "their ranges; record some minutes of undisturbed operation"
+            f"{where}: in no {shortest_s:g} s on end (the model's warm_up_s of {model.warm_up_s:g} s and "
+            f"{SHORTEST_S:g} s more) do all inputs tell and all signals keep within their ranges; record longer "
+            "undisturbed operation"
         )
     return [_section(model, system, tracks, k, low, high, step_s) for k, (low, high) in enumerate(found)]
 
@@ -124,7 +129,7 @@ def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: st
 
 
 def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> list[tuple[float, float]]:
-    """Times between which nothing is missing or out of range, at most `LONGEST_S` apart."""
+    """Times between which nothing is missing or out of range, at most `LONGEST_S` apart, if that is not too short."""
     start = max(track.t[0] for track in tracks.values())
     end = min(tracks[name].t[-1] for name in system.inputs)
     bad = [(-np.inf, start), (end, np.inf)]
@@ -137,7 +142,8 @@ def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> lis
     last = -np.inf
     for low, high in sorted(bad):
         if low - last > PERIOD_S and np.isfinite(last):
-            pieces = int(np.ceil((low - last) / LONGEST_S))
+            whole = int((low - last) // (model.warm_up_s + SHORTEST_S))
+            pieces = min(int(np.ceil((low - last) / LONGEST_S)), max(1, whole))
             edges = np.linspace(last, low, pieces + 1)
             found += [(float(a), float(b)) for a, b in pairwise(edges)]
         last = max(last, high)

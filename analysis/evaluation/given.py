@@ -65,9 +65,12 @@ def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
     """Whether recordings make a report, seen from their samples alone: they are read until it is known.
 
     Raises:
-        InputError: none has a fault-free part that a block fits in, or none a phase of maximum dose.
+        InputError: none has a fault-free part that a block fits in, or none a phase of the mode *maximum*, where the
+            system has one.
     """
-    manifest, free, maximum = bundle.manifest, False, False
+    manifest, free = bundle.manifest, False
+    highest = next(channel.upper for channel in manifest.inputs if channel.signal == manifest.modes.signal)
+    maximum = manifest.modes.maximum_above > highest  # as of a system that has no such mode
     for one in chosen:
         ticks = samples_of(manifest, bundle.table, one.open(bundle, lambda _: None).relative())
         onset = min((fault.onset_s for fault in one.truth.fault), default=inf)

@@ -46,21 +46,23 @@ def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Pat
         if verdict.onset_s is not None:
             axes.axvline(verdict.onset_s, color=ONSET, linestyle="--", linewidth=1)
     rows[-1].set_xlabel("log time [s]")
-    figure.suptitle(_title(verdict), fontsize=13, fontweight="bold")
+    figure.suptitle(_title(verdict, story.source), fontsize=13, fontweight="bold")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
 
-def _title(v: Verdict) -> str:
+def _title(v: Verdict, source: str | None) -> str:
+    """What was found, and where the recording comes from, as it says itself."""
+    origin = f" ({source})" if source else ""
     if not v.faults:
-        return f"{v.recording} (simulated): fault-free, {v.false_alarms} false alarms"
+        return f"{v.recording}{origin}: fault-free, {v.false_alarms} false alarms"
     found = (
         f"detected after {v.delay_s:g} s, isolated to {{{', '.join(v.isolated)}}}, first {', '.join(v.first)}"
         if v.detected
         else "not detected"
     )
     fault = f"{', '.join(v.faults)} from {v.onset_s:g} s"
-    return f"{v.recording} (simulated): {fault}\n{found}; {v.false_alarms} false alarms before"
+    return f"{v.recording}{origin}: {fault}\n{found}; {v.false_alarms} false alarms before"
 
 
 def _together(story: Story) -> list[list[int]]:

@@ -21,15 +21,15 @@ Array = npt.NDArray[np.float64]
 class Story:
     """K ticks: samples z (K, nz); residuals, predictions, whether usable and whether the detector alarms, each (K, T).
 
-    `level` (K, T) are the residuals without the day, which detectors test.
-
-    `sums` (K, T) are the detectors' in parts of their thresholds, with sign. `t_s` (K,) is log time after the first
-    frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s` that of the last one. Columns are
-    generators, in the manifest's order.
+    `source` says where the recording comes from, None of a bare log. `level` (K, T) are the residuals without the day,
+    which detectors test; `sums` (K, T) the detectors' in parts of their thresholds, with sign. `t_s` (K,) is log time
+    after the first frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s` that of the last one.
+    Columns are generators, in the manifest's order.
     """
 
     bundle: Bundle
     recording: str
+    source: str | None
     events: list[Event]
     t_s: Array
     z: Array
@@ -81,6 +81,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
     return Story(
         bundle=bundle,
         recording=log.id,
+        source=log.recording.source if log.recording else None,
         events=events,
         t_s=np.array([tick.t_s for tick in ticks]),
         z=np.array([tick.z for tick in ticks]),

@@ -14,6 +14,9 @@ from analysis.evaluation.report.document import Evaluation
 ROWS, COLUMNS = 10, 10
 """Of a picture: what is more goes into another one."""
 
+NARROWEST = 8.0
+"""Inches: the page shows every picture as wide as itself, and a narrow one would be metres high."""
+
 FREE, FAULTY, SENSITIVE = "#0072b2", ("#d55e00", "#f0a03c", "#8a3b00"), "#e4e6e9"
 TICKS = (-LARGEST, -10.0, 0.0, 10.0, LARGEST)
 
@@ -30,7 +33,7 @@ def draw(e: Evaluation, of: Sequence[Facts]) -> Iterator[Drawn]:
 
 def _grid(e: Evaluation, of: Sequence[Facts], rows: list[int], faults: Sequence[tuple[str, ...]]) -> Drawn:
     tests = [e.tests[row] for row in rows]
-    figure = Figure(figsize=(1.6 + 1.25 * len(faults), 1.1 + 0.95 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(max(NARROWEST, 1.6 + 1.25 * len(faults)), 1.1 + 0.95 * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), len(faults), squeeze=False, sharex=True)
     free = np.sum([one.histogram[0] for one in of], axis=0)  # (T, BINS)
     for column, names in enumerate(faults):

@@ -2,6 +2,8 @@
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from analysis.calibration.sections import (
     Section,
     is_command,
 )
+from analysis.calibration.sections import cut as divided
+from analysis.simulation import System
 from service.core.errors import InputError
 from service.core.manifest import MODES
 from service.logs import Frame
@@ -120,6 +124,26 @@ def test_a_long_stretch_is_cut_into_equal_pieces() -> None:
     assert lengths[1] == pytest.approx(180.0, abs=0.3)
 
 
+@pytest.mark.parametrize("warm_up_s", [150.0, 280.0, 320.0])
+def test_sections_are_as_long_as_a_slow_system_needs(warm_up_s: float) -> None:
+    """The log of six minutes was cut into two of three, or one of five at most, which is no longer than the warm-up."""
+    log = frames(UDS4, {}, seed=1, speed=(24.0, 26.0) * 6, dose=(0.0, 0.4, 0.6) * 4)
+    found = log_sections(dataclasses.replace(UDS4, warm_up_s=warm_up_s), UDS4_SYSTEM, log)
+    assert found
+    assert all(end - start >= warm_up_s + SHORTEST_S for start, end in spans(found))
+
+
+def test_a_log_that_is_shorter_than_the_warm_up_is_told_so() -> None:
+    with pytest.raises(InputError, match=r"in no 530 s on end \(the model's warm_up_s of 500 s and 30 s more\)"):
+        log_sections(dataclasses.replace(UDS4, warm_up_s=500.0), UDS4_SYSTEM, LOG)
+
+
+def test_a_model_without_an_input_is_refused() -> None:
+    system = SimpleNamespace(inputs=())
+    with pytest.raises(InputError, match="the model uds4 has no input, and a free run without one says nothing"):
+        divided(UDS4, cast(System, system), {}, "a")
+
+
 def test_the_warm_up_of_every_section_does_not_count() -> None:
     for section in cut(without(80.0, 82.0, ECU)):
         for name, s in section.samples.items():
@@ -158,7 +182,7 @@ def test_a_signal_that_never_tells_is_named() -> None:
 def test_a_short_log_is_refused() -> None:
     enough = WARM_UP_S + SHORTEST_S
     short = [frame for frame in LOG if frame.t < enough - 1.0]
-    with pytest.raises(InputError, match=r"^made: in no 50 s on end do all inputs tell and all signals keep within"):
+    with pytest.raises(InputError, match=r"^made: in no 50 s on end .*do all inputs tell and all signals keep within"):
         cut(short)
     assert len(cut([frame for frame in LOG if frame.t < enough + 1.0])) == 1
 

@@ -39,6 +39,7 @@ def story(r: Array, sums: Array, usable: Mask | None = None, mode: Array | None 
     K, parts = len(r), sums / 10.0
     return Story(
         bundle=bundle(),
+        source="simulated",
         recording="golden",
         events=[],
         t_s=np.array([PERIOD_S * tick for tick in range(K)], dtype=np.float64),

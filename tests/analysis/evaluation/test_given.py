@@ -6,11 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from made_set import BUNDLE, Made, clogged, edited
 
 from analysis.evaluation.command import detailed, main
-from analysis.evaluation.given import given
+from analysis.evaluation.given import check_reportable, given
 from analysis.evaluation.measure.cases import size_text
 from service.bundle import load_bundle
 from service.bundle_files import SEAL, seal
@@ -227,6 +228,15 @@ def test_a_report_needs_a_phase_of_maximum_dose(made: Made, capsys: pytest.Captu
     message = refused_at_once(made, *logs, more=(), capsys=capsys)
     assert message.startswith(f"{logs[0]}: like the others, without a phase of maximum dose, where most faults show")
     assert message.endswith("add a recording that has it")
+
+
+def test_a_system_without_a_mode_of_maximum_dose_is_reported_without_one(made: Made) -> None:
+    """Its limit is a whole operating range above the signal's own (`analysis.recordings.modes`)."""
+    whole = load_bundle(BUNDLE)
+    highest = next(each.upper for each in whole.manifest.inputs if each.signal == whole.manifest.modes.signal)
+    modes = msgspec.structs.replace(whole.manifest.modes, maximum_above=2.0 * highest)
+    bundle = whole._replace(manifest=msgspec.structs.replace(whole.manifest, modes=modes))
+    check_reportable(given(bundle, [made.recording("free", stop_s=60.0)], [made.truths]), bundle)
 
 
 @pytest.mark.parametrize(
