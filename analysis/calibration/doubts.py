@@ -11,7 +11,7 @@ UNLIKELY = 3.0
 """Standard deviations of a prior: what is further away is not what the model file says."""
 
 TWICE = 2.0
-"""Times the expected error, in a steady mode: the model misses something."""
+"""Times the expected error, sample by sample, in a steady mode: the model misses something."""
 
 
 def doubts(fit: Fit, validations: Mapping[str, Validation]) -> Iterator[str]:
@@ -21,10 +21,10 @@ def doubts(fit: Fit, validations: Mapping[str, Validation]) -> Iterator[str]:
     for recording, validation in validations.items():
         for name, by_mode in validation.agreement.items():
             for mode, a in by_mode.items():
-                if mode not in (MODES[EDGE], STEADY) and a.rms > TWICE * a.expected:
+                if mode not in (MODES[EDGE], STEADY) and a.normalised > TWICE:
                     yield (
-                        f"{recording}: the free run of {name} is off by {a.rms:.0f} {known[name].unit} in mode {mode}, "
-                        f"{a.expected:.0f} is expected"
+                        f"{recording}: the free run of {name} is off by {float(f'{a.rms:.3g}'):g} {known[name].unit} "
+                        f"in mode {mode}; sample by sample that is {a.normalised:.1f} times what is expected"
                     )
 
 

@@ -3,10 +3,11 @@
     e = v + B w,    v ~ N(0, R) independent,    w ~ N(0, 1)
 
 v is the sensors' own noise and, by operating mode, what else changes from sample to sample (the valve's ripple). w are
-errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL_S`; what a pulsed
-valve makes of a commanded level, which stays with the level; and the time of each step, which is known to no better
-than a sample and a period of the valve. B is the run's exact derivative. Without w, minutes of one and the same
-wandering would count as thousands of independent samples, and an uncertain dose step as evidence for a softer hose.
+errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL_S`; its mean over
+every interval between samples in which it jumps; what a pulsed valve makes of a commanded level, which stays with the
+level; and the time of each step, which is known to no better than a sample and a period of the valve. B is the run's
+exact derivative. Without w, minutes of one and the same wandering would count as thousands of independent
+samples, and an uncertain dose step as evidence for a softer hose.
 
 The weights are Sigma^(-1/2) for Sigma = R + B B', by way of the eigenvectors of B'R^(-1)B.
 """
@@ -97,6 +98,7 @@ def disturbances(section: Section, trajectory: Trajectory, commands: Sequence[st
     for k, name in enumerate(trajectory.system.inputs):
         u, h, noise = trajectory.drive.inputs[:, k], trajectory.drive.step_s, section.noise[:, k]
         errors = _of_command(u, h, noise) if name in commands else _of_sensor(h, noise)
+        errors = np.hstack([errors, _of_jumps(section.jumps[name], section.t)]) if name in section.jumps else errors
         columns.append(stacked(section, trajectory.by_input(name, errors)))
     return np.concatenate(columns, axis=1)
 
@@ -105,6 +107,14 @@ def _of_sensor(step_s: float, noise: Array) -> Array:
     """The errors (K, D) of a measured input: the mean of its samples' noise over every `CELL_S`."""
     cell = (np.arange(len(noise)) * step_s / CELL_S).astype(int)
     return np.asarray(np.sqrt(PERIOD_S / CELL_S) * noise[:, None] * _marks(cell, cell[-1] + 1))
+
+
+def _of_jumps(jumps: Array, t: Array) -> Array:
+    """The errors (K, J) of an input's mean over intervals in which it jumps, on the part of a step that is theirs."""
+    begin, end, deviation = jumps.T
+    half = (t[1] - t[0]) / 2.0
+    inside = np.minimum(t[:, None] + half, end) - np.maximum(t[:, None] - half, begin)
+    return np.asarray(deviation * np.maximum(inside, 0.0) / (2.0 * half))
 
 
 def _of_command(u: Array, step_s: float, noise: Array) -> Array:

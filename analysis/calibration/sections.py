@@ -6,7 +6,7 @@ interpolated, outputs are compared at their own times: nothing is filtered.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -45,6 +45,14 @@ BLIND_S = 0.5
 SHORTEST_S = 30.0
 """Beyond the warm-up; less is not worth a run."""
 
+ROUGH = 3.0
+"""Times the noise of its mode, from which an input's third difference is a jump: noise alone is one in 3 of 1,000."""
+
+JUMP = 1.0 / np.sqrt(12.0)
+"""Of its height, the standard deviation of what a jump makes of the mean over its interval: a jump whose instant within
+the interval is unknown. It comes at any with the same probability, and the mean is anywhere between before and after.
+"""
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -61,6 +69,8 @@ class Section:
 
     `number` counts the sections of one log from zero on; `noise` (K, inputs) is the standard deviation of a sample of
     each input at the run's instants; `sensed` (K,) are the measured outputs there, which say where the states begin.
+    `jumps` (J, 3), by input, are the intervals between samples in which it jumps: begin and end [s] after the section's
+    start, and the standard deviation of its mean over them.
     """
 
     number: int
@@ -69,6 +79,7 @@ class Section:
     noise: Array
     samples: Mapping[str, Samples]
     sensed: Mapping[str, Array]
+    jumps: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def t(self) -> Array:
@@ -169,7 +180,8 @@ def _section(
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
     noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
-    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured)
+    jumps = {name: _jumps(tracks[name], t, noise[:, k]) for k, name in enumerate(system.inputs)}
+    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured, jumps)
 
 
 def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:
@@ -187,6 +199,20 @@ def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np
         for k in np.unique(at):
             found[mode == k] = max(by_median(flicker[at == k]), model.known[name].noise)
     return found
+
+
+def _jumps(track: Track, t: Array, noise: Array) -> Array:
+    """The intervals (J, 3) in which an input jumps, see `Section`; `noise` (K,) is that of its samples at `t`.
+
+    A set point's step moves the input between two samples by more than the median of a mode shows. Its height is half
+    the third difference around the interval: all of it after a jump, and nothing where the input bends slowly.
+    """
+    if is_command(track.value):
+        return np.zeros((0, 3))
+    begin, end, rough = track.t[1:-2], track.t[2:-1], np.abs(np.diff(track.value, 3))
+    usual = np.sqrt(20.0) * noise[np.clip(np.searchsorted(t, begin, side="right") - 1, 0, None)]
+    found = (rough > ROUGH * usual) & (end > t[0]) & (begin < t[-1])
+    return np.asarray(np.column_stack([begin - t[0], end - t[0], JUMP * rough / 2.0])[found])
 
 
 def by_median(e: Array) -> float:

@@ -3,7 +3,9 @@
 The *noise floor* of a channel is how it flickers by itself, sensor and valve's ripple together, whatever the model: the
 standard deviation around straight lines of `BLOCK_S`, by the median of them, as some bend. The *expected* error adds
 what the inputs' own errors make of a free run, even of a right model's (see `noise`): the speed's noise, which the run
-integrates, a command's imprecision, and what is left of steps whose time is not known better than a sample.
+integrates, a command's imprecision, and what is left of steps whose time is not known better than a sample. It differs
+from sample to sample: after a jump of the speed it is ten times that of a quiet minute. So each error is also taken in
+parts of its own expected one (`normalised`), and a few jumps excuse nothing that is wrong between them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +36,8 @@ STEADY = "steady"
 class Agreement:
     """In one mode of one output, all in the output's unit: RMS and mean of the error, noise floor, expected error.
 
-    Where no block is long enough for a floor, it and what is expected are NaN.
+    `normalised` is the RMS of the errors, each over its sample's own expected one: 1 for a right model. Where no block
+    is long enough for a floor, it, what is expected and `normalised` are NaN.
     """
 
     samples: int
@@ -42,6 +45,7 @@ class Agreement:
     bias: float
     floor: float
     expected: float
+    normalised: float
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ def _agreement(error: Array, flicker: Array, disturbed: Array) -> Agreement:
         bias=float(np.mean(error)),
         floor=floor,
         expected=float(np.sqrt(floor**2 + np.mean(disturbed))),
+        normalised=float(np.sqrt(np.mean(error**2 / (floor**2 + disturbed)))),
     )
 
 

@@ -46,6 +46,8 @@ class Errors(NamedTuple):
     level: float = 1.0
     step_time_s: float = 0.2
     """A step acts up to so much earlier or later."""
+    jumps: bool = False
+    """The speed jumps anywhere between two samples, as a set point's step makes it, instead of moving for 2 s."""
     wander: float = 0.15
     """The height of each of six slow waves of the true speed [1/s]: no error, but a model has to follow them."""
 
@@ -86,7 +88,7 @@ def frames(
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, HOLD_S * len(speed), STEP_S)
     ecu_t = t[:: round(ECU_S / STEP_S)] + LATE_S
-    n_p = _ramps(t, speed, np.zeros(len(speed)), 2.0) + errors.wander * _wander(t, rng)
+    n_p = _speed(t, speed, errors.jumps) + errors.wander * _wander(t, rng)
     logged = np.array(dose)[np.minimum((ecu_t / HOLD_S).astype(int), len(dose) - 1)]
     shifts = delay_s + LATE_S - ECU_S / 2.0 + rng.uniform(-1.0, 1.0, len(dose)) * errors.step_time_s
     levels = np.array(dose) + errors.level * model.known["dc_dose"].noise * rng.standard_normal(len(dose))
@@ -99,6 +101,14 @@ def frames(
         shown[name] = np.interp(at, t, y[name]) + offset + errors.sensors * rng.normal(0.0, known.noise, len(at))
     told = np.interp(ecu_t, t, n_p) + errors.speed * rng.normal(0.0, model.known["n_p"].noise, len(ecu_t))
     return _encoded(t[::2], shown["y_p_tp"], shown["y_p_ap"], ecu_t, shown["y_p_du"], np.abs(told), logged)
+
+
+def _speed(t: Array, speed: Sequence[float], jumps: bool) -> Array:
+    """The speed's levels, one after the other; a jump takes one step, soon after a sample or soon before the next."""
+    if not jumps:
+        return _ramps(t, speed, np.zeros(len(speed)), 2.0)
+    late = np.random.default_rng(1).choice((1.5, 3.5), len(speed)) * STEP_S
+    return _ramps(t, speed, late, STEP_S)
 
 
 def _ramps(t: Array, values: Sequence[float] | Array, late: Array, width_s: float) -> Array:

@@ -177,7 +177,7 @@ def test_a_model_without_priors_is_refused(made: Made, tmp_path: Path) -> None:
 def test_a_recording_that_is_too_short_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
     short = write_recording(tmp_path / "short", [frame for frame in frames(UDS4, {}, 6) if frame.t < 45.0])
     out = tmp_path / "calibrated.toml"
-    with pytest.raises(InputError, match=r"short: in no 50 s on end do all inputs tell"):
+    with pytest.raises(InputError, match=r"short: in no 50 s on end .*do all inputs tell"):
         calibrate(["uds4", str(short), "--out", str(out)])
     assert not out.exists()
 

@@ -15,8 +15,9 @@ def good() -> Fit:
     return calibrated("uds1", 0).fit
 
 
-def off_by(rms: float, mode: str) -> dict[str, Validation]:
-    return {"rec": Validation((), (), {"y_p_du": {mode: Agreement(100, rms, 0.0, 1000.0, 1500.0)}})}
+def off_by(rms: float, mode: str, normalised: float | None = None) -> dict[str, Validation]:
+    found = Agreement(100, rms, 0.0, 1000.0, 1500.0, rms / 1500.0 if normalised is None else normalised)
+    return {"rec": Validation((), (), {"y_p_du": {mode: found}})}
 
 
 def test_a_good_fit_raises_none(good: Fit) -> None:
@@ -26,8 +27,15 @@ def test_a_good_fit_raises_none(good: Fit) -> None:
 
 def test_a_free_run_that_is_far_off_is_told(good: Fit) -> None:
     assert list(doubts(good, off_by(3100.0, "idle"))) == [
-        "rec: the free run of y_p_du is off by 3100 Pa in mode idle, 1500 is expected"
+        "rec: the free run of y_p_du is off by 3100 Pa in mode idle; sample by sample that is 2.1 times what is "
+        "expected"
     ]
+
+
+def test_each_sample_is_judged_by_what_is_expected_of_it(good: Fit) -> None:
+    """The wound: a few jumps made the expected mean square so large that anything passed between them."""
+    assert list(doubts(good, off_by(1500.0, "idle", normalised=2.1))) != []
+    assert list(doubts(good, off_by(9000.0, "idle", normalised=1.9))) == []
 
 
 def test_what_the_fit_had_to_assume_is_told(good: Fit) -> None:

@@ -1,9 +1,11 @@
 """The noise that is stated is the noise that is whitened, and its levels are found."""
 
+import dataclasses
+
 import numpy as np
 import numpy.typing as npt
 import pytest
-from made_drive import DOSE, UDS4, UDS4_SYSTEM, frames, log_sections
+from made_drive import DOSE, ECU_S, UDS4, UDS4_SYSTEM, frames, log_sections
 
 from analysis.calibration.noise import (
     CELL_S,
@@ -17,7 +19,7 @@ from analysis.calibration.noise import (
     levels_of,
     stacked,
 )
-from analysis.calibration.sections import Section, by_median
+from analysis.calibration.sections import JUMP, Section, by_median
 from analysis.simulation import Trajectory, run
 from service.core.manifest import MODES
 
@@ -104,11 +106,13 @@ def test_whitening_is_the_inverse_of_the_covariance(section: Section, trajectory
 
 
 def test_the_disturbances_are_those_of_speed_levels_and_steps(section: Section, trajectory: Trajectory) -> None:
-    """One column for each cell of the speed, each level of the dose and each of its steps."""
+    """One column for each cell of the speed, each of its jumps, each level of the dose and each of its steps."""
     steps = sum(a != b for a, b in zip(DOSE[1:], DOSE[:-1], strict=True))
     cells = int(np.ceil(len(section.t) * section.drive.step_s / CELL_S))
     B = disturbances(section, trajectory, COMMANDS)
-    assert B.shape == (sum(len(s.t) for s in section.samples.values()), cells + (steps + 1) + steps)
+    jumps = len(section.jumps["n_p"])
+    assert B.shape == (sum(len(s.t) for s in section.samples.values()), cells + jumps + (steps + 1) + steps)
+    assert jumps < 0.01 * cells * CELL_S / ECU_S  # here the speed does not: chance
 
 
 def test_a_late_step_is_its_column(section: Section, trajectory: Trajectory) -> None:
@@ -138,6 +142,29 @@ def test_a_level_error_stays_with_its_level(section: Section, trajectory: Trajec
     assert np.ptp(held) < 0.05 * np.abs(held).mean()
     assert np.abs(held).mean() > 100.0
     assert np.abs(partial[ap & (t > 118.0)]).max() < 0.01 * np.abs(held).mean()
+
+
+def test_a_jumps_column_is_what_its_unknown_instant_does(section: Section, trajectory: Trajectory) -> None:
+    """A speed that is higher from the begin of an interval on, or from its end on: sqrt(12) times the column apart."""
+    height, begin, end = 0.5, 100.0, 100.2
+    jump = np.array([[begin, end, height * JUMP]])
+    B = disturbances(dataclasses.replace(section, jumps={"n_p": jump}), trajectory, COMMANDS)
+    column = B[:, int(np.ceil(len(section.t) * section.drive.step_s / CELL_S))]
+    outputs = []
+    for at in (begin, end):
+        u = section.drive.inputs.copy()
+        u[:, 0] += height * (section.t > at - 0.01)
+        outputs.append(
+            stacked(
+                section, run(UDS4_SYSTEM, dataclasses.replace(section.drive, inputs=u), trajectory.parameters).outputs()
+            )
+        )
+    apart = outputs[0] - outputs[1]
+    t = np.concatenate([s.t for s in section.samples.values()])
+    after = t > end + 0.2
+    assert np.abs(apart[after]).max() > 500.0
+    assert np.abs(apart - np.sqrt(12.0) * column)[after].max() < 0.05 * np.abs(apart[after]).max()
+    assert np.abs(column[t < begin - 0.2]).max() < 1e-6
 
 
 @pytest.mark.parametrize("spread", [by_square, by_median])
@@ -188,7 +215,7 @@ def test_speed_noise_is_a_mean_over_its_cell(section: Section, trajectory: Traje
     Before it, where nothing integrates, single samples show; they are a fiftieth of that sensor's noise.
     """
     B = disturbances(section, trajectory, COMMANDS)
-    cells = B.shape[1] - 9
+    cells = B.shape[1] - len(section.jumps["n_p"]) - 9
     size = np.sqrt((B[:, :cells] ** 2).sum(axis=1))
     after = np.arange(len(size)) >= len(section.samples["y_p_tp"].t)
     moved = []

@@ -1,5 +1,7 @@
 """A right model is as far from the measurements as it says, a wrong one farther."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from made_drive import DELAY_S, Errors, drawn, frames, log_sections
@@ -37,6 +39,23 @@ def test_the_true_model_is_as_far_off_as_expected() -> None:
             there = [agreement[name][mode] for agreement in found]
             ratio = np.sqrt(sum(a.rms**2 * a.samples for a in there) / sum(a.expected**2 * a.samples for a in there))
             assert 0.8 < ratio < 1.2, (name, mode, ratio)
+            assert 0.7 < np.sqrt(np.mean([a.normalised**2 for a in there])) < 1.3, (name, mode)
+
+
+def test_jumps_of_the_speed_excuse_nothing_between_them() -> None:
+    """With a few intervals in which nobody knows the speed, the mean of what is expected says little of the rest."""
+    true = drawn(UDS1, 3)
+    [section] = log_sections(UDS1, SYSTEM, frames(UDS1, true, 1, delay_s=DELAY_S, errors=ALL, zero=ZERO))
+    often = np.array([[at, at + 0.2, 15.0] for at in (72.0, 73.0, 134.0)])
+    values = {name: true[name] * (1.01 if name == "A_ori" else 1.0) for name in SYSTEM.parameters}
+    nuisance = Nuisance(ZERO, {}, {"dc_dose": DELAY_S})
+    wrong, right = (
+        validate(SYSTEM, [dataclasses.replace(section, jumps={"n_p": often})], theta, nuisance).agreement["y_p_ap"]
+        for theta in (values, {name: true[name] for name in SYSTEM.parameters})
+    )
+    assert wrong["partial"].rms < 2.0 * wrong["partial"].expected
+    assert wrong["partial"].normalised > 3.0
+    assert right["partial"].normalised < 1.5
 
 
 def test_edges_are_expected_to_be_worse() -> None:
@@ -66,6 +85,7 @@ def test_a_wrong_parameter_shows() -> None:
         for mode in ("idle", "partial"):
             a = wrong[name][mode]
             assert a.rms / a.expected > 3.0, (name, mode)
+            assert a.normalised > 3.0, (name, mode)
             assert a.bias > 0.8 * a.rms  # it runs too low
             assert a.floor == right[name][mode].floor
     assert wrong["y_p_tp"]["idle"].rms / wrong["y_p_tp"]["idle"].expected < 1.2  # the flow is the pump's all the same
