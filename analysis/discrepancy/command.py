@@ -19,7 +19,7 @@ from analysis.discrepancy.add.structure_change import structure_change
 from analysis.discrepancy.data import Data, load
 from analysis.discrepancy.discover import Discovery, discover
 from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import load_library
+from analysis.discrepancy.effects.library import is_own, load_library
 from analysis.discrepancy.effects.rewrite import applicable
 from analysis.discrepancy.name.attempt import Attempt
 from analysis.discrepancy.name.experiment import MANY, Plan, propose
@@ -120,7 +120,7 @@ def _discover(options: argparse.Namespace) -> int:
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
             progress.note(gap)
-        for gap in _without_place(model, library, options.library):
+        for gap in _without_place(model, library):
             progress.note(gap)
         recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
@@ -168,11 +168,11 @@ def _gauge(found: Discovery, rivals: Sequence[Attempt], plans: Sequence[Plan]) -
     return gauge(found.study, rivals, pairs)
 
 
-def _without_place(model: Model, library: Mapping[str, Effect], own: Path | None) -> Iterator[str]:
+def _without_place(model: Model, library: Mapping[str, Effect]) -> Iterator[str]:
     """Why entries of the user's file have no place in the model: a shipped one may well have none, theirs was meant."""
     for effect in library.values():
         reason = applicable(model, effect)
-        if reason is not None and own is not None and effect.place.startswith(str(own)):
+        if reason is not None and is_own(effect):
             yield f"{effect.place}: {reason}; the entry is left away"
 
 

@@ -8,12 +8,12 @@ from typing import Literal
 
 from analysis.discrepancy.data import Data
 from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import SHIPPED
+from analysis.discrepancy.effects.library import is_own
 from analysis.discrepancy.effects.rewrite import applicable, rewritten
 from analysis.discrepancy.find.locate import Location
 from analysis.discrepancy.find.onset import Onset, onset
 from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import Outcome, Say, asked, contest
+from analysis.discrepancy.name.contest import Outcome, Say, alone, asked, contest
 from analysis.discrepancy.name.sensitivity import Direction, chance
 from analysis.discrepancy.name.work import Crew
 
@@ -46,7 +46,7 @@ class Discovery:
     `before` is where the model as it was misses something, `after` where that with the chosen effects does, `held`
     where that does in the held-out recordings, `unforetold` where those depart from what the training tells of them.
     `unfit` are entries that have no place in this model, with the reason; `halted` those whose model could not be run
-    from some beginning, and that came to nothing from the others.
+    from some beginning, and that came to nothing from the others; `own` those of a user's file.
     """
 
     study: Study
@@ -60,6 +60,7 @@ class Discovery:
     directions: tuple[Direction, ...]
     unfit: Mapping[str, str]
     halted: Mapping[str, str]
+    own: tuple[str, ...] = ()
 
     @property
     def rivals(self) -> tuple[Attempt, ...]:
@@ -90,7 +91,7 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     unfit = {name: reason for name, reason in reasons.items() if reason is not None}
     fit = {name: effect for name, effect in library.items() if name not in unfit}
     for effect in fit.values():
-        if not effect.place.startswith(str(SHIPPED)):
+        if is_own(effect):
             rewritten(data.model, effect)  # what is wrong in a user's entry is said before a minute is spent
     study = Study(data.key, data.model, fit, data.training_sections, data.held_sections)
     say("the model as it is", 0, 1)
@@ -109,13 +110,15 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     law = chance(directions, *judge.left(outcome.chosen))
     if any(place.gain < law for place in outcome.places):
         outcome = contest(crew, [*fit], nominal, law, unbent, say)
-    outcome = replace(outcome, threshold=asked(outcome.chosen, law))
+    own = tuple(name for name, effect in library.items() if is_own(effect))
+    singles = alone(crew, [name for name in own if name in fit], outcome, lambda n, of: say("your own entries", n, of))
+    outcome = replace(outcome, singles=singles, threshold=asked(outcome.chosen, law))
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
     held, unforetold = judge.locate(outcome.chosen, held=True), judge.unforetold(outcome.chosen)
     judged = {attempt.effects for attempt in outcome.singles}
     halted = {effects[0]: why for effects, why in crew.failures.items() if len(effects) == 1 and effects not in judged}
     verdict = verdict_of(outcome, after, held)
-    return Discovery(study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted)
+    return Discovery(study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted, own)
 
 
 def verdict_of(outcome: Outcome, *left: Location) -> Verdict:

@@ -1,13 +1,16 @@
 """Whether what was found may be added to the model: a right name in a wrong form can make a model worse.
 
-The model with the effects has to predict the held-out recordings better in free runs; and nothing in it may have run
-into a bound, which would be the form's way to say that it does not fit.
+The model with the effects has to predict the held-out recordings better in free runs, or as well where there was no gap
+to close; and nothing in it may have run into a bound, which would be the form's way to say that it does not fit.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from analysis.calibration.problem import DELAY_S, LAG_S
+from analysis.calibration.validate import STEADY
 from analysis.discrepancy.add.adopt import adopted
 from analysis.discrepancy.add.held_out import Shown
 from analysis.discrepancy.data import Data
@@ -18,6 +21,10 @@ from service.core.modes import EDGE
 
 WORSE = 1.05
 """A free run's error in a mode may grow by this factor, and to what noise lets expect; more, and nothing is added."""
+
+GROWN = 1.01
+"""A free run's steady error over all outputs (geometric mean) that grows by this factor is not better, however much
+evidence there is and whatever noise lets expect; less does not tell one model from another."""
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: a sensor's lag or a command's delay beyond them does another thing's work."""
@@ -60,6 +67,10 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
     if found.verdict.kind == "unnamed":
         yield f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name"
     known = found.study.model.known
+    steady = [gap for gap in shown.gaps if gap.mode == STEADY]
+    if steady and np.mean([np.log(gap.after.rms / gap.before.rms) for gap in steady]) > np.log(GROWN):
+        told = [f"{g.output} {_digits(g.before.rms)} -> {_digits(g.after.rms)} {known[g.output].unit}" for g in steady]
+        yield f"the held-out free run is not better, by its RMS error in steady operation ({', '.join(told)})"
     for gap in shown.gaps:
         if gap.mode != MODES[EDGE] and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
             yield (
@@ -74,3 +85,8 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         for name, seconds in values.items():
             if abs(seconds) > UNLIKELY * usual:
                 yield f"the {what} of {name} has gone to {seconds:.2f} s, {usual:g} s is usual"
+
+
+def _digits(value: float) -> str:
+    """Four of them, without an exponent where that can be."""
+    return f"{float(f'{value:.4g}'):g}"

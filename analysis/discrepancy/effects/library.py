@@ -71,6 +71,11 @@ def load_library(path: Path | None = None) -> dict[str, Effect]:
     return found
 
 
+def is_own(effect: Effect) -> bool:
+    """True if an effect is of a user's file, and not of the shipped library."""
+    return not effect.place.startswith(str(SHIPPED))
+
+
 @cache
 def _shipped() -> dict[str, tuple[Effect, bool]]:
     return _read(SHIPPED)

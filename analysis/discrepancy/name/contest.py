@@ -117,6 +117,18 @@ def contest(
     return Outcome(nominal, tuple(singles), chosen, tuple(places), asked(chosen, law))
 
 
+def alone(crew: Crew, names: Sequence[str], outcome: Outcome, say: Callable[[int, int], None]) -> tuple[Attempt, ...]:
+    """All singles by evidence, with those of `names` that were not fitted to the end as they promise little."""
+    nominal, judged = outcome.nominal, {attempt.effects[0] for attempt in outcome.singles}
+    near = Begin(nominal.unknowns, nominal.x)
+    begins = (near, Begin(nominal.unknowns, np.zeros_like(nominal.x), typical=True))
+    attempts = crew.attempts([Order((n,), begin) for n in names if n not in judged for begin in begins], say)
+    best: dict[str, Attempt] = {}
+    for attempt in sorted(attempts, key=lambda attempt: attempt.cost):
+        best.setdefault(attempt.effects[0], attempt)
+    return tuple(sorted((*outcome.singles, *best.values()), key=lambda attempt: -attempt.evidence))
+
+
 def asked(best: Attempt, law: float) -> float:
     """Evidence [nats] from which an effect is named: `law` is what chance brings with the noise that is left."""
     return max(LEAST * scale(best), law)

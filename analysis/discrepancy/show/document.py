@@ -116,7 +116,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     The gains are null where a few steps of the fit showed that others do more, or where the entry has `no_place` in
     this model. `smallest` is the size from which these recordings would show it, null if no possible one is; `alike`
-    are entries that do the same in these recordings; `halted` says why its model could not be run from everywhere.
+    are entries that do the same in these recordings; `halted` says why its model could not be run from everywhere. Of a
+    user's `own` entry that is not named, `against` says in sentences what speaks against it.
     """
 
     name: str
@@ -129,6 +130,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     alike: tuple[str, ...]
     no_place: str | None
     halted: str | None = None
+    own: bool = False
+    against: tuple[str, ...] = ()
 
 
 class White(msgspec.Struct, frozen=True, kw_only=True):

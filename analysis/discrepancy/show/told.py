@@ -1,6 +1,6 @@
 """A discovery told: the document made of what a search came to, with what else was found out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import isfinite
 
 from msgspec import structs
@@ -11,6 +11,7 @@ from analysis.discrepancy.data import Data
 from analysis.discrepancy.discover import Discovery
 from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.find.locate import Location, Suspect
+from analysis.discrepancy.name.attempt import Attempt
 from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from analysis.discrepancy.show import document as told
 from analysis.discrepancy.show.extras import Extras, bundle_told, drifts_told, experiment_told, gauge_told, section
@@ -211,12 +212,40 @@ def _entries(found: Discovery) -> tuple[told.Entry, ...]:
                 alike=same.get(name, ()),
                 no_place=None,
                 halted=found.halted.get(name),
+                own=name in found.own,
+                against=tuple(_against(found, name, single)) if name in found.own else (),
             )
         )
-    return (*entries, *(_without_place(name, reason) for name, reason in found.unfit.items()))
+    return (*entries, *(_without_place(name, reason, name in found.own) for name, reason in found.unfit.items()))
 
 
-def _without_place(name: str, reason: str) -> told.Entry:
+def _against(found: Discovery, name: str, single: Attempt | None) -> Iterator[str]:
+    """The reasons why an entry is not named, none if it is."""
+    outcome, nominal, kind = found.outcome, found.outcome.nominal, found.verdict.kind
+    if name in (rival for names in found.verdict.sets for rival in names):
+        if kind == "unnamed":
+            yield f"with it in, {found.verdict.remainder:.0f} nats of evidence for an unknown input are left"
+        return
+    if single is None:
+        yield found.halted.get(name, "its model could not be run")
+        return
+    best = outcome.singles[0]
+    if single.evidence - nominal.evidence <= outcome.threshold:
+        yield f"{outcome.threshold:.1f} nats are asked for"
+    if best is not single and best.evidence > nominal.evidence:
+        yield f"{best.effects[0]} brings {best.evidence - single.evidence:.1f} nats more"
+    elif outcome.chosen.effects:
+        yield f"with {', '.join(outcome.chosen.effects)} in the model it is not needed"
+    if single.predicted < nominal.predicted:
+        yield "the held-out recordings speak against it"
+    for parameter, inside in zip(single.unknowns.parameters, single.inside.tolist(), strict=False):
+        strength = found.study.library[name].strengths.get(parameter)
+        if strength is not None and not inside:
+            nothing = single.values[parameter] == strength.null
+            yield f"{parameter} has gone to where {'it does nothing' if nothing else 'its bound is'}"
+
+
+def _without_place(name: str, reason: str, own: bool) -> told.Entry:
     return told.Entry(
         name=name,
         statement="",
@@ -227,4 +256,6 @@ def _without_place(name: str, reason: str) -> told.Entry:
         unit="",
         alike=(),
         no_place=reason,
+        own=own,
+        against=(reason,) if own else (),
     )

@@ -50,14 +50,18 @@ def confidence(d: Document) -> list[str]:
     v, best = d.verdict, max((entry.gain for entry in d.entries if entry.gain is not None), default=None)
     if v.kind == "nothing missing":
         tried = sum(entry.no_place is None for entry in d.entries)
-        brought = "none brought any evidence" if best is None else f"the best brought {best:.1f} nats of evidence"
+        brought = (
+            "none brought any evidence"
+            if best is None or best <= 0.0
+            else f"the best brought {best:.1f} nats of evidence"
+        )
         found = [f"{tried} effects were looked for; {brought}, {_asked(v.threshold)}"]
         if v.remainder > 0.0:
             found.append(
                 f"an unknown input has {v.remainder:.0f} nats of evidence, more than chance; from {REMAINDER:.0f} on "
                 "something is said to be missing"
             )
-        return found
+        return [*found, *_own(d)]
     lines = []
     if v.places:
         e, what = d.evidence, "evidence" if d.named else "the nearest effects bring"
@@ -68,7 +72,21 @@ def confidence(d: Document) -> list[str]:
     if v.kind == "unnamed":
         nearest = f" with them in ({', '.join(_names(d))})" if v.places else ""
         lines.append(f"{v.remainder:.0f} nats of evidence for an unknown input are left{nearest}")
-    return lines
+    return [*lines, *_own(d)]
+
+
+def _own(d: Document) -> list[str]:
+    """The user's own entries that are not named: their evidence, and what speaks against them."""
+    return [f"your entry {e.name}: {_brought(e)}; against it: {'; '.join(e.against)}" for e in d.entries if e.against]
+
+
+def _brought(e: Entry) -> str:
+    if e.gain is None or e.gain_training is None or e.gain_held_out is None:
+        return "no evidence"
+    return (
+        f"{e.gain:.1f} nats ({e.gain_training:.1f} of the training recordings, {e.gain_held_out:.1f} of the held-out "
+        "ones)"
+    )
 
 
 def _asked(threshold: float) -> str:

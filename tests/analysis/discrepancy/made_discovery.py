@@ -1,5 +1,6 @@
 """A discovery of made runs, small enough for a test: one effect hidden, three entries looked for."""
 
+import dataclasses
 from functools import cache
 
 from made_study import LIBRARY, Inline, study
@@ -13,9 +14,12 @@ GAIN = 0.15
 
 
 @cache
-def discovery(gain: float = GAIN) -> Discovery:
-    """Of a valve that passes so much more when it is held open."""
+def discovery(gain: float = GAIN, own: str | None = None) -> Discovery:
+    """Of a valve that passes so much more when it is held open; the entry `own` is of a user's file."""
     made = study(ENTRIES, {"full_open_gain": gain} if gain else {})
     model = made.model
     data = Data(model, system_of(model, model.calibrated), (), (), made.training, made.held)
-    return discover(data, {name: LIBRARY[name] for name in ENTRIES}, Inline(), None, lambda *_: None)
+    library = {name: LIBRARY[name] for name in ENTRIES}
+    if own is not None:
+        library[own] = dataclasses.replace(LIBRARY[own], place=f"own.toml: effect {own}")
+    return discover(data, library, Inline(), None, lambda *_: None)

@@ -5,10 +5,12 @@ import dataclasses
 import io
 import json
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_study import LIBRARY, UDS1, with_effects
@@ -17,6 +19,7 @@ sys.path.append(str(Path(__file__).parents[1] / "calibration"))
 from made_drive import frames, freed, write_recording
 
 from analysis.discrepancy import command
+from analysis.discrepancy.add.held_out import Shown, shown
 from analysis.discrepancy.command import main
 from analysis.discrepancy.effects.effect import Effect
 from analysis.discrepancy.effects.library import load_library
@@ -129,6 +132,36 @@ def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: 
     assert entry["held_out"] == [open_log(found.held).sha256]
     assert structure([str(found.out / "model.toml")]) == 0
     assert "uds1" in capsys.readouterr().out
+
+
+def test_what_makes_the_held_out_free_run_worse_is_not_written(
+    found: Found, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The wound: on 107 nats of the held-out recording a model was written whose error there had grown by 7 %."""
+
+    def grown(*attempts: Any) -> Shown:
+        runs = shown(*attempts)
+        agreement = {
+            name: {mode: dataclasses.replace(a, rms=1.075 * a.rms, expected=2.0 * a.rms) for mode, a in by_mode.items()}
+            for name, by_mode in runs.before.agreement.items()
+        }
+        return dataclasses.replace(runs, after=dataclasses.replace(runs.after, agreement=agreement))
+
+    monkeypatch.setattr(command, "shown", grown)
+    out = tmp_path / "out"
+    shutil.copytree(found.out / "work", out / "work")
+    code, printed = run(found.model, found.training, "--held-out", found.held, "--out", out, "--apply")
+    assert code == 1
+    assert not (out / "model.toml").exists()
+    told = json.loads((out / "discovery.json").read_bytes())
+    assert (told["verdict"]["kind"], told["applied"]) == ("named", False)
+    [reason] = told["refused"]
+    assert reason.startswith("the held-out free run is not better, by its RMS error in steady operation (")
+    for regime in (r for r in told["regimes"] if r["mode"] == "steady"):
+        before, after = (float(f"{regime[key]:.4g}") for key in ("rms_before", "rms_after"))
+        assert f"{regime['output']} {before:g} -> {after:g} Pa" in reason
+    assert f"not added: {reason}" in printed
+    assert reason in (out / "summary.md").read_text()
 
 
 def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -126,6 +126,38 @@ def test_an_entry_whose_model_could_not_be_run_is_not_silently_out(document: Doc
         assert re.search(f"{said}.*does not converge at 3 s", text, flags=re.IGNORECASE), text
 
 
+@pytest.mark.parametrize("gain", [0.0, GAIN])
+def test_an_entry_of_the_users_own_is_told_with_what_speaks_against_it(gain: float) -> None:
+    """The wound: entries that promised nothing in a few steps had no evidence, and no word in the summary."""
+    document, _ = described(discovery(gain, own="lag_p_du"), ORIGIN)
+    [entry] = [entry for entry in document.entries if entry.own]
+    assert entry.name == "lag_p_du"
+    assert entry.gain is not None
+    assert entry.gain < document.verdict.threshold
+    assert f"{document.verdict.threshold:.1f} nats are asked for" in entry.against
+    assert any(reason.startswith("full_open_gain brings ") for reason in entry.against) == bool(gain)
+    said = f"your entry lag_p_du: {entry.gain:.1f} nats ("
+    for text in (summary(document), "\n".join(sentences(document)), page(document, {})):
+        assert re.search(f"{re.escape(said)}.*; against it: .* nats are asked for", text, flags=re.IGNORECASE), text
+
+
+def test_an_entry_of_the_users_own_that_is_named_has_nothing_against_it() -> None:
+    document, _ = described(discovery(GAIN, own="full_open_gain"), ORIGIN)
+    assert [entry.against for entry in document.entries if entry.own] == [()]
+    assert "your entry" not in summary(document)
+
+
+def test_an_entry_of_the_users_own_that_is_not_its_name_or_has_no_place_says_so() -> None:
+    found = discovery(GAIN, own="full_open_gain")
+    unnamed = dataclasses.replace(found, verdict=dataclasses.replace(found.verdict, kind="unnamed", remainder=80.0))
+    document, _ = described(unnamed, ORIGIN)
+    [entry] = [entry for entry in document.entries if entry.own]
+    assert entry.against == ("with it in, 80 nats of evidence for an unknown input are left",)
+    elsewhere = dataclasses.replace(found, unfit={"mine": "uds1 has no q_pumpe"}, own=("mine",))
+    document, _ = described(elsewhere, ORIGIN)
+    assert "your entry mine: no evidence; against it: uds1 has no q_pumpe" in "\n".join(sentences(document))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_verdict_is_told_in_every_form(document: Document, kind: Kind) -> None:
     d = as_kind(document, kind)

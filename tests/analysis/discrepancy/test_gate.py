@@ -107,6 +107,21 @@ def test_worse_than_before_but_as_good_as_noise_lets_it_be_is_no_reason(
     assert adoption(data, found, with_after(runs, {"y_p_du": {"rms": rms, "expected": rms}})).reasons == ()
 
 
+@pytest.mark.parametrize(("factor", "refused"), [(1.075, True), (1.02, True), (1.004, False), (0.9, False)])
+def test_a_held_out_error_that_grows_is_refused_whatever_noise_lets_expect(
+    data: Data, found: Discovery, runs: Shown, factor: float, refused: bool
+) -> None:
+    """The wound: 116 nats of evidence, an error that grew from 0.0469 to 0.0504 bar, and the model was written."""
+    was = {name: by_mode[STEADY].rms for name, by_mode in runs.after.agreement.items()}
+    now = {name: {"rms": factor * rms, "expected": 2.0 * rms} for name, rms in was.items()}
+    reasons = adoption(data, found, with_after(dataclasses.replace(runs, before=runs.after), now)).reasons
+    assert len(reasons) == refused
+    for reason in reasons:
+        assert reason.startswith("the held-out free run is not better, by its RMS error in steady operation (y_p_tp ")
+        for name, rms in was.items():
+            assert f"{name} {float(f'{rms:.4g}'):g} -> {float(f'{factor * rms:.4g}'):g} Pa" in reason
+
+
 def test_a_bound_is_refused(data: Data, found: Discovery, runs: Shown) -> None:
     inside = found.outcome.chosen.inside.copy()
     inside[found.outcome.chosen.unknowns.parameters.index("full_open_gain_g")] = False

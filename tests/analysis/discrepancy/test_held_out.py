@@ -26,7 +26,7 @@ def gap_of(found: Shown, output: str, mode: str) -> Gap:
 
 
 def gap_with(before: float, after: float, floor: float = 1.0, expected: float = 2.0) -> Gap:
-    was, now = (Agreement(100, rms, 0.0, floor, expected) for rms in (before, after))
+    was, now = (Agreement(100, rms, 0.0, floor, expected, rms / expected) for rms in (before, after))
     return Gap("y", "steady", was, now, None, None)
 
 
