@@ -74,6 +74,8 @@ AT_ONCE: frozenset[Kind] = frozenset(("second-sender",))
 """These are told at once: no loose plug brings them, and what has been diagnosed meanwhile may be forged."""
 CLEARED_S = 10.0
 """It is gone once it was away for so long."""
+REFUTED: frozenset[Kind] = frozenset(("no-traffic",))
+"""Gone as soon as it is away: one frame shows that it does not hold, and it is raised after seconds of silence only."""
 
 
 class Condition(msgspec.Struct, frozen=True, order=True):
@@ -136,5 +138,9 @@ class Conditions:
             if t - begun >= RAISED_S or condition.kind in AT_ONCE:
                 del self._begun[condition]
                 self._seen[condition] = t
-        self._seen = {condition: seen for condition, seen in self._seen.items() if t - seen < CLEARED_S}
+        self._seen = {
+            condition: seen
+            for condition, seen in self._seen.items()
+            if condition in now or (t - seen < CLEARED_S and condition.kind not in REFUTED)
+        }
         return set(self._seen) != before

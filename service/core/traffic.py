@@ -20,7 +20,7 @@ SLACK = 3
 COUNTED_S = 1.0
 """Frames are counted so often."""
 EXPECTED_S = 30.0
-"""With the ignition on every sender has spoken by then."""
+"""With the ignition on every sender has spoken by then; of real time, as log time begins with the first frame."""
 SILENT_S, QUIET_S = 5.0, 2.0
 """All senders together are silent for a reason of their own, as the ignition: after `QUIET_S` no single signal is
 missing, after `SILENT_S` nothing comes any more; later where messages come less often than every second."""
@@ -87,7 +87,7 @@ class Traffic:
         found |= {Condition("address-claim", name) for name in claimed}
         found |= {Condition("short-frames", name) for name in self._more("short")}
         found |= {Condition("unknown-selector", name) for name in self._more("unknown_selector")}
-        if silent >= (EXPECTED_S if self._heard is None else self._silent_s):
+        if silent >= (self._stretch * EXPECTED_S if self._heard is None else self._silent_s):
             return found | {Condition("no-traffic", ", ".join(self._messages))}
         if quality is None or silent >= self._quiet_s:
             return found

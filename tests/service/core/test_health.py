@@ -44,6 +44,14 @@ def test_what_does_not_last_is_not_told_and_a_loose_plug_is_one_message() -> Non
     for k in range(1000):
         changes += conditions.update(100.0 + 0.1 * k, [DOWN] if k % 60 < 30 else [])  # three seconds and three
     assert (changes, list(conditions.standing)) == (1, [DOWN])
+def test_no_traffic_ends_with_the_frames_that_refute_it() -> None:
+    """Ten seconds more are 200 s of log time at 20x, in which values run beside it."""
+    silent, conditions = Condition("no-traffic", "UDS_ECU"), Conditions()
+    for t in (0.0, RAISED_S):
+        conditions.update(t, [silent, LOST])
+    assert list(conditions.standing) == [LOST, silent]
+    assert conditions.update(RAISED_S + 1.0, [])
+    assert list(conditions.standing) == [LOST], "others have their patience"
 
 
 def test_a_record_is_a_line_and_reads_back() -> None:
@@ -233,6 +241,14 @@ def test_at_twenty_times_real_time_a_stutter_of_the_sender_is_none() -> None:
                 road.table.decode(can_id, True, bytes(8))
         road.traffic.note(60.0 + k)
         assert not {each.kind for each in road.traffic.look(60.0 + k, road.quality)} & {"second-sender"}
+
+
+def test_at_twenty_times_real_time_a_first_frame_has_as_much_real_time() -> None:
+    """Log time begins with the first frame: whoever starts a replay has 30 s for that, not 1.5."""
+    road = Road()
+    road.traffic = Traffic(road.table, road.inputs, 0.0, 20.0)
+    assert road.drive(20 * EXPECTED_S - 20, 0.0) == set()
+    assert kinds(road.drive(40.0, 0.0)) == {"no-traffic": {"UDS_ECU, A1SCRDSI1"}}
 
 
 @pytest.mark.parametrize("quality", [q for q in Quality if q not in (Quality.GOOD, Quality.DOUBTED)])
