@@ -8,6 +8,7 @@ that the routes say: python-can's tools listen and send here after `ip route add
 import os
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -58,6 +59,7 @@ class UdpMulticast(Bus):
             self._socket.close()
             remedy = "it needs the loopback interface: ip link set lo up, or another port"
             raise BusError(f"{self._name}: {error.strerror}; {remedy}") from error
+        self._dropped = 0
         self._inode = str(os.fstat(self._socket.fileno()).st_ino)
 
     def fileno(self) -> int:
@@ -66,12 +68,13 @@ class UdpMulticast(Bus):
 
     @property
     def dropped(self) -> int:
-        """As the kernel counts for this socket; 0 where it does not say."""
-        for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[9] == self._inode:
-                return int(fields[-1])
-        return 0
+        """As the kernel counts for this socket; where it does not say, as it counted last."""
+        with suppress(OSError):  # no descriptor is left
+            for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+                fields = line.split()
+                if fields[9] == self._inode:
+                    self._dropped = int(fields[-1])
+        return self._dropped
 
     def receive(self) -> list[Frame]:
         """At most `BATCH` frames; raises `BusError` where none will ever come again."""

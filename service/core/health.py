@@ -32,6 +32,10 @@ Kind = Literal[
     "bundle-refused",
     "store-failed",
     "store-reset",
+    "clients-refused",
+    "store-removed",
+    "rows-set-aside",
+    "memory-failed",
 ]
 
 MEANINGS: dict[Kind, str] = {
@@ -55,6 +59,10 @@ MEANINGS: dict[Kind, str] = {
     "bundle-refused": "is damaged, not signed, or not for this faultline: nothing of it runs",
     "store-failed": "cannot be opened or written: what is told is not kept",
     "store-reset": "was damaged; it has been put aside and a new one was begun",
+    "clients-refused": "refuses clients: too many are connected, or the process has too few file descriptors",
+    "store-removed": "was removed or replaced while it was in use, and has been written anew",
+    "rows-set-aside": "has rows that make no sense: they are set aside in it as unreadable/..., the others are used",
+    "memory-failed": "failed and goes on with what the store has: a fault may be missing there, not in the events",
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""
 

@@ -9,13 +9,14 @@ import pwd
 import selectors
 import socket
 import struct
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, cast
 
 import msgspec
 
-from service.outputs.lines import Client, LineServer
+from service.outputs.lines import IDLE_S, Client, LineServer
 
 Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
 _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
@@ -102,6 +103,13 @@ class ControlSocket(LineServer):
     def _made(self, sock: socket.socket) -> Client:
         return _Connection(sock)
 
+    def _is_idle(self, client: Client) -> bool:
+        """True also if it asked, got its answer, and has asked nothing since for `IDLE_S`."""
+        connection = cast(_Connection, client)
+        if connection.is_waiting or connection.live is not None or client.rest:
+            return False
+        return not client.has_asked or time.monotonic() - client.active > IDLE_S
+
     def _take(self, client: Client) -> None:
         """Not while an answer is on its way: the next question waits for its turn."""
         connection = cast(_Connection, client)
@@ -162,6 +170,6 @@ def _question(line: bytes) -> Question:
 def _asker(uid: int, clear: frozenset[str]) -> Asker:
     try:
         user = pwd.getpwuid(uid).pw_name
-    except KeyError:
+    except (KeyError, OSError):  # the list of users cannot be read where no descriptor is left
         user = str(uid)
     return Asker(user, uid in (0, os.geteuid()) or user in clear)

@@ -1,10 +1,13 @@
 """Lines of JSON over a Unix stream socket, from one selectors loop: any number of clients, none can hold it up.
 
 A client is sent what it takes, and asked for no more than a line at a time; what is waiting for it is bounded by who
-derives from this.
+derives from this. Where all places are taken, the client that has been idle longest makes room; where none is idle, or
+the process is short of descriptors, the new one is refused, and that is a condition (`conditions`).
 """
 
+import errno
 import os
+import resource
 import selectors
 import socket
 import stat
@@ -16,19 +19,26 @@ from types import TracebackType
 import msgspec
 
 from service.core.errors import InputError
+from service.core.health import Condition
 
-CLIENTS = 32  # more are turned away
-SILENT_S = 5.0  # who has asked for nothing after so long makes room for others
+CLIENTS = 32  # at most
+IDLE_S = 5.0  # a client that could ask again and has not for so long is idle
+RESERVED = 16  # descriptors that clients leave to the rest of the process: buses, store, /proc, journal
+AGAIN_S = 1.0  # where no connection can be accepted, this is tried again after so long
+REFUSED_S = 10.0  # for so long after a client was refused, that is a condition
 REQUEST_SIZE = 4096  # bytes of a client's line
 MODE = 0o660  # the daemon's user and group
 
 
+_SHORT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+
 class Client:
-    """A connection: what it has sent of its line, and what of a line is half sent to it."""
+    """A connection: what it has sent of its line, what of a line is half sent to it, and when it asked last."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
-        self.since = time.monotonic()
+        self.active = time.monotonic()  # when it connected or asked last [s]
         self.request = b""
         self.rest = b""
         self.has_asked = False
@@ -46,6 +56,14 @@ class LineServer(ABC):
         self._listener = _listen(path)
         self._selector: selectors.BaseSelector | None = None
         self._clients: list[Client] = []
+        self._accept_at = 0.0  # monotonic time before which nothing is accepted [s]
+        self._refused_at = -float("inf")
+
+    @property
+    def conditions(self) -> set[Condition]:
+        """That clients were refused lately."""
+        lately = time.monotonic() - self._refused_at < REFUSED_S
+        return {Condition("clients-refused", str(self._path))} if lately else set()
 
     def __enter__(self) -> "LineServer":
         return self
@@ -62,6 +80,9 @@ class LineServer(ABC):
 
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
         """Does what a `select` found to do; keys of others are left alone."""
+        if self._accept_at and time.monotonic() >= self._accept_at and self._selector is not None:
+            self._accept_at = 0.0
+            self._selector.register(self._listener, selectors.EVENT_READ, self)
         for key, events in ready:
             if key.data is self:
                 self._accept()
@@ -91,19 +112,30 @@ class LineServer(ABC):
         """The client of a new connection."""
         return Client(sock)
 
+    def _is_idle(self, client: Client) -> bool:
+        """True if the client may make room for another: it has asked for nothing."""
+        return not client.has_asked
+
     def _accept(self) -> None:
         try:
             sock, _ = self._listener.accept()
-        except OSError:  # gone again, or no descriptor left: the loop must go on either way
-            return
+        except OSError as error:
+            if error.errno in _SHORT:  # who waits would be found again at once, and the loop would turn at full speed
+                self._refused_at = time.monotonic()
+                self._accept_at = self._refused_at + AGAIN_S
+                self._forget(self._listener)
+            return  # else it is gone again
         sock.setblocking(False)
         client = self._made(sock)
         self._clients.append(client)
         if self._selector is not None:
             self._selector.register(sock, selectors.EVENT_READ, client)
-        if len(self._clients) > CLIENTS:
-            silent = [each for each in self._clients if not each.has_asked and client.since - each.since > SILENT_S]
-            self._refuse(silent[0] if silent else client, "too many clients")
+        if len(self._clients) > CLIENTS or _is_among_the_last(sock):
+            idle = [each for each in self._clients if each is not client and self._is_idle(each)]
+            idlest = min(idle, key=lambda each: each.active, default=client)
+            if idlest is client:
+                self._refused_at = client.active
+            self._refuse(idlest, "too many clients")
 
     def _read(self, client: Client) -> None:
         try:
@@ -125,7 +157,7 @@ class LineServer(ABC):
         """Takes what the client has asked, if that is a whole line."""
         line, end, rest = client.request.partition(b"\n")
         if end:
-            client.request, client.has_asked = rest, True
+            client.request, client.has_asked, client.active = rest, True, time.monotonic()
             self._asked(client, line)
         elif len(client.request) >= REQUEST_SIZE:
             self._refuse(client, "the request has no end")
@@ -177,6 +209,12 @@ class LineServer(ABC):
         known = self._selector.get_map() if self._selector is not None else None
         if self._selector is not None and known is not None and sock in known:
             self._selector.unregister(sock)
+
+
+def _is_among_the_last(sock: socket.socket) -> bool:
+    """True if the descriptor is one of those reserved for the rest of the process: the lowest is given out first."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return limit != resource.RLIM_INFINITY and sock.fileno() >= limit - RESERVED
 
 
 def _listen(path: Path) -> socket.socket:

@@ -70,6 +70,15 @@ class EventSocket(LineServer):
         for client in list(self._clients):
             self._flush(client)
 
+    def renew(self, earlier: Sequence[Record]) -> None:
+        """The store was opened late: what it has can be asked for, and is not news to those who are connected."""
+        self._ring = deque(earlier, maxlen=RING)
+        for client in self._clients:
+            subscriber = cast(_Subscriber, client)
+            if subscriber.last is not None and self._ring:
+                subscriber.last = self._ring[-1].seq
+                subscriber.page.clear()
+
     def _made(self, sock: socket.socket) -> Client:
         return _Subscriber(sock)
 

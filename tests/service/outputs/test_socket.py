@@ -1,6 +1,8 @@
 """The event socket serves every client what it asked for, and lets none hold up the others."""
 
+import errno
 import os
+import resource
 import selectors
 import socket
 import stat
@@ -266,18 +268,67 @@ def test_too_many_clients_are_turned_away(loop: Loop, monkeypatch: pytest.Monkey
     assert ended(second)
 
 
-def test_who_asks_for_nothing_makes_room(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many silent clients as there is room for, which would keep everybody else out for ever."""
-    monkeypatch.setattr(lines, "CLIENTS", 2)
-    silent = [loop.client(), loop.client()]
-    assert loop.client(b"{}\n").recv(100) == b'{"error":"too many clients"}\n'
-    monkeypatch.setattr(lines, "SILENT_S", 0.0)
-    good = loop.client(b"{}\n")
-    loop.publish(event(1))
-    assert received(good) == [1]
-    assert silent[0].recv(100) == b'{"error":"too many clients"}\n'
-    assert ended(silent[0])
+def test_who_asks_for_nothing_makes_room_at_once(loop: Loop) -> None:
+    """As many silent clients as there is room for, which come back whenever one is sent away, keep nobody out."""
+    silent = [loop.client() for _ in range(lines.CLIENTS)]
+    for seq in range(1, 4):
+        good = loop.client(b"{}\n")
+        loop.publish(event(seq))
+        assert received(good) == [seq]
+        assert silent[0].recv(100) == b'{"error":"too many clients"}\n'
+        assert ended(silent.pop(0))
+        silent.append(loop.client())
     assert not ended(silent[1])
+    assert loop.events.conditions == set()
+
+
+def test_where_descriptors_are_short_clients_are_refused_and_the_rest_keeps_its_own(loop: Loop) -> None:
+    first = loop.client(b"{}\n")
+    _, hard = limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    os.close(lowest := os.dup(0))
+    resource.setrlimit(
+        resource.RLIMIT_NOFILE, (lowest + 1 + lines.RESERVED, hard)
+    )  # the client has one, the other end is next
+    try:
+        assert loop.client(b"{}\n").recv(100) == b'{"error":"too many clients"}\n'
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert {each.kind for each in loop.events.conditions} == {"clients-refused"}
+    loop.publish(event(1))
+    assert received(first) == [1]
+    again = loop.client(b"{}\n")
+    loop.publish(event(2))
+    assert received(again) == [2]
+
+
+def test_a_process_without_a_descriptor_does_not_spin_and_accepts_again(
+    loop: Loop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Full:
+        """A listening socket whose process has no descriptor left."""
+
+        def accept(self) -> None:
+            raise OSError(errno.EMFILE, "Too many open files")
+
+        def fileno(self) -> int:
+            return listener.fileno()
+
+    listener = loop.events._listener
+    monkeypatch.setattr(lines, "AGAIN_S", 0.2)
+    monkeypatch.setattr(loop.events, "_listener", Full())
+    waits = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    loop.clients.append(waits)
+    waits.connect(str(loop.path))
+    loop.turn()
+    assert loop.selector.select(0) == []
+    assert {each.kind for each in loop.events.conditions} == {"clients-refused"}
+    monkeypatch.setattr(loop.events, "_listener", listener)
+    while not (ready := loop.selector.select(0.05)):
+        loop.events.serve(ready)
+    waits.sendall(b"{}\n")
+    loop.turn()
+    loop.publish(event(1))
+    assert received(waits) == [1]
 
 
 def test_who_goes_on_talking_is_sent_away(loop: Loop) -> None:
