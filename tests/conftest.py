@@ -1,8 +1,13 @@
-"""What holds for all tests: the order in which they begin, and that in CI a skipped test is a failure."""
+"""What holds for all tests: order, signals, and that in CI a skipped test is a failure."""
 
 import os
+import signal
 
 import pytest
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Shells start jobs in the background, and nohup, with SIGINT ignored, and so would all that tests start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

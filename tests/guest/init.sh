@@ -22,8 +22,12 @@ IFS=,
 for bind in $BINDS; do
 	mkdir -p "$ROOT${bind#*:}"
 	mount -t hostfs -o ro -o "${bind%%:*}" none "$ROOT${bind#*:}"
+	# A Python may name its library by a RUNPATH into a home, which units do not see: then it is found where it is bound,
+	# and not taken from another build that the machine has.
+	if [ -d "$ROOT${bind#*:}/lib" ]; then echo "${bind#*:}/lib" >>$ROOT/etc/ld.so.conf.d/00-bound.conf; fi
 done
 unset IFS
+chroot $ROOT ldconfig
 # Nothing that the host happens to have enabled, and /tmp as it is: the service's environment may be in it.
 units=$ROOT/etc/systemd/system
 mkdir -p $ROOT/etc/tmpfiles.d $units

@@ -138,6 +138,14 @@ def started_without_its_bus() -> str:
     return f"ready after {took:.1f} s; {property_of('StatusText')}"
 
 
+def one_python() -> str:
+    """The unit's libpython is of the same build as its interpreter: /root, where a RUNPATH may point, is hidden."""
+    maps = Path(f"/proc/{property_of('MainPID')}/maps").read_text()
+    libraries = {line.split()[-1] for line in maps.splitlines() if "libpython" in line}
+    assert all(each.startswith("/opt/python/lib/") for each in libraries), libraries
+    return ", ".join(libraries) or "linked statically"
+
+
 def exposure() -> str:
     said = run("systemd-analyze", "security", "faultline", "--no-pager")
     found = re.search(r"Overall exposure level for faultline.service: ([\d.]+)", said)
@@ -431,7 +439,7 @@ def all_that_was_seen() -> str:
 
 def everything() -> int:
     """All that is done to a service in one life of the machine."""
-    failed = steps(installed, started_without_its_bus, exposure, bus_made, alarm_from_a_recording, memory)
+    failed = steps(installed, started_without_its_bus, one_python, exposure, bus_made, alarm_from_a_recording, memory)
     failed += steps(remembered, told_on_the_bus)
     process = traffic()
     failed += steps(
