@@ -4,6 +4,7 @@ A commit that has returned survives a power cut (`journal_mode=WAL`, `synchronou
 acknowledged since the last checkpoint is lost). One process has it, exclusively: others ask the service.
 """
 
+import os
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -47,7 +48,9 @@ _NO_DAMAGE = (
 
 
 class StoreError(InputError):
-    """A store that cannot be opened."""
+    """A store that cannot be opened; `is_locked` if another process has it, which may be over in a moment."""
+
+    is_locked = False
 
 
 class Record(NamedTuple):
@@ -110,6 +113,33 @@ class StoreFile:
         self.aside = None
         self._begin()
 
+    def is_gone(self) -> bool:
+        """True if the file or its log was removed or replaced since it was opened; raises OSError."""
+        return any(was is not None and _identity(path) != was for path, was in self._opened.items())
+
+    def restore(self) -> Path | None:
+        """Writes all that is in it to its place anew; where what was found there instead was put, None for nothing.
+
+        Raises:
+            sqlite3.Error, OSError, StoreError: it cannot be written there.
+        """
+        copy, aside = self.path.with_name(f".{self.path.name}.new"), None
+        copy.unlink(missing_ok=True)
+        self._db.execute("VACUUM INTO ?", (str(copy),))
+        for path in (copy, copy.parent):
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        self.close()
+        if self.path.exists():
+            aside = _put_aside(self.path)
+        _log(self.path).unlink(missing_ok=True)  # of the old one: SQLite would take it for the new one's
+        copy.rename(self.path)
+        self._begin()
+        return aside
+
     def close(self) -> None:
         """Ends it; what was added stays whether it is called or not."""
         with suppress(sqlite3.Error):
@@ -146,11 +176,16 @@ class StoreFile:
                 self.aside = _put_aside(self.path)
                 self._read()
         except (OSError, sqlite3.Error) as error:
-            reason = "another process has it" if "locked" in str(error) else str(error)
+            is_locked = isinstance(error, sqlite3.Error) and _code(error) in (
+                sqlite3.SQLITE_BUSY,
+                sqlite3.SQLITE_LOCKED,
+            )
+            reason = "another process has it" if is_locked else str(error)
             before = f"was damaged and is now {self.aside}; a new one " if self.aside else ""
-            raise StoreError(
-                f"{self.path}: {before}cannot be used: {reason}; mend that or give another path"
-            ) from error
+            failed = StoreError(f"{self.path}: {before}cannot be used: {reason}; mend that or give another path")
+            failed.is_locked = is_locked
+            raise failed from error
+        self._opened = {path: _identity(path) for path in (self.path, _log(self.path))}
 
     def _read(self) -> None:
         """Opens it and reads what is in it; an error in that is damage that the check did not see."""
@@ -168,7 +203,25 @@ class StoreFile:
 
 def is_damage(error: sqlite3.Error) -> bool:
     """Whether it is the file that is broken."""
-    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _NO_DAMAGE
+    return _code(error) not in _NO_DAMAGE
+
+
+def _code(error: sqlite3.Error) -> int:
+    code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+    return code & 0xFF
+
+
+def _log(path: Path) -> Path:
+    return path.with_name(f"{path.name}-wal")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode of a file; None where there is none."""
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _open(path: Path) -> sqlite3.Connection:

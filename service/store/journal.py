@@ -13,19 +13,21 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from service.core.health import Condition
-from service.store.file import NOTHING, Record, StoreError, StoreFile, is_damage
+from service.store.file import NOTHING, Record, StoreFile, is_damage
 
 OPENED_S = 10.0
-"""So long the start waits for a disk that hangs; then it goes on without a store."""
+"""So long the start waits for a disk that hangs, or a store that is locked; then it goes on without."""
+AGAIN_S, LONGEST_S = 0.5, 60.0
+"""A store that could not be opened is tried again after so long; twice as long each time, and `LONGEST_S` at most."""
+LOOK_S = 5.0
+"""So often it is looked whether the store's file is there still."""
 PATIENCE_S = 2.0
 """So long a record waits for the disk before it is told without."""
 RETRY_S = 5.0
-BATCH = 256  # records of one commit
 ASKED = 100  # questions that wait for the disk
 PENDING = 10_000  # records that wait for a disk that does not take them; then the oldest are given up
 
@@ -53,7 +55,8 @@ class Journal:
     """Records in the order in which they were put. `path` None keeps nothing: all is told at once.
 
     Of earlier runs, `last` is the number of the latest record, `health` the latest on health, and `earlier` are the
-    latest `remembered` of all. `kept` is what is remembered now, by name: of the thread that puts.
+    latest `remembered` of all. `kept` is what is remembered now, by name: of the thread that puts. A store that cannot
+    be opened is tried again, and `take_up` says when that has come to something.
     """
 
     def __init__(
@@ -75,7 +78,10 @@ class Journal:
         self._kept = 0  # number up to which all is on the disk, or given up
         self._given_up = 0
         self._failing = self._late = self._ended = False
-        self._reset = False
+        self._reset = self._removed = False
+        self._starting = True
+        self._file: StoreFile | None = None  # opened, and not taken up yet
+        self._opener: threading.Thread | None = None
         self._changed = threading.Condition()
         self._wake = os.eventfd(
             0, os.EFD_NONBLOCK | os.EFD_CLOEXEC
@@ -121,11 +127,6 @@ class Journal:
     def remember(self, kept: Mapping[str, bytes | None]) -> None:
         """Takes what is to be remembered, or no more (None), of which nobody is told."""
         self.put(kept=kept)
-
-    @property
-    def stores(self) -> bool:
-        """Whether there is a store, which may fail."""
-        return self._thread is not None
 
     @property
     def kept_up_to(self) -> int:
@@ -179,53 +180,78 @@ class Journal:
             found.add(Condition("store-failed", str(self.path)))
         if self._reset:
             found.add(Condition("store-reset", str(self.path)))
+        if self._removed:
+            found.add(Condition("store-removed", str(self.path)))
         return found
 
     def finish(self, within_s: float) -> list[Record]:
         """Ends it after what waits is kept, but after `within_s` [s] anyway; gives what has not been told."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
         if self._thread is not None:
-            with self._changed:
-                self._ended = True
-                self._changed.notify()
             self._thread.join(within_s)
         with self._changed:
             left = [record for _, record in self._waiting]
             self._waiting.clear()
         return left
 
+    def take_up(self) -> bool:
+        """True once, if the store was opened since: `last` and `kept` are what it has, and all is kept from now on.
+
+        What was put before has been told, and is not kept.
+        """
+        with self._changed:
+            file = self._file
+            if file is None or self._thread is not None or self._waiting:
+                return False
+            self.last, self.earlier, self.health, self.kept = file.last, file.earlier, file.health, file.kept
+            file.earlier, file.kept = [], {}
+            self._thread = self._opener
+            self._changed.notify_all()
+        self._note_aside(file)
+        return True
+
     def _begin(self, path: Path, remembered: int) -> None:
         """Opens the store in its thread, and waits for that."""
-        opened: list[StoreFile | Exception] = []
 
         def run() -> None:
-            file: StoreFile | Exception
-            try:
-                file = StoreFile(path, remembered)
-            except Exception as error:  # noqa: BLE001 whatever it is, the service goes on without
-                file = error
+            file = self._opened(path, remembered)
             with self._changed:
-                opened.append(file)
+                self._file = file
                 self._changed.notify_all()
-                in_time = opened[0] is file
-            if isinstance(file, StoreFile):
-                if in_time:
-                    self._run(file)
-                else:
-                    file.close()
+                self._changed.wait_for(lambda: self._thread is not None or self._ended)
+            if self._thread is not None and file is not None:
+                self._run(file)
+            elif file is not None:
+                file.close()
 
-        thread = threading.Thread(target=run, name="store", daemon=True)
-        thread.start()
+        self._opener = threading.Thread(target=run, name="store", daemon=True)
+        self._opener.start()
         with self._changed:
-            if not self._changed.wait_for(lambda: opened, OPENED_S):
-                opened.append(StoreError(f"{path}: cannot be opened within {OPENED_S:.0f} s"))
-        file = opened[0]
-        if isinstance(file, Exception):
-            self._say(f"events are told and not kept, until a restart: {file}")
-            return
-        self._thread = thread
-        self.last, self.earlier, self.health, self.kept = file.last, file.earlier, file.health, file.kept
-        file.earlier, file.kept = [], {}
-        self._note_aside(file)
+            if not self._changed.wait_for(lambda: self._file is not None or not self._starting, OPENED_S):
+                self._say(f"{path}: cannot be opened within {OPENED_S:.0f} s; events are told and not kept until it is")
+            self._starting = False
+        self.take_up()
+
+    def _opened(self, path: Path, remembered: int) -> StoreFile | None:
+        """The store, which is tried until it can be opened; None where the journal ends before that."""
+        wait_s, said = AGAIN_S, ""
+        while True:
+            failed: Exception
+            try:
+                return StoreFile(path, remembered)
+            except Exception as error:  # noqa: BLE001 whatever it is, the service goes on without
+                failed = error
+            with self._changed:
+                if not (self._starting and getattr(failed, "is_locked", False)):  # the start waits for a moment's lock
+                    if str(failed) != said:
+                        self._say(f"events are told and not kept until it can be opened: {failed}")
+                    said, self._starting = str(failed), False
+                    self._changed.notify_all()
+                if self._changed.wait_for(lambda: self._ended, wait_s):
+                    return None
+            wait_s = min(2.0 * wait_s, LONGEST_S)
 
     def _note_aside(self, file: StoreFile) -> None:
         if file.aside is not None:
@@ -236,12 +262,12 @@ class Journal:
         """The disk's thread."""
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._pending or self._dirty or self._asked or self._ended)
+                self._changed.wait_for(lambda: self._pending or self._dirty or self._asked or self._ended, LOOK_S)
                 asked = self._asked.popleft() if self._asked else None
-                batch, kept = [*islice(self._pending, BATCH)], {**self._dirty}
-                if not (batch or kept or asked):
+                batch, kept = [*self._pending], {**self._dirty}  # all of it: no state is newer than its last record
+                if self._ended and not (batch or kept or asked):
                     break
-            failed = self._keep(file, batch, kept) if batch or kept else ""
+            failed = self._keep(file, batch, kept)
             for text in self._done(batch, kept, failed):
                 self._say(text)
             if asked:
@@ -265,7 +291,13 @@ class Journal:
         """Puts records on the disk; why it did not take them, or nothing."""
         try:
             try:
-                file.append(batch, kept)
+                if file.is_gone():
+                    aside = file.restore()
+                    self._removed = True
+                    instead = f"; what was there instead is now {aside}" if aside else ""
+                    self._say(f"{self.path}: was removed or replaced while it was in use; written anew{instead}")
+                if batch or kept:
+                    file.append(batch, kept)
             except sqlite3.Error as error:
                 if not is_damage(error):
                     raise

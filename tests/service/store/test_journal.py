@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from service.store import file as store_file
 from service.store import journal as module
 from service.store.file import Record, StoreFile
 from service.store.journal import Journal
@@ -200,7 +201,7 @@ def test_a_disk_that_hangs_or_is_not_there_is_no_reason_to_restart(
 def test_a_thread_that_died_is_one(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which nothing that is known can bring about."""
     assert journal.fresh
-    monkeypatch.setattr(module, "islice", lambda *_: sys.exit())
+    monkeypatch.setattr(module.Journal, "_keep", lambda *_: sys.exit())
     journal.put(records(1, 1)[0])
     within(10, lambda: not journal.fresh)
     monkeypatch.undo()
@@ -262,7 +263,7 @@ def test_a_disk_that_hangs_at_the_start_holds_nobody_up(
         assert journal.take() == records(1, 1)
         assert kinds(journal) == {"store-failed"}
         free.set()
-    assert said == [f"events are told and not kept, until a restart: {path}: cannot be opened within 0 s"]
+    assert said == [f"{path}: cannot be opened within 0 s; events are told and not kept until it is"]
     monkeypatch.undo()
     within(10, lambda: not [thread for thread in threading.enumerate() if thread.name == "store"])
     assert stored(path) == []
@@ -300,7 +301,7 @@ def test_one_that_cannot_be_opened_is_told(tmp_path: Path, said: list[str]) -> N
         assert journal.take() == records(1, 1)
         assert kinds(journal) == {"store-failed"}
     assert len(said) == 1
-    assert said[0].startswith("events are told and not kept, until a restart: ")
+    assert said[0].startswith("events are told and not kept until it can be opened: ")
 
 
 def test_at_the_end_what_is_left_is_given_back(journal: Journal, disk: Disk) -> None:
@@ -319,3 +320,129 @@ def test_a_waiting_loop_is_woken(journal: Journal) -> None:
     assert select.select([journal.fileno()], [], [], 10)[0]
     assert journal.take() == records(1, 1)
     assert select.select([journal.fileno()], [], [], 0)[0] == []
+
+
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of milliseconds."""
+    monkeypatch.setattr(module, "AGAIN_S", 0.01)
+    monkeypatch.setattr(module, "LOOK_S", 0.01)
+    monkeypatch.setattr(module, "RETRY_S", 0.01)
+    monkeypatch.setattr(store_file, "LOCKED_S", 0.0)
+
+
+def held(path: Path) -> StoreFile:
+    """A store with a record and a row that somebody else has open."""
+    other = StoreFile(path)
+    other.append(records(1, 7), {"fault/1": b"one"})
+    return other
+
+
+@pytest.mark.usefixtures("patience")
+def test_a_store_that_is_locked_for_a_moment_is_waited_for(path: Path, said: list[str]) -> None:
+    other = held(path)
+    threading.Timer(0.2, other.close).start()
+    with Journal(path, said.append) as journal:
+        assert (journal.last, journal.kept, journal.conditions) == (7, {"fault/1": b"one"}, set())
+        journal.put(records(8, 8)[0])
+        assert taken(journal, 1) == records(8, 8)
+        assert journal.has(8)
+        journal.finish(10)
+    assert said == []
+
+
+@pytest.mark.usefixtures("patience")
+def test_one_that_is_locked_for_long_is_taken_up_once_it_is_free(
+    path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "OPENED_S", 0.05)
+    other = held(path)
+    with Journal(path, said.append, 3) as journal:
+        journal.put(records(1, 1)[0], kept={"fault/1": b"another"})
+        assert journal.take() == records(1, 1)
+        assert not journal.take_up()
+        assert kinds(journal) == {"store-failed"}
+        other.close()
+        within(10, journal.take_up)
+        assert not journal.take_up(), "once"
+        assert (journal.last, journal.kept, journal.earlier) == (7, {"fault/1": b"one"}, records(5, 7))
+        assert journal.conditions == set()
+        journal.put(records(8, 8)[0])
+        assert taken(journal, 1) == records(8, 8)
+        journal.finish(10)
+    assert stored(path) == records(1, 8)
+    assert said == [f"{path}: cannot be opened within 0 s; events are told and not kept until it is"]
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def remove_both(path: Path) -> None:
+    path.unlink()
+    path.with_name(f"{path.name}-wal").unlink()
+
+
+def remove_log(path: Path) -> None:
+    path.with_name(f"{path.name}-wal").unlink()
+
+
+def replace(path: Path) -> None:
+    other = path.with_name("other")
+    StoreFile(other).close()
+    other.rename(path)
+
+
+@pytest.mark.usefixtures("patience")
+@pytest.mark.parametrize("act", [remove, remove_both, remove_log, replace])
+def test_a_store_that_is_taken_away_is_noticed_and_written_anew(
+    path: Path, said: list[str], act: Callable[[Path], None]
+) -> None:
+    """SQLite goes on writing into a file that has no name any more, and says nothing."""
+    with Journal(path, said.append) as journal:
+        journal.put(*records(1, 3), kept={"fault/1": b"one"})
+        assert taken(journal, 3) == records(1, 3)
+        act(path)
+        within(10, lambda: kinds(journal) == {"store-removed"})
+        journal.put(*records(4, 5), kept={"fault/2": b"two"})
+        assert taken(journal, 2) == records(4, 5)
+        journal.finish(10)
+    assert stored(path) == records(1, 5)
+    assert StoreFile(path).kept == {"fault/1": b"one", "fault/2": b"two"}
+    instead = f"; what was there instead is now {path}.damaged-1" if act in (replace, remove_log) else ""
+    assert said == [f"{path}: was removed or replaced while it was in use; written anew{instead}"]
+
+
+@pytest.mark.usefixtures("patience")
+def test_one_whose_folder_is_taken_away_is_written_once_there_is_a_place(tmp_path: Path, said: list[str]) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    path = folder / "events.sqlite"
+    with Journal(path, said.append) as journal:
+        journal.put(*records(1, 3), kept={"fault/1": b"one"})
+        assert taken(journal, 3) == records(1, 3)
+        folder.rename(tmp_path / "elsewhere")
+        within(10, lambda: kinds(journal) == {"store-failed"})
+        folder.mkdir()
+        within(10, lambda: kinds(journal) == {"store-removed"})
+        journal.finish(10)
+    assert stored(path) == records(1, 3)
+    assert StoreFile(path).kept == {"fault/1": b"one"}
+
+
+def test_no_state_is_newer_than_its_last_record(journal: Journal, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what has waited, however much: a power cut between two commits would leave a state of lost records."""
+    through, commits = StoreFile.append, list[tuple[int, int]]()
+
+    def seen(file: StoreFile, given: list[Record], kept: Mapping[str, bytes | None]) -> None:
+        through(file, given, kept)
+        commits.append((given[-1].seq, int(kept["state"] or 0)))
+
+    monkeypatch.setattr(StoreFile, "append", seen)
+    disk.open.clear()
+    for each in records(1, 1000):
+        journal.put(each, kept={"state": str(each.seq).encode()})
+    disk.open.set()
+    assert taken(journal, 1000) == records(1, 1000)
+    assert commits[-1] == (1000, 1000)
+    assert all(state == last for last, state in commits)
