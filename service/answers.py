@@ -100,6 +100,8 @@ class Answerer:
         if number is not None and number not in self._remembering.memory.faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
         cleared = self._remembering.clear(number, asker.user)
+        if cleared is None:
+            raise RefusedError("not-kept", "the fault memory failed, and nothing was erased: see the service's log")
         self._waiting.append((cleared.seq, {"cleared": cleared.numbers, "id": cleared.id}, then))
 
     def _standing(self) -> Mapping[str, Any]:

@@ -7,6 +7,8 @@ from typing import Literal
 
 import msgspec
 
+from service.core.faults import Count
+
 SILENT_S = 60.0
 """After so long without a frame that a bundle wants, the key is off [s]; a loose plug is shorter."""
 
@@ -14,7 +16,7 @@ SILENT_S = 60.0
 class Cycle(msgspec.Struct, frozen=True, kw_only=True):
     """The latest operation cycle: its number, in which boot of the machine it was, and whether it lasts."""
 
-    number: int = 0
+    number: Count = 0
     boot: str = ""
     lasts: bool = False
 

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from service.bundle import Bundle, load_bundle, verify_golden
+from service.bundle import Bundle
 from service.bundle_files import Trust
 from service.bus import open_bus
 from service.config import BundleConfig, BusConfig, Config, ControlConfig, EventsConfig, TrustConfig, load_config, named
-from service.core.errors import InputError
 from service.loop import Loop
 from service.outputs.control import ControlSocket
 from service.outputs.socket import RING, EventSocket
+from service.refused import Loader, RefusedBundles
 from service.reload import Reload
 from service.scribe import Scribe
 from service.store.journal import Journal
@@ -34,11 +34,11 @@ def main(argv: list[str]) -> int:
     options, config = _asked(argv)
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
-    trust = _trust(config)
-    bundles, refused = _loaded(config, trust)
+    load = Loader(lambda: _trust(config))
+    bundles, refused = _loaded(config, load, required=options.config is None)
     with ExitStack() as opened:
         journal = opened.enter_context(Journal(_store(config, options.config), _say, RING))
-        read = journal.read if journal.stores else None
+        read = None if journal.path is None else journal.read
         subscribers = opened.enter_context(EventSocket(Path(config.events.socket), journal.earlier, read))
         journal.earlier = []  # the socket has them
         control = _control(config)
@@ -51,13 +51,13 @@ def main(argv: list[str]) -> int:
         loop = Loop(
             *(Scribe(config.source, journal.last), lines, journal, subscribers, notifier, _say),
             reload=reload,
-            refused=refused,
+            refused=RefusedBundles(refused, load, config.source, options.speed),
             control=control,
             memory=config.memory,
             boot=BOOT.read_text().strip() if BOOT.exists() else "",
         )
         _say(
-            f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for _, each in bundles)}, "
+            f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for _, each in bundles) or 'no bundle'}, "
             f"bus {', '.join(bus.interface for bus in config.bus)}, events on {config.events.socket}"
             + (f", {options.speed:g}x" if options.speed != 1 else "")
         )
@@ -131,21 +131,21 @@ def _trust(config: Config) -> Trust | None:
     return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 
 
-def _loaded(config: Config, trust: Trust | None) -> tuple[list[tuple[BundleConfig, Bundle]], list[str]]:
-    """The bundles, and the folders of those that are refused; raises InputError where none is left."""
+def _loaded(
+    config: Config, load: Loader, *, required: bool
+) -> tuple[list[tuple[BundleConfig, Bundle]], dict[BundleConfig, str]]:
+    """The bundles, or those in the other slot, and why some are refused; raises InputError where it is `required`."""
+    if required:
+        return [(each, load(Path(each.path))) for each in config.bundle], {}
     loaded: list[tuple[BundleConfig, Bundle]] = []
-    refused: list[str] = []
+    refused: dict[BundleConfig, str] = {}
     for each in config.bundle:
-        try:
-            bundle = load_bundle(Path(each.path), trust)
-            verify_golden(bundle)
-        except InputError as error:
-            if each is config.bundle[-1] and not loaded:
-                raise
-            _say(f"left out: {error}")
-            refused.append(each.path)
-        else:
+        bundle, why = load.or_spare(Path(each.path))
+        if bundle is not None:
             loaded.append((each, bundle))
+        if why:
+            refused[each] = why
+            _say(f"refused: {why}; " + (f"{bundle.where} runs instead" if bundle else "tried again later"))
     return loaded, refused
 
 
@@ -155,9 +155,9 @@ def _lines(
     """The buses, opened, each with what listens to it."""
     lines = []
     for bus in config.bus:
-        here = [bundle for each, bundle in bundles if each.bus == bus.name]
-        wanted = {one for bundle in here for one in bundle.table.wanted}
+        here = [(each.path, bundle) for each, bundle in bundles if each.bus == bus.name]
+        wanted = {one for _, bundle in here for one in bundle.table.wanted}
         opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
-        watching = [watched(bundle, config.source, speed) for bundle in here]
+        watching = [watched(bundle, config.source, speed, place=place) for place, bundle in here]
         lines.append(Line(bus.name, opened, watching, _say, bus.interface))
     return lines

@@ -33,6 +33,7 @@ from service.core.health import (
 from service.outputs.control import ControlSocket
 from service.outputs.journald import Journald
 from service.outputs.socket import EventSocket
+from service.refused import RefusedBundles
 from service.remembering import Remembering
 from service.scribe import Scribe, now
 from service.store.file import Record
@@ -64,20 +65,20 @@ class Loop:
         clock: Callable[[], float] = time.monotonic,
         clocks: Clocks | None = None,
         reload: Callable[[Callable[[], None]], None] | None = None,
-        refused: Sequence[str] = (),
+        refused: RefusedBundles | None = None,
         control: ControlSocket | None = None,
         memory: MemoryConfig = _AS_USUAL,
         boot: str = "",
     ) -> None:
         """`reload`, where given, is called when SIGHUP asks for it, with what to call so that we count as alive.
 
-        `refused` are the bundles that were left out; `boot` is the kernel's identifier of this boot.
+        `refused` are the bundles that could not be loaded; `boot` is the kernel's identifier of this boot.
         """
         self._scribe, self._lines, self._journal, self._subscribers = scribe, lines, journal, subscribers
         self._notifier, self._say, self._clock = notifier, say, clock
         self._clocks = clocks or Clocks()
         self.heartbeat = Heartbeat(ALIVE_S, clock)
-        self._refused = {Condition("bundle-refused", each) for each in refused}
+        self._refused = refused
         self._since = _stood(journal.health)  # wall clock
         self._conditions = Conditions(self._since, clock())
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
@@ -85,6 +86,7 @@ class Loop:
         self._remembering = Remembering(
             *(scribe, journal, lines, memory, memory.frame_s, boot, clock(), say),
             standing=lambda: [f"{each.kind}: {each.of}" for each in self._conditions.standing],
+            absent=refused.places if refused is not None else (),
         )
         self._answerer = Answerer(self._remembering, journal, self._state)
         self._begun_at, self._told = now(), journal.last
@@ -127,6 +129,11 @@ class Loop:
                 self._remembering.take(watched, events)
             self._register(line, selector)  # now: a subscriber may get the number of one that was closed
         self._tell(self._journal.take())
+        if self._journal.take_up():
+            self._scribe.last = self._told = max(self._scribe.last, self._journal.last)
+            self._subscribers.renew(self._journal.earlier)
+            self._journal.earlier = []
+            self._remembering.begin()
         self._subscribers.serve(ready)
         if self._control is not None:
             self._control.serve(ready)
@@ -151,6 +158,8 @@ class Loop:
         self._asked = False
         self._notifier.tell(RELOADING=1, MONOTONIC_USEC=time.monotonic_ns() // 1000, STATUS="loading bundles")
         self._reload(self.heartbeat.beat)
+        if self._refused is not None:
+            self._refused.hurry()
         self._notifier.tell(READY=1)
         self._clocks.look()  # the time that this took is none in which the process was stopped
 
@@ -180,7 +189,14 @@ class Loop:
             return
         self._look_due = now + LOOK_S
         self._remembering.look(now)
-        present = self._refused.union(self._journal.conditions, *(line.look(now) for line in self._lines))
+        kept, clients = self._journal.conditions | self._remembering.conditions, self._subscribers.conditions
+        if self._control is not None:
+            clients = clients | self._control.conditions
+        refused: set[Condition] = set()
+        if self._refused is not None:
+            self._refused.look(now, self._lines, self._say, self._remembering.add)
+            refused = self._refused.conditions
+        present = refused.union(kept, clients, *(line.look(now) for line in self._lines))
         if not all(line.knows(now) for line in self._lines):  # what stood before a restart still may
             present |= {condition for condition in self._conditions.standing if condition.kind in OF_FRAMES}
         if self._conditions.update(now, present):

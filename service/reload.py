@@ -12,11 +12,11 @@ from service.bundle import load_bundle, verify_golden
 from service.bundle_files import Trust, one_line
 from service.config import Config, load_config
 from service.core.errors import InputError
-from service.watched import FAILURES, Line, Watched
+from service.refused import NOT_TAKEN
+from service.watched import Line, Watched
 
 FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
 """Parts of the configuration that a reload leaves as they are."""
-NOT_TAKEN: tuple[type[Exception], ...] = (InputError, *FAILURES)
 
 
 class Reload:
@@ -57,7 +57,7 @@ class Reload:
     def _look_at(self, watched: Watched, line: Line, trust: Trust | None) -> None:
         here = watched.bundle
         try:
-            bundle = load_bundle(Path(here.where), trust)
+            bundle = load_bundle(Path(watched.place), trust)
             if bundle.id == here.id:
                 self._say(f"bundle {here.manifest.name} {here.id[:12]} is the one that runs")
                 return

@@ -1,8 +1,11 @@
 """The fault memory at work: told events, ticks and operation cycles in; records, and what is to be kept, out."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain
+import re
+import traceback
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain, count
+from pathlib import Path
 from typing import TypeVar
 
 import msgspec
@@ -15,10 +18,12 @@ from service.core.faults import (
     Cleared,
     Fault,
     FaultRecord,
+    check,
     encode_record,
 )
 from service.core.frame import Frame
 from service.core.freeze import Recorder, Sample
+from service.core.health import Condition
 from service.core.memory import FaultMemory, News, Remembered, Rules
 from service.core.system import System
 from service.cycle import Cycle, OperationCycle
@@ -29,6 +34,9 @@ from service.watched import Line, Watched
 
 FRAMED: frozenset[Change | None] = frozenset(("pending", "confirmed", "failed"))
 """Changes of which a freeze frame is taken."""
+
+FAILED_S = 60.0
+"""For so long after the fault memory has failed, that is told [s]."""
 
 T = TypeVar("T")
 
@@ -57,7 +65,9 @@ class Remembering:
     """Keeps the fault memory as the journal has it, and puts what is told into the journal.
 
     `boot` is the kernel's identifier of this boot, `now` the monotonic time [s], `standing` gives the conditions that
-    stand as text, for freeze frames. What an earlier run kept and cannot be read is kept apart, and `say` is told.
+    stand as text, for freeze frames; `absent` are bundles that are configured and do not run, as `PLACE on BUS`.
+    What an earlier run kept and makes no sense is set aside; and whatever fails in here, the fault memory goes on with
+    what is kept: both are `conditions`, and `say` is told.
     """
 
     def __init__(
@@ -71,17 +81,72 @@ class Remembering:
         now: float,
         say: Callable[[str], None],
         standing: Callable[[], Sequence[str]],
+        absent: Collection[str] = (),
     ) -> None:
         self._scribe, self._journal, self.lines = scribe, journal, lines
         self._say, self._standing = say, standing
+        self._rules, self._boot, self._now = rules, boot, now
+        self._failed_at, self._failure = -float("inf"), ""
+        self._set_aside = False
+        self._frame_s, self._absent = frame_s, frozenset(absent)
+        self._given = next(self._kept(["names"], dict[str, str]), {})
+        self.observed: dict[str, Observed] = {}
+        for line in lines:
+            for each in line.bundles:
+                self._observe(line, each)
+        self.begin()
+
+    def add(self, line: Line, watched: Watched) -> None:
+        """Remember the faults of a bundle that came up after the start too."""
+        self.memory.watch(self._observe(line, watched).system)
+
+    def _observe(self, line: Line, watched: Watched) -> Observed:
+        """Give the bundle's system a name of its own, and keep it: whatever else is configured or refused later.
+
+        It is the bundle's, with the bus's where two have the same, or a number too.
+        """
+        own, key = watched.bundle.manifest.name, f"{watched.place} on {line.name}"
+        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.observed.values()]
+        before = self._given.get(key, "") if is_first else ""
+        taken = {*self.observed, *(name for of, name in self._given.items() if of in self._absent and of != key)}
+        everybody = [each.bundle.manifest.name for other in self.lines for each in other.bundles]
+        usual = own if everybody.count(own) == 1 and own not in taken else f"{own}@{line.name}"
+        names = chain([before] * before.startswith(own), [usual], (f"{usual}-{number}" for number in count(2)))
+        name = next(each for each in names if each not in taken)
+        self.observed[name] = Observed(name, line, watched, self._frame_s)
+        if is_first and before != name:
+            self._given = {**self._given, key: name}
+            self._journal.remember({"names": msgspec.json.encode(self._given)})
+        return self.observed[name]
+
+    def begin(self) -> None:
+        """Begins with what the store has, as after a restart."""
         cycle = next(self._kept(["cycle"], Cycle), Cycle())
-        self._cycle = OperationCycle(cycle, boot, now)
-        faults = [*self._kept([name for name in journal.kept if name.startswith("fault/")], Fault)]
-        remembered = next(self._kept(["memory"], Remembered), None)
-        self.memory = FaultMemory(rules, faults, remembered, cycle.number)
-        self.observed = {each.name: each for each in _observed(lines, frame_s)}
+        self._cycle = OperationCycle(cycle, self._boot, self._now)
+        rows = [*self._journal.kept]
+        faults = {f"fault/{each.number}": each for each in self._kept(_named("fault", rows), Fault)}
+        for name in _named("frame", rows):
+            if f"fault/{name.split('/')[1]}" in faults:
+                [*self._kept([name], Frame)]
+            else:
+                self._put_aside(name, "it is of no fault that is remembered")
+        memory = next(self._kept(["memory"], Remembered), Remembered())
+        used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
+        memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
+        self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
         for each in self.observed.values():
+            each.unfinished.clear()
             self.memory.watch(each.system)
+
+    @property
+    def conditions(self) -> set[Condition]:
+        """What is wrong with the fault memory."""
+        found = set()
+        if self._set_aside:
+            found.add(Condition("rows-set-aside", str(self._journal.path)))
+        if self._now - self._failed_at < FAILED_S:
+            found.add(Condition("memory-failed", "the fault memory"))
+        return found
 
     @property
     def cycle(self) -> int:
@@ -106,20 +171,32 @@ class Remembering:
 
     def look(self, now: float) -> None:
         """Operation cycles, and freeze frames whose excerpt is whole; `now` is the monotonic time [s]."""
-        self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
-        for here in self.observed.values():
-            for name, frame in [*here.unfinished.items()]:
-                if (done := here.recorder.completed(frame)) is not None:
-                    del here.unfinished[name]
-                    if name in self._journal.kept:  # else it was erased meanwhile
-                        self._journal.remember({name: msgspec.json.encode(done)})
+        self._now = now
+        with self._surviving():
+            self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
+            for here in self.observed.values():
+                for name, frame in [*here.unfinished.items()]:
+                    if (done := here.recorder.completed(frame)) is not None:
+                        del here.unfinished[name]
+                        if name in self._journal.kept:  # else it was erased meanwhile
+                            self._journal.remember({name: msgspec.json.encode(done)})
 
     def slept(self) -> None:
         """The machine slept: the key was off."""
-        self._follow(self._cycle.end())
+        with self._surviving():
+            self._follow(self._cycle.end())
 
-    def clear(self, number: int | None, by: str) -> Cleared:
-        """Erases one, or all, because a person wants it; `by` says who. The record of that, which is not kept yet."""
+    def clear(self, number: int | None, by: str) -> Cleared | None:
+        """Erases one, or all, because a person wants it; `by` says who.
+
+        The record of that, which is not kept yet; None where the fault memory failed, and nothing is erased.
+        """
+        cleared: Cleared | None = None
+        with self._surviving():
+            cleared = self._clear(number, by)
+        return cleared  # noqa: RET504 None where it failed
+
+    def _clear(self, number: int | None, by: str) -> Cleared:
         names = {fault: self._names(fault) for fault in self.memory.faults}
         numbers = self.memory.clear(number)
         named, seq, wall = self._scribe.next()
@@ -135,16 +212,36 @@ class Remembering:
         return {which: msgspec.Raw(text) for which, text in found if text is not None}
 
     def _see(self, here: Observed, sample: Sample) -> None:
-        here.recorder.add(sample)
-        news = self.memory.tick(here.name, sample.mode, sample.usable, sample.suspicious)
-        if news:
-            event = self.memory.told(here.name)
-            self._tell([], news, self._framed(here, news, event) if event is not None else {})
+        with self._surviving():
+            here.recorder.add(sample)
+            news = self.memory.tick(here.name, sample.mode, sample.usable, sample.suspicious)
+            if news:
+                event = self.memory.told(here.name)
+                self._tell([], news, self._framed(here, news, event) if event is not None else {})
 
     def _hear(self, here: Observed, event: Event) -> None:
-        sample = here.recorder.latest
-        news = self.memory.event(here.name, event, sample.showing if sample else [])
-        self._tell([Record(event.seq, "event", encode(event))], news, self._framed(here, news, event))
+        record = Record(event.seq, "event", encode(event))
+        is_put = False
+        with self._surviving():
+            sample = here.recorder.latest
+            news = self.memory.event(here.name, event, sample.showing if sample else [])
+            self._tell([record], news, self._framed(here, news, event))
+            is_put = True
+        if not is_put:
+            self._put([record], {})  # it is told whatever becomes of the memory
+
+    @contextmanager
+    def _surviving(self) -> Iterator[None]:
+        """Ends what is in it where that fails; the memory then goes on with what the store has, as after a restart."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 diagnosis goes on whatever the memory does: that is told
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            failure = f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
+            if failure != self._failure or self._now - self._failed_at >= FAILED_S:
+                self._say(f"the fault memory failed, and goes on with what is kept: {failure}")
+            self._failed_at, self._failure = self._now, failure
+            self.begin()
 
     def _framed(self, here: Observed, news: Iterable[News], event: Event) -> dict[str, bytes]:
         """The freeze frames of what has failed, by their names in the store."""
@@ -197,19 +294,23 @@ class Remembering:
             if text is None:
                 continue
             try:
-                yield msgspec.json.decode(text, type=kind)
+                value = msgspec.json.decode(text, type=kind)
+                if isinstance(value, Fault):
+                    check(value, name)
             except (msgspec.MsgspecError, ValueError) as error:
-                self._say(f"the store's {name} cannot be read ({error}); it is kept as unreadable/{name}")
-                self._journal.remember({name: None, f"unreadable/{name}": text})
+                self._put_aside(name, str(error))
+            else:
+                yield value
+
+    def _put_aside(self, name: str, why: str) -> None:
+        """Keeps a row under another name, which nobody reads and nothing is written to."""
+        aside = f"unreadable/{name}"
+        while aside in self._journal.kept:
+            aside += "+"
+        self._say(f"the store's {name} cannot be read ({why}); it is kept as {aside}")
+        self._journal.remember({name: None, aside: self._journal.kept[name]})
+        self._set_aside = True
 
 
-def _observed(lines: Sequence[Line], seconds: float) -> Iterator[Observed]:
-    """What is watched, by names that differ: the bundle's, with the bus's where two have the same, or a number too."""
-    all_names = [watched.bundle.manifest.name for line in lines for watched in line.bundles]
-    given = Counter[str]()
-    for line in lines:
-        for watched in line.bundles:
-            name = watched.bundle.manifest.name
-            name = name if all_names.count(name) == 1 else f"{name}@{line.name}"
-            given[name] += 1
-            yield Observed(name if given[name] == 1 else f"{name}-{given[name]}", line, watched, seconds)
+def _named(kind: str, rows: Iterable[str]) -> list[str]:
+    return [name for name in rows if name.startswith(f"{kind}/")]

@@ -173,6 +173,28 @@ class Slots:
         _synced(self._folder)
 
 
+def spare(link: Path) -> Path | None:
+    """Return the slot beside the one that `DIR/current` leads to, if a bundle is in it that was current before.
+
+    One of a later version than the floor was put there and never stood its trial.
+
+    Raises:
+        InputError: what is in it is not whole, or the floor cannot be read.
+    """
+    folder = link.parent
+    if link.name != CURRENT or not link.is_symlink() or (current := Slots(folder).current) is None:
+        return None
+    path = folder / (SLOTS[1] if current == SLOTS[0] else SLOTS[0])
+    if not path.is_dir():
+        return None
+    found = whole(path).manifest
+    try:
+        floor = msgspec.json.decode((folder / FLOOR).read_bytes(), type=_Floor)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise SlotError(f"{folder / FLOOR}: cannot be read ({error}); what may stand in is not known") from error
+    return path if (found.name, found.version <= floor.version) == (floor.name, True) else None
+
+
 def _new(path: Path) -> Path:
     """Where it is made before it gets its name."""
     return path.with_name(f".{path.name}.new")

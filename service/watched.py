@@ -51,9 +51,14 @@ class Watched:
         make: Callable[[Bundle], tuple[Monitor, Traffic]],
         speed: float,
         seen: Callable[[Sample], None] | None = None,
+        place: str | None = None,
     ) -> None:
-        """`make` gives fresh ones, of log time 0; `seen`, where given, is told each tick besides."""
+        """`make` gives fresh ones, of log time 0; `seen`, where given, is told each tick besides.
+
+        `place` is the folder that the configuration names, where the bundle was taken from another slot.
+        """
         self.bundle, self._make, self._speed, self._seen = bundle, make, speed, seen
+        self.place = place or bundle.where
         self._samples: list[Sample] = []
         self._renew()
         self._start: float | None = None  # monotonic time of the first frame
@@ -147,7 +152,13 @@ class Watched:
         return (monotonic - self._start) * self._speed
 
 
-def watched(bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], None] | None = None) -> Watched:
+def watched(
+    bundle: Bundle,
+    source: str,
+    speed: float,
+    seen: Callable[[Sample], None] | None = None,
+    place: str | None = None,
+) -> Watched:
     """A bundle at work; `source` is the vehicle's name, `seen` who keeps all ticks."""
 
     def make(bundle: Bundle) -> tuple[Monitor, Traffic]:
@@ -155,7 +166,7 @@ def watched(bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], 
         bundle.table.run_at(speed)
         return monitor, Traffic(bundle.table, bundle.manifest.inputs, 0.0, speed)
 
-    return Watched(bundle, make, speed, seen)
+    return Watched(bundle, make, speed, seen, place)
 
 
 class Line:
@@ -189,10 +200,18 @@ class Line:
     def take_up(self, watched: Watched, bundle: Bundle) -> bool:
         """One of the bundles is another from now on; whether it goes on with what was seen."""
         alike = watched.take_up(bundle)
+        self._want()
+        return alike
+
+    def add(self, watched: Watched) -> None:
+        """Listen for one bundle more."""
+        self.bundles.append(watched)
+        self._want()
+
+    def _want(self) -> None:
         tables = [each.bundle.table for each in self.bundles]
         self.bus.want(sorted({one for table in tables for one in table.wanted}))
         self.losses.tables = tables
-        return alike
 
     def knows(self, now: float) -> bool:
         """Whether what is not found is not there: the bundles have had time to see it, or the bus says why not."""

@@ -5,11 +5,13 @@ J1939-73.
 """
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
 from service.core.events import Diagnosis
+from service.core.manifest import MODES
 
 SCHEMA = "faultline.fault/1"
 
@@ -35,11 +37,15 @@ ERASED: frozenset[str] = frozenset(("revoked", "aged", "displaced"))
 """Changes after which the fault is not remembered any more."""
 
 
+Number = Annotated[int, Meta(ge=1, lt=2**53)]
+Count = Annotated[int, Meta(ge=0, lt=2**53)]
+
+
 class Dtc(msgspec.Struct, frozen=True, kw_only=True, order=True):
     """A diagnostic trouble code of SAE J1939-73: suspect parameter (19 bits) and failure mode (5 bits)."""
 
-    spn: int
-    fmi: int
+    spn: Annotated[int, Meta(ge=0, lt=2**19)]
+    fmi: Annotated[int, Meta(ge=0, lt=2**5)]
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,7 +71,7 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True):
 
     id: str
     wall: str | None
-    cycle: int
+    cycle: Count
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,7 +85,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     in a row in which it failed, `healing` and `aging` those in which it passed.
     """
 
-    number: int
+    number: Number
     system: str
     bundle: str
     diagnoses: list[Diagnosis]
@@ -88,12 +94,12 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     tests: list[str]
     modes: list[str]
     status: Status
-    mask: int
-    fdc: int
-    occurrences: int
-    trips: int
-    healing: int
-    aging: int
+    mask: Annotated[int, Meta(ge=0, lt=2**8)]
+    fdc: Annotated[int, Meta(ge=-128, le=127)]
+    occurrences: Number
+    trips: Count
+    healing: Count
+    aging: Count
     first: Seen
     latest: Seen
 
@@ -136,6 +142,14 @@ def decode_record(line: bytes) -> FaultRecord:
 def decode_cleared(line: bytes) -> Cleared:
     """As `decode_record`, of faults that were erased."""
     return msgspec.json.decode(line, type=Cleared)
+
+
+def check(fault: Fault, name: str) -> None:
+    """Raise ValueError where the fault memory cannot go on with what was kept under `name`, by another version say."""
+    if name != f"fault/{fault.number}":
+        raise ValueError(f"is of fault {fault.number}")
+    if unknown := [mode for mode in fault.modes if mode not in MODES]:
+        raise ValueError(f"no operating mode is called {unknown[0]!r}; those are {', '.join(MODES)}")
 
 
 def names(diagnoses: Sequence[Diagnosis]) -> frozenset[str]:

@@ -56,7 +56,7 @@ MEANINGS: dict[Kind, str] = {
     "short-frames": "is shorter than in the DBC",
     "unknown-selector": "is multiplexed by a value that the DBC does not have",
     "bundle-failed": "could not be computed, and has begun anew",
-    "bundle-refused": "is damaged, not signed, or not for this faultline: nothing of it runs",
+    "bundle-refused": "(so this bundle does not run; it is tried again)",
     "store-failed": "cannot be opened or written: what is told is not kept",
     "store-reset": "was damaged; it has been put aside and a new one was begun",
     "clients-refused": "refuses clients: too many are connected, or the process has too few file descriptors",

@@ -17,7 +17,7 @@ from msgspec import Meta, structs
 
 from service.core.debounce import Debounce, Disabled
 from service.core.events import Event, candidates
-from service.core.faults import Change, Fault, Seen, Status, names
+from service.core.faults import Change, Fault, Number, Seen, Status, names
 from service.core.manifest import MODES
 from service.core.modes import EDGE
 from service.core.signals import Mask
@@ -60,7 +60,7 @@ class Remembered(msgspec.Struct, frozen=True, kw_only=True):
     """All that outlives a run but the faults themselves: whether one was ever displaced, and the next number."""
 
     overflow: bool = False
-    number: int = 1
+    number: Number = 1
 
 
 class _Episode:
@@ -249,10 +249,20 @@ class FaultMemory:
         )
 
     def _refine(self, episode: _Episode) -> Iterator[News]:
-        """Other candidates: where they share none with what the entry was before, it was not that again."""
+        """Other candidates: where they share none with what the entry was before, it was not that again.
+
+        And a new entry whose candidates are a remembered one's now is that one again, and was no new one.
+        """
         assert episode.told is not None
         assert episode.number is not None
         before = episode.before
+        if before is None and self._entry_of(episode) is not None:
+            own, counter = self.faults[episode.number], episode.debounce.counter
+            self._erase(own.number)
+            episode.debounce.counter = counter
+            yield News("revoked", own)
+            yield from self._fail(episode)
+            return
         if before is None or names(before.diagnoses) & names(episode.told.diagnoses):
             entry = self.faults[episode.number]
             is_news = candidates(entry.diagnoses) != candidates(episode.told.diagnoses)
@@ -311,13 +321,13 @@ class FaultMemory:
         return self._put(fault, "settled" if changed else None, pending=False, warning=warned)
 
     def _entry_of(self, episode: _Episode) -> Fault | None:
-        """The entry whose candidates it shares: one that is failed, else the one seen last."""
+        """The entry, other than its own, whose candidates it shares: one that is failed, else the one seen last."""
         assert episode.told is not None
         here = names(episode.told.diagnoses)
         alike = [
             fault
             for fault in self.faults.values()
-            if fault.system == episode.system.name and names(fault.diagnoses) & here
+            if fault.system == episode.system.name and fault.number != episode.number and names(fault.diagnoses) & here
         ]
         return max(alike, key=lambda each: (each.status.test_failed, each.latest.cycle, each.number), default=None)
 

@@ -40,6 +40,9 @@ REMEDIES: dict[Kind, str] = {
     "bundle-refused": "install a bundle that is signed and whole",
     "store-failed": "make room on the disk, or mend it; the test can go on",
     "store-reset": "nothing for this test; what was remembered before is gone",
+    "store-removed": "nothing for this test; keep other programs away from the store",
+    "rows-set-aside": "nothing for this test; see the service's log for what was set aside",
+    "memory-failed": "see the service's log; the test can go on",
 }
 """What a technician can do about a condition."""
 

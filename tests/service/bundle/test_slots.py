@@ -15,8 +15,9 @@ from service import slots as module
 from service.bundle_files import BundleError, whole
 from service.bundles import main
 from service.core.errors import InputError
+from service.refused import Loader
 from service.signing import SignatureError, Signed, public_of, sign
-from service.slots import SlotError, Slots
+from service.slots import CURRENT, SlotError, Slots, spare
 from service.trial import trial
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
@@ -210,3 +211,59 @@ def test_the_command_installs(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         main(["install", source, *into, "--keys", str(tmp_path)])
     with pytest.raises(BundleError):
         main(["install", str(tmp_path / "none"), *into, "--allow-unsigned"])
+
+
+def filled(folder: Path) -> Path:
+    """Slots with versions 1 and 2, of which 2 is current."""
+    slots = Slots(folder)
+    for number in (1, 2):
+        slots.install(version(folder.parent, number), TRUST, passes)
+    return folder / CURRENT
+
+
+def test_the_slot_that_was_current_before_stands_in(tmp_path: Path) -> None:
+    current = filled(tmp_path / "slots")
+    other = spare(current)
+    assert other is not None
+    assert whole(other, TRUST).manifest.version == 1
+    assert spare(tmp_path / "slots" / "a") is None, "a folder that is no link to a slot has no spare one"
+
+
+def test_what_never_stood_its_trial_does_not_stand_in(tmp_path: Path) -> None:
+    current = filled(tmp_path / "slots")
+    shutil.rmtree(current.parent / "a")
+    shutil.copytree(version(tmp_path, 3), current.parent / "a")
+    assert spare(current) is None
+    shutil.rmtree(current.parent / "a")
+    assert spare(current) is None
+
+
+def test_where_the_floor_is_lost_nothing_stands_in(tmp_path: Path) -> None:
+    current = filled(tmp_path / "slots")
+    (current.parent / "floor.json").write_text("")
+    with pytest.raises(SlotError, match="what may stand in is not known"):
+        spare(current)
+
+
+@pytest.mark.parametrize("damage", [1, 2])
+def test_a_damaged_slot_is_refused_and_the_other_one_runs(tmp_path: Path, damage: int) -> None:
+    current = filled(tmp_path / "slots")
+    load = Loader(lambda: TRUST)
+    assert load.or_spare(current)[1] == ""
+    for slot in ("b", "a")[:damage]:
+        file = current.parent / slot / "ode.onnx"
+        raw = bytearray(file.read_bytes())
+        raw[len(raw) // 2] ^= 1
+        file.write_bytes(raw)
+    bundle, why = load.or_spare(current)
+    assert "current/ode.onnx: its bytes differ" in why
+    assert (bundle is None) == (damage == 2)
+    assert bundle is None or bundle.manifest.version == 1
+    assert ("of the other slot" in why) == (damage == 2)
+
+
+def test_without_its_key_no_slot_is_taken(tmp_path: Path) -> None:
+    def gone() -> Signed:
+        raise InputError("/etc/faultline/keys: no public key there")
+
+    assert Loader(gone).or_spare(filled(tmp_path / "slots"))[0] is None

@@ -44,6 +44,8 @@ def test_what_does_not_last_is_not_told_and_a_loose_plug_is_one_message() -> Non
     for k in range(1000):
         changes += conditions.update(100.0 + 0.1 * k, [DOWN] if k % 60 < 30 else [])  # three seconds and three
     assert (changes, list(conditions.standing)) == (1, [DOWN])
+
+
 def test_no_traffic_ends_with_the_frames_that_refute_it() -> None:
     """Ten seconds more are 200 s of log time at 20x, in which values run beside it."""
     silent, conditions = Condition("no-traffic", "UDS_ECU"), Conditions()

@@ -1,6 +1,7 @@
 """The fault memory, told by made events: what joins, refines, passes, heals, ages, is displaced and is erased."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,6 +143,27 @@ def test_what_turns_out_to_be_another_one_leaves_the_first_as_it_was() -> None:
     assert changes(truck.tell("refined", one("fA_du"))) == [("withdrawn", 1), ("confirmed", 2)]
     assert truck.faults[0] == before
     assert changes(truck.tell("healed")) == [("passed", 2)]
+
+
+@pytest.mark.parametrize("rules", [{}, {"failed_after_s": 2.0, "confirm_trips": 2}])
+def test_a_new_one_that_turns_out_to_be_a_remembered_one_is_that_one_and_no_second_entry(
+    rules: dict[str, Any],
+) -> None:
+    truck = Vehicle(**rules)
+    truck.tell("occurred", one("fA_t"))
+    truck.drive(5.0, suspicious=True)
+    truck.tell("healed")
+    truck.tell("occurred", one("fA_du"))
+    truck.drive(5.0, suspicious=True)
+    assert [fault.number for fault in truck.faults] == [1, 2]
+    told = changes(truck.tell("refined", one("fA_t")))
+    assert told[0] == ("revoked", 2)
+    assert told[1][1] == 1
+    assert [(fault.number, fault.occurrences, fault.status.test_failed) for fault in truck.faults] == [(1, 2, True)]
+    assert truck.faults[0].fdc == 127
+    assert len({dtc for fault in truck.faults for dtc in fault.dtcs}) == len(truck.faults)
+
+
 def test_what_rested_on_doubted_samples_was_never_there() -> None:
     truck = Vehicle()
     truck.tell("occurred", one("fA_t"))

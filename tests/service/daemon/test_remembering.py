@@ -23,11 +23,12 @@ from service.cli import main
 from service.core.errors import InputError
 from service.core.faults import Fault, decode_cleared, decode_record
 from service.core.frame import Frame
-from service.core.memory import News, Rules
+from service.core.health import Condition
+from service.core.memory import FaultMemory, News, Rules
 from service.logs import Frame as CanFrame
 from service.logs import open_log
 from service.outputs.control import ControlSocket
-from service.remembering import Remembering
+from service.remembering import FAILED_S, Remembering
 from service.scribe import Scribe
 from service.store.file import Record, StoreFile
 from service.store.journal import Journal
@@ -164,6 +165,112 @@ def test_what_cannot_be_read_is_kept_apart(driven: Path, tmp_path: Path) -> None
     assert all("cannot be read" in text and "it is kept as unreadable/" in text for text in vehicle.said)
 
 
+def changed(driven: Path, folder: Path, row: str, change: Callable[[dict[str, Any]], object]) -> Path:
+    """A copy of the store in which a row has other values."""
+    path = copied(driven, folder)
+    store = StoreFile(path)
+    value = json.loads(store.kept[row])
+    change(value)
+    store.append([], {row: json.dumps(value).encode()})
+    store.close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("row", "change", "aside"),
+    [
+        ("fault/1", lambda f: f["modes"].append("ascending"), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(number=7), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(number=0), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(trips=-1), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(fdc=1000), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(dtcs=[{"spn": 2**19, "fmi": 1}]), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.pop("status"), {"fault/1", "frame/1/first"}),
+        ("frame/1/first", lambda f: f.pop("excerpt"), {"frame/1/first"}),
+        ("memory", lambda m: m.update(number=-3), {"memory"}),
+        ("cycle", lambda c: c.update(number=1.5), {"cycle"}),
+    ],
+)
+def test_rows_that_make_no_sense_are_set_aside_and_reported(
+    driven: Path, tmp_path: Path, row: str, change: Callable[[dict[str, Any]], object], aside: set[str]
+) -> None:
+    """A fault of a mode that this version does not know ended the loop at its 25th tick, at every start."""
+    path = changed(driven, tmp_path, row, change)
+    vehicle = Vehicle(path, run="2")
+    vehicle.remembering.look(0.0)
+    assert vehicle.remembering.conditions == {Condition("rows-set-aside", str(path))}
+    vehicle.hear()
+    assert [*vehicle.remembering.memory.faults] == [2 if row == "fault/1" else 1], "no number is used twice"
+    vehicle.journal.finish(10.0)
+    kept = StoreFile(path).kept
+    assert {name.removeprefix("unreadable/") for name in kept if name.startswith("unreadable/")} == aside
+    assert {text.split()[2] for text in vehicle.said} == aside
+    again = Vehicle(path, run="3")
+    again.remembering.look(0.0)
+    assert again.remembering.conditions == set(), "it has been set aside"
+
+
+def test_what_is_set_aside_twice_is_there_twice(driven: Path, tmp_path: Path) -> None:
+    path = changed(driven, tmp_path, "cycle", lambda cycle: cycle.update(number="one"))
+    Vehicle(path).journal.finish(10.0)
+    store = StoreFile(path)
+    store.append([], {"cycle": b"two"})
+    store.close()
+    Vehicle(path).journal.finish(10.0)
+    kept = StoreFile(path).kept
+    assert b"one" in kept["unreadable/cycle"]
+    assert kept["unreadable/cycle+"] == b"two"
+
+
+@pytest.mark.parametrize("method", ["event", "tick", "begin_cycle"])
+def test_whatever_fails_in_the_memory_events_are_told(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing ends the loop; once it is over, what is told is remembered again."""
+    told = [
+        json.loads(each.line)["transition"] for each in Vehicle(None).hear().journal.take() if each.about == "event"
+    ]
+
+    def fails(*_: object) -> list[News]:
+        raise KeyError("nobody thought of it")
+
+    vehicle = Vehicle(None)
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultMemory, method, fails)
+        vehicle.hear()
+    records = vehicle.journal.take()
+    assert [json.loads(each.line)["transition"] for each in records if each.about == "event"] == told
+    assert Condition("memory-failed", "the fault memory") in vehicle.remembering.conditions
+    assert [text for text in vehicle.said if "the fault memory failed" in text] == vehicle.said
+    assert len(vehicle.said) == 1, "it fills no log"
+    assert "KeyError: 'nobody thought of it' (test_remembering.py:" in vehicle.said[0]
+    vehicle.remembering.look(FAILED_S + 10.0)
+    assert vehicle.remembering.conditions == set()
+
+
+def test_after_a_failure_the_memory_goes_on_with_what_is_kept(
+    driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = Vehicle(copied(driven, tmp_path), run="2")
+    before = dict(vehicle.remembering.memory.faults)
+
+    def half(memory: FaultMemory, *_: object) -> list[News]:
+        memory.faults.clear()
+        raise ValueError("half done")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultMemory, "clear", half)
+        assert vehicle.remembering.clear(1, "anna") is None
+    assert vehicle.remembering.memory.faults == before
+    vehicle.hear()
+    assert [*vehicle.remembering.memory.faults] == [1]
+
+
+def test_erasing_that_fails_is_said(served: "Served", monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FaultMemory, "clear", lambda *_: 1 // 0)
+    with Control(served.path) as control, pytest.raises(ControlError, match="nothing was erased") as refused:
+        control.ask("clear", number=1)
+    assert refused.value.code == "not-kept"
+
+
 def test_a_bundle_that_is_taken_up_goes_on_with_its_faults(driven: Path, tmp_path: Path) -> None:
     vehicle = Vehicle(copied(driven, tmp_path))
     bundle = load_bundle(GOLDEN / "bundle")
@@ -177,10 +284,26 @@ def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
     vehicle = Vehicle(None)
     other = Line("trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print)
     vehicle.line.bundles[:] = [vehicle.watched]
+    vehicle.journal.remember({"names": None})
     both = Remembering(
         *(Scribe("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
     )
     assert [*both.observed] == ["uds4@powertrain", "uds4@trailer"]
+    alone = vehicle.made("2")
+    assert [*alone.observed] == ["uds4@powertrain"], "the other was refused: its faults are remembered under this name"
+    alone.lines = [vehicle.line, other]
+    alone.add(other, other.bundles[0])
+    assert [*alone.observed] == ["uds4@powertrain", "uds4@trailer"]
+
+
+def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another() -> None:
+    vehicle = Vehicle(None)
+    trailer = Line("trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print)
+    absent = [f"{vehicle.watched.place} on powertrain"]
+    alone = Remembering(
+        *(Scribe("truck", 0, "1"), vehicle.journal, [trailer], Rules(), 10.0, "boot", 0.0, print, list, absent),
+    )
+    assert [*alone.observed] == ["uds4@trailer"]
 
 
 class Served:
@@ -452,8 +575,10 @@ def test_who_asks_and_does_not_read_is_sent_away(served: Served) -> None:
 def test_bundles_of_one_name_on_one_bus_are_told_apart() -> None:
     vehicle = Vehicle(None)
     vehicle.line.bundles.append(watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0))
-    both = vehicle.made("2")
-    assert [*both.observed] == ["uds4@powertrain", "uds4@powertrain-2"]
+    vehicle.journal.remember({"names": None})
+    for run in ("2", "3"):
+        both = vehicle.made(run)
+        assert [*both.observed] == ["uds4@powertrain", "uds4@powertrain-2"]
     for each in vehicle.line.bundles:
         both.take(each, [])
 
