@@ -112,7 +112,7 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
     def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
-        heard, calm = Heard(), SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted=frozenset())
+        heard, calm = Heard(), SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted={})
         with Script(*steps) as bus, Journal(None, say) as journal, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
             made = cast(tuple[Monitor, Traffic], (heard, calm))
@@ -175,12 +175,16 @@ def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[s
 
 def test_every_kind_of_loss_is_told() -> None:
     bus = SimpleNamespace(dropped=1, counts=Counts(9, 2, 3, 4, 5, 6, 7, 8))
-    table = SimpleNamespace(rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}))
+    stranger = "A never came from 0xFE, its parameter group came from 0x3D: give the DBC that source address"
+    table = SimpleNamespace(
+        rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}, early={"A": 13}), strangers=lambda: [stranger]
+    )
     losses = Losses(cast(Bus, bus), [cast(DecodeTable, table)])
     assert losses.news() == (
         "since the start: frames dropped by the kernel 1, remote frames 2, no frames 3, sent by this machine 4, "
-        "error frames 5, shorter than in the DBC 10, of another sender 11, multiplexed by an unknown value 12, "
-        "times bus-off 6, times the interface went down 7, times it was removed 8"
+        "error frames 5, shorter than in the DBC 10, of another sender 11, too early to be the same sender's 13, "
+        "multiplexed by an unknown value 12, times bus-off 6, times the interface went down 7, times it was removed 8; "
+        + stranger
     )
     assert losses.news() is None
     bus.counts.link_downs += 1
@@ -261,7 +265,7 @@ class Told:
             self.restarts[k] += 1
             return cast(
                 tuple[Monitor, Traffic],
-                (self.heard[k], SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted=frozenset())),
+                (self.heard[k], SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted={})),
             )
 
         return Watched(BUNDLE, make, 1.0)
@@ -455,7 +459,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
         earlier.finish(10.0)
     made = Told(tmp_path, clock, store=store, name="truck-b")
     found: list[Condition] = []
-    traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted=frozenset())
+    traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted={})
     watched = Watched(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
     made.loop._lines[0].bundles[:] = [watched]
     made.loop._remembering.observed["uds4"].watched = watched
