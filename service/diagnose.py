@@ -57,9 +57,9 @@ def main(argv: list[str]) -> int:
         )
     second = _second_senders(bundle)
     if not found:
-        _check_conclusive(monitor.decision, blind, bundle, options.log)
         if second:
             raise InputError(f"{options.log}: {second}, so no alarm is no all-clear; give a log without them")
+        _check_conclusive(monitor.decision, blind, bundle, options.log)
     for loss in ("" if accepted else log.report.summary(), second):
         if loss:
             print(f"faultline diagnose: {options.log}: {loss}", file=sys.stderr)

@@ -51,6 +51,19 @@ def test_a_second_sender_is_seen_with_its_first_frame_or_the_next_genuine_one(ph
         assert len(early) >= len(forged) - 1  # the last one has no genuine frame after it
 
 
+@pytest.mark.parametrize("phase", [0.001, 0.06, 0.08, 0.1, 0.12])
+@pytest.mark.parametrize("slower", [1.025, 1.05, 1.09])
+def test_a_clock_slower_than_the_dbcs_grants_a_forger_nothing(slower: float, phase: float) -> None:
+    """The wound: at 1.05 periods, forged frames 75 to 90 ms later were all believed."""
+    rng = np.random.default_rng(1)
+    times = slower * on_time(1000) + rng.uniform(-0.005, 0.005, 1000)
+    assert set(judged(times)) == {"DUE"}
+    came = judged(np.sort(np.concatenate([times, times[100::8] + phase])))
+    early = [k for k, each in enumerate(came) if each == "EARLY"]
+    assert early
+    assert early[0] <= 100 + 3 * 9, "in the first seconds"
+
+
 def test_a_sender_that_was_held_up_catches_up() -> None:
     times = on_time(200)
     for stall in (0.15, 0.5, 3.0, 20.0):
