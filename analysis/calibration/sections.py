@@ -135,7 +135,10 @@ def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: st
     tracks = tracks_of(table, frames, model.known)
     silent = [name for name, track in tracks.items() if len(track.t) < 2]
     if silent:
-        raise InputError(f"{where}: {', '.join(silent)} never tells; calibrate on a recording that has all signals")
+        strangers = "".join(f"; {text}" for text in table.strangers())
+        raise InputError(
+            f"{where}: {', '.join(silent)} never tells; calibrate on a recording that has all signals{strangers}"
+        )
     return tracks
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.recordings.external import Samples, read_external
 from analysis.recordings.track import Track, known_part
 from service.core.dbc import compile_dbc
+from service.core.decode import DecodeTable
 from service.core.errors import InputError
 from service.core.signals import Quality, Vector
 from service.logs import Frame, LogReport, Recording, load_recording, read_log
@@ -73,14 +74,19 @@ def read_bench(folder: Path) -> Bench:
         raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
     dbc = (folder / recording.can.dbc).read_bytes()
     frames, log = read_log(folder / recording.can.file, recording.can.channel)
-    ecu = _ecu(frames, dbc, folder / recording.can.dbc, folder / recording.can.file)
+    table = compile_dbc(dbc.decode(errors="replace"), ECU_UNITS, str(folder / recording.can.dbc))
+    if recording.can.channel is None and (both := log.on_two_channels(table.carries)):
+        raise InputError(
+            f"{folder}: the same messages come on {' and '.join(both)}: say which bus with `channel` under [can] in "
+            "recording.toml"
+        )
+    ecu = _ecu(frames, table, folder / recording.can.file)
     sha256 = hashlib.sha256((folder / recording.can.file).read_bytes()).hexdigest()
     return Bench(folder, recording, sha256, dbc, frames, log, ecu, read_external(folder, recording.external))
 
 
-def _ecu(frames: list[Frame], dbc: bytes, dbc_path: Path, log_path: Path) -> Ecu:
+def _ecu(frames: list[Frame], table: DecodeTable, log_path: Path) -> Ecu:
     """The frames that carry all signals; what is off in one is NaN."""
-    table = compile_dbc(dbc.decode(errors="replace"), ECU_UNITS, str(dbc_path))
     rows = []
     for t, can_id, extended, data in frames:
         signals = {
@@ -92,5 +98,8 @@ def _ecu(frames: list[Frame], dbc: bytes, dbc_path: Path, log_path: Path) -> Ecu
     columns = np.array(rows).reshape(-1, 1 + len(ECU_UNITS))
     columns = columns[np.diff(columns[:, 0], prepend=-1.0) > 0]
     if (np.isfinite(columns).sum(axis=0) < 2).any():
-        raise InputError(f"{log_path}: no frame carries {', '.join(ECU_UNITS)}; was the dosing controller on?")
+        strangers = "".join(f"; {text}" for text in table.strangers())
+        raise InputError(
+            f"{log_path}: no frame carries {', '.join(ECU_UNITS)}; was the dosing controller on?{strangers}"
+        )
     return Ecu(columns[:, 0], dict(zip(ECU_UNITS, columns.T[1:], strict=True)))

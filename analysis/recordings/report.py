@@ -173,6 +173,12 @@ def _ambient(found: Report) -> list[str]:
             f"{ATMOSPHERE / 100:.0f}: taken for the ambient pressure, only what differs from it was taken off; confirm "
             "it with --ambient-hpa"
         )
+    taken = [each.zero_pa for each in found.channels if each.zero_pa is not None]
+    if found.ambient == "assumed" and len(taken) > 1 and (min(taken) > WEATHER or max(taken) < -WEATHER):
+        lines.append(
+            f"DOUBTFUL: all added sensors are off alike from {ATMOSPHERE / 100:.0f} hPa, as by another ambient "
+            "pressure, though y_p_du, which the controller may trim, is not; if it was, give it with --ambient-hpa"
+        )
     if abs(found.ambient_pa - ATMOSPHERE) > WEATHER:
         lines.append(
             "before calibrating, set the model's ambient pressures (uds4, uds1: p_tank, p_exh) to "

@@ -29,10 +29,12 @@ _CLASSIC, _FD = (
 _REMOTE = re.compile(rb"\d+\.\d+\s+\d+\s+[0-9a-f]+x?\s+(?:Rx|Tx)\s+r\b.*", re.IGNORECASE)
 _ERROR = re.compile(rb"\d+\.\d+\s+(?:\d+|CANFD\s+\d+\s+(?:Rx|Tx))\s+ErrorFrame\b.*", re.IGNORECASE)
 _EVENT = re.compile(
-    rb"\d+\.\d+\s+(?!CANFD\b)(?!.*\s(?-i:[dr])\s+[0-9a-f]{1,2}\b)(?:[a-z]{2}.*|\d+\s+[a-z](?!.*\s(?:Rx|Tx)\b).*)",
+    rb"\d+\.\d+\s+(?:\d+\s+J1939TP\b[ -~]*|(?!CANFD\b)(?!.*\s(?-i:[dr])\s+[0-9a-f]{1,2}\b)"
+    rb"(?:[a-z]{2}[ -~]*|\d+\s+(?![0-9a-f]+x?(?:\s|$))[a-z](?!.*\s(?:Rx|Tx)\b)[ -~]*))",
     re.IGNORECASE,
 )
-"""What is of another bus, or no frame; nothing that looks like the rest of a damaged frame."""
+"""What is of another bus, or no frame; nothing that looks like the rest of a damaged frame, as an identifier does that
+begins with a letter."""
 _REQUEST = re.compile(rb"\d+\.\d+\s+(?:\d+\s+[0-9a-f]+x?|CANFD\s+\d+)\s+TxRq\b.*", re.IGNORECASE)  # not yet on the bus
 _LONGEST = 8  # bytes of a classic frame
 

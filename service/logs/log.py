@@ -1,17 +1,13 @@
 """A log as commands take it: an instrumented recording, or a bare log file."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from service.logs.formats import parse_log
 from service.logs.recording import Recording, load_recording
-from service.logs.report import Frame, LogError, LogReport
-
-
-def _any(_can_id: int, _is_extended: bool) -> bool:
-    return True
+from service.logs.report import Frame, LogError, LogReport, Wanted, anything
 
 
 @dataclass(frozen=True)
@@ -63,20 +59,15 @@ class Log:
                 "export a bundle for this vehicle's DBC"
             )
 
-    def check_channels(self, wanted: Callable[[int, bool], bool] = _any) -> None:
+    def check_channels(self, wanted: Wanted = anything) -> None:
         """Refuse to merge two buses: the same `wanted` message on both may be of two vehicles.
 
         Raises:
             LogError: an identifier that is wanted comes on more than one channel, and none was chosen.
         """
-        of: dict[tuple[int, bool], list[str]] = {}
-        for channel, identifiers in self.report.channels.items():
-            for each in identifiers:
-                of.setdefault(each, []).append(channel)
-        both = [channels for each, channels in sorted(of.items()) if len(channels) > 1 and wanted(*each)]
-        if self.channel is None and both:
+        if self.channel is None and (both := self.report.on_two_channels(wanted)):
             how = "--channel" if self.recording is None else "`channel` under [can] in recording.toml"
-            raise LogError(f"{self.id}: the same messages come on {' and '.join(both[0])}: say which bus with {how}")
+            raise LogError(f"{self.id}: the same messages come on {' and '.join(both)}: say which bus with {how}")
 
     @property
     def duration_s(self) -> float:

@@ -34,6 +34,15 @@ OnChannel = tuple[bytes, Frame]
 """A frame and the name of its channel, as the file has it; empty where the format names none."""
 
 
+Wanted = Callable[[int, bool], bool]
+"""True of identifiers (and whether they have 29 bits) that matter."""
+
+
+def anything(_can_id: int, _is_extended: bool) -> bool:
+    """All identifiers."""
+    return True
+
+
 @dataclass
 class LogReport:
     """What was read and what was not.
@@ -95,6 +104,15 @@ class LogReport:
         if self.others:
             parts.append(f"{self.others} objects that are no frames skipped")
         return ", ".join(parts)
+
+    def on_two_channels(self, wanted: Wanted = anything) -> list[str]:
+        """Return the channels of the first `wanted` identifier that comes on more than one; empty where none does."""
+        of: dict[tuple[int, bool], list[str]] = {}
+        for channel, identifiers in self.channels.items():
+            for each in identifiers:
+                of.setdefault(each, []).append(channel)
+        both = (channels for each, channels in sorted(of.items()) if len(channels) > 1 and wanted(*each))
+        return next(both, [])
 
     def reject(self, number: int, reason: str) -> None:
         """Counts a place that cannot be read."""

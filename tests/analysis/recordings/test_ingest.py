@@ -41,6 +41,7 @@ class Bench:
     standing: float = STANDING
     duration: float = DURATION
     ambient: float = ATMOSPHERE
+    trimmed: bool = False  # the controller's own sensor shows the standard atmosphere
     tables: str = "y_p_tp y_p_ap"
     spoil: Callable[[list[str]], list[str]] = list
     """Changes the rows of the CSV."""
@@ -72,7 +73,7 @@ def _can_log(bench: Bench, rng: np.random.Generator) -> str:
     t = np.arange(0.0, bench.duration, 0.2) + rng.uniform(-0.01, 0.01, round(bench.duration / 0.2))
     t -= t[0]
     at = _profiles(bench)(t)
-    du = at["y_p_du"] + 800.0 * rng.standard_normal(len(t))
+    du = at["y_p_du"] + 800.0 * rng.standard_normal(len(t)) + bench.trimmed * (ATMOSPHERE - bench.ambient)
     lines = []
     for k, time in enumerate(t):
         data = message.encode(
@@ -267,6 +268,27 @@ def test_at_altitude_only_each_sensors_own_error_is_taken_off(
     assert ("DOUBTFUL: at standstill all sensors show about 84" in said) == (source == "seen")
     assert ("set the model's ambient pressures (uds4, uds1: p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
     assert "mbar taken off" in said
+
+
+def test_zeros_that_are_alike_are_doubted_though_the_controllers_own_sensor_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As at altitude, where the controller trims its own."""
+    _ingest(tmp_path, Bench(duration=120.0, ambient=84_500.0, trimmed=True))
+    assert "DOUBTFUL: all added sensors are off alike from 1013 hPa" in capsys.readouterr().out
+
+
+def test_a_bench_log_of_two_buses_is_not_merged(tmp_path: Path) -> None:
+    """It became one vehicle's, all of it on can0, and no later check could see that."""
+    bench = _write(tmp_path / "bench", Bench())
+    lines = (bench / "can.log").read_text().splitlines(keepends=True)
+    (bench / "can.log").write_text("".join(line + line.replace(" can0 ", " can1 ") for line in lines))
+    arguments = [str(bench), "--out", str(tmp_path / "logs")]
+    with pytest.raises(InputError, match=r"the same messages come on can0 and can1: say which bus with `channel`"):
+        main(arguments)
+    text = (bench / "recording.toml").read_text()
+    (bench / "recording.toml").write_text(text.replace("[can]\n", '[can]\nchannel = "can1"\n'))
+    assert main(arguments) == 0
 
 
 @pytest.mark.parametrize("hPa", ["84500", "0.845", "-845"])
