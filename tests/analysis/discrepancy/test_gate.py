@@ -147,3 +147,25 @@ def test_several_reasons_are_all_given(data: Data, found: Discovery, runs: Shown
     inside = np.zeros_like(found.outcome.chosen.inside)
     reasons = adoption(data, changed(found, "unnamed", inside=inside), runs).reasons
     assert len(reasons) == 1 + len(found.outcome.chosen.unknowns.parameters)
+
+
+@pytest.mark.parametrize(
+    ("factors", "is_refused"),
+    [
+        ((0.80, 1.10, 1.10), True),  # small gains do not pay for losses
+        ((0.96, 0.96, 1.08), True),
+        ((0.25, 1.12, 1.09), False),  # as a blocked vent, which is right
+        ((1.0, 1.02, 1.0), False),
+        ((1.02, 1.02, 1.02), True),
+    ],
+)
+def test_one_outputs_gain_pays_for_anothers_loss_only_where_it_is_large(
+    data: Data, found: Discovery, runs: Shown, factors: tuple[float, ...], is_refused: bool
+) -> None:
+    before = runs.before.agreement
+    after = {
+        output: {"rms": factor * before[output][STEADY].rms, "expected": 9e9}
+        for output, factor in zip(before, factors, strict=True)
+    }
+    reasons = adoption(data, found, with_after(runs, after)).reasons
+    assert ["the held-out free run is not better" in each for each in reasons] == [True] * is_refused
