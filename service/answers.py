@@ -119,7 +119,7 @@ class Answerer:
             "store": {
                 "path": None if journal.path is None else str(journal.path),
                 "kept": journal.kept_up_to,
-                "failing": bool(journal.conditions),
+                "failing": any(each.kind == "store-failed" for each in journal.conditions),
             },
             "buses": [
                 {

@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
         lines = _lines(config, bundles, options.speed, required=options.config is None)
         for line in lines:
             opened.enter_context(line.bus)
-        reload = None if options.config is None else Reload(options.config, config, lines, _trust, _say)
+        reload = None if options.config is None else Reload(options.config, config, lines, _trust, load, _say)
         loop = Loop(
             *(Scribe(config.source, journal.last), lines, journal, subscribers, notifier, _say),
             reload=reload,

@@ -12,7 +12,7 @@ from service.core.errors import InputError
 
 EXAMPLE = """example, on the vehicle as root, or with --root while its image is made:
   python3 -m venv --copies /opt/faultline
-  /opt/faultline/bin/pip install faultline-*.whl
+  /opt/faultline/bin/pip install faultline_diagnosis-*.whl
   /opt/faultline/bin/faultline install --dry-run
   /opt/faultline/bin/faultline install --interface can0 --bitrate 250000
   cp fleet.pub /etc/faultline/keys/

@@ -133,7 +133,7 @@ class Loop:
             self._scribe.last = self._told = max(self._scribe.last, self._journal.last)
             self._subscribers.renew(self._journal.earlier)
             self._journal.earlier = []
-            self._remembering.begin()
+            self._remembering.take_up()
         self._subscribers.serve(ready)
         if self._control is not None:
             self._control.serve(ready)

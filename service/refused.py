@@ -17,18 +17,22 @@ from service.watched import FAILURES, Line, Watched, watched
 
 AGAIN_S, LONGEST_S = 5.0, 300.0
 """A refused bundle is tried again after so long; twice as long each time, and `LONGEST_S` at most [s]."""
-NOT_TAKEN: tuple[type[Exception], ...] = (InputError, *FAILURES)
+NOT_TAKEN: tuple[type[Exception], ...] = (InputError, OSError, *FAILURES)
+"""OSError: no descriptor is left, or a folder may not be read: that is over some time, and ends no service."""
 
 
 class Loader:
-    """Loads the bundles of a configuration, signed by those whom `trust` names: keys are read at each try."""
+    """Loads the bundles of a configuration, signed by those whom `trust` names: keys are read at each try.
+
+    A reload of the configuration sets `trust` anew.
+    """
 
     def __init__(self, trust: Callable[[], Trust | None]) -> None:
-        self._trust = trust
+        self.trust = trust
 
     def __call__(self, path: Path) -> Bundle:
         """Return the bundle in the folder, which computes its golden vectors; raises one of `NOT_TAKEN`."""
-        bundle = load_bundle(path, self._trust())
+        bundle = load_bundle(path, self.trust())
         verify_golden(bundle)
         return bundle
 
@@ -91,14 +95,17 @@ class RefusedBundles:
     ) -> None:
         bundle, why = self._load.or_spare(Path(each.path))
         running = next((one for one in line.bundles if one.place == each.path), None)
-        if bundle is not None and running is None:
-            running = watched(bundle, self._source, self._speed, place=each.path)
-            line.add(running)
-            added(line, running)
-            say(f"bundle {bundle.manifest.name} {bundle.id[:12]} runs now")
-        elif bundle is not None and running is not None and bundle.id != running.bundle.id:
-            line.take_up(running, bundle)
-            say(f"bundle {bundle.manifest.name} {bundle.id[:12]} taken up")
+        try:
+            if bundle is not None and running is None:
+                running = watched(bundle, self._source, self._speed, place=each.path)
+                line.add(running)
+                added(line, running)
+                say(f"bundle {bundle.manifest.name} {bundle.id[:12]} runs now")
+            elif bundle is not None and running is not None and bundle.id != running.bundle.id:
+                line.take_up(running, bundle)
+                say(f"bundle {bundle.manifest.name} {bundle.id[:12]} taken up")
+        except NOT_TAKEN as error:
+            why = one_line(error)
         if not why:
             for kept in (self._why, self._due, self._wait_s):
                 del kept[each]

@@ -12,7 +12,7 @@ from service.bundle import load_bundle, verify_golden
 from service.bundle_files import Trust, one_line
 from service.config import Config, load_config
 from service.core.errors import InputError
-from service.refused import NOT_TAKEN
+from service.refused import NOT_TAKEN, Loader
 from service.watched import Line, Watched
 
 FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
@@ -28,19 +28,21 @@ class Reload:
         config: Config,
         lines: Sequence[Line],
         trust_of: Callable[[Config], Trust | None],
+        load: Loader,
         say: Callable[[str], None],
     ) -> None:
         self._path, self._config, self._lines = path, config, lines
-        self._trust_of, self._say = trust_of, say
+        self._trust_of, self._load, self._say = trust_of, load, say
 
     def __call__(self, beat: Callable[[], None]) -> None:
         """Takes up what is there; `beat` is called after each bundle, which takes a part of a second."""
         try:
             config = load_config(self._path)
             trust = self._trust_of(config)
-        except InputError as error:
-            self._say(f"not reloaded: {error}")
+        except (InputError, OSError) as error:
+            self._say(f"not reloaded: {one_line(error)}")
             return
+        self._load.trust = lambda: self._trust_of(config)
         if changed := [
             name
             for name in ("source", "bus", "bundle", "events", "store", "control", "memory")

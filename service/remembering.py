@@ -2,6 +2,7 @@
 
 import re
 import traceback
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain, count
@@ -10,6 +11,7 @@ from typing import TypeVar
 
 import msgspec
 
+from service.bundle_files import one_line
 from service.core.events import Event, encode
 from service.core.faults import (
     CLEARED,
@@ -35,6 +37,9 @@ from service.watched import Line, Watched
 FRAMED: frozenset[Change | None] = frozenset(("pending", "confirmed", "failed"))
 """Changes of which a freeze frame is taken."""
 
+UNKEPT = 1000
+"""Events of a run that are kept for a store that opens late, of all systems together."""
+
 FAILED_S = 60.0
 """For so long after the fault memory has failed, that is told [s]."""
 
@@ -44,10 +49,16 @@ T = TypeVar("T")
 class Observed:
     """A system with what was seen of it lately, and the freeze frames whose excerpt goes on, by their name."""
 
-    def __init__(self, name: str, line: Line, watched: Watched, seconds: float) -> None:
-        self.name, self.line, self.watched, self._seconds = name, line, watched, seconds
+    def __init__(self, line: Line, watched: Watched, seconds: float) -> None:
+        self.line, self.watched, self._seconds = line, watched, seconds
+        self.name = watched.bundle.manifest.name
+        self.system: System
         self.unfinished: dict[str, Frame] = {}
         self.begin()
+
+    def rename(self, name: str) -> None:
+        """What the fault memory calls it, where others have the bundle's name."""
+        self.name, self.system = name, self.system._replace(name=name)
 
     def begin(self) -> None:
         """With the bundle that is at work now."""
@@ -89,6 +100,7 @@ class Remembering:
         self._failed_at, self._failure = -float("inf"), ""
         self._set_aside = False
         self._frame_s, self._absent = frame_s, frozenset(absent)
+        self._unkept = deque[tuple[Observed, Event, list[str]]](maxlen=UNKEPT)
         self._given = next(self._kept(["names"], dict[str, str]), {})
         self.observed: dict[str, Observed] = {}
         for line in lines:
@@ -100,12 +112,32 @@ class Remembering:
         """Remember the faults of a bundle that came up after the start too."""
         self.memory.watch(self._observe(line, watched).system)
 
+    def take_up(self) -> None:
+        """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
+        systems = [*self.observed.values()]
+        self.observed, self._given = {}, next(self._kept(["names"], dict[str, str]), {})
+        for here in systems:
+            self._name(here)
+        self.begin()
+        self.look(self._now)  # the cycle that lasts is this run's
+        for here, event, showing in self._unkept:
+            with self._surviving():
+                news = self.memory.event(here.name, event, showing)
+                self._tell([], news, self._framed(here, news, event))
+        self._unkept.clear()
+
     def _observe(self, line: Line, watched: Watched) -> Observed:
+        here = Observed(line, watched, self._frame_s)
+        self._name(here)
+        return here
+
+    def _name(self, here: Observed) -> None:
         """Give the bundle's system a name of its own, and keep it: whatever else is configured or refused later.
 
         It is the bundle's, with the bus's where two have the same, or a number too.
         """
-        own, key = watched.bundle.manifest.name, f"{watched.place} on {line.name}"
+        line, own = here.line, here.bundle.manifest.name
+        key = f"{here.watched.place} on {line.name}"
         is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.observed.values()]
         before = self._given.get(key, "") if is_first else ""
         taken = {*self.observed, *(name for of, name in self._given.items() if of in self._absent and of != key)}
@@ -113,11 +145,11 @@ class Remembering:
         usual = own if everybody.count(own) == 1 and own not in taken else f"{own}@{line.name}"
         names = chain([before] * before.startswith(own), [usual], (f"{usual}-{number}" for number in count(2)))
         name = next(each for each in names if each not in taken)
-        self.observed[name] = Observed(name, line, watched, self._frame_s)
+        here.rename(name)
+        self.observed[name] = here
         if is_first and before != name:
             self._given = {**self._given, key: name}
             self._journal.remember({"names": msgspec.json.encode(self._given)})
-        return self.observed[name]
 
     def begin(self) -> None:
         """Begins with what the store has, as after a restart."""
@@ -133,7 +165,10 @@ class Remembering:
         memory = next(self._kept(["memory"], Remembered), Remembered())
         used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
         memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
-        self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
+        try:
+            self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
+        except Exception as error:  # noqa: BLE001 as above
+            self._without(error)
         for each in self.observed.values():
             each.unfinished.clear()
             self.memory.watch(each.system)
@@ -224,7 +259,10 @@ class Remembering:
         is_put = False
         with self._surviving():
             sample = here.recorder.latest
-            news = self.memory.event(here.name, event, sample.showing if sample else [])
+            showing = [*sample.showing] if sample else []
+            if not self._journal.is_open:
+                self._unkept.append((here, event, showing))
+            news = self.memory.event(here.name, event, showing)
             self._tell([record], news, self._framed(here, news, event))
             is_put = True
         if not is_put:
@@ -243,11 +281,17 @@ class Remembering:
             self._failed_at, self._failure = self._now, failure
             self.begin()
 
+    def _without(self, failure: Exception) -> None:
+        """Begins with nothing, where what is kept cannot be gone on with: better than no service."""
+        self._say(f"the fault memory cannot go on with what is kept, and begins empty: {one_line(failure)}")
+        self._failed_at = self._now
+        self.memory = FaultMemory(self._rules, (), None, self.cycle)
+
     def _framed(self, here: Observed, news: Iterable[News], event: Event) -> dict[str, bytes]:
         """The freeze frames of what has failed, by their names in the store."""
         frames: dict[str, bytes] = {}
         for each in news:
-            if each.change in FRAMED and here.recorder.latest is not None:
+            if each.change in FRAMED and here.recorder.holds(event.tick):
                 first, latest = self._names(each.fault.number)[1:]
                 name = latest if first in self._journal.kept else first
                 frame = here.recorder.frame(event, self._standing(), here.counters)
@@ -297,8 +341,8 @@ class Remembering:
                 value = msgspec.json.decode(text, type=kind)
                 if isinstance(value, Fault):
                     check(value, name)
-            except (msgspec.MsgspecError, ValueError) as error:
-                self._put_aside(name, str(error))
+            except Exception as error:  # noqa: BLE001 whatever is wrong with it: it is set aside, and that is told
+                self._put_aside(name, one_line(error))
             else:
                 yield value
 

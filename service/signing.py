@@ -110,7 +110,7 @@ def load_keys(folder: Path) -> dict[bytes, PublicKey]:
     Raises:
         SignatureError: there is none, one is no key, or two have the same id.
     """
-    paths = sorted(folder.glob("*.pub"))
+    paths = sorted(path for path in folder.glob("*.pub") if path.is_file())  # a pipe would hold up the start
     if not paths:
         raise SignatureError(f"{folder}: no trusted key *.pub; put the public keys of those who may sign there")
     keys: dict[bytes, PublicKey] = {}

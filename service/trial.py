@@ -26,7 +26,7 @@ def trial(folder: Path, memory: int = MEMORY, cpu_s: int = CPU_S, patience_s: fl
     Raises:
         InputError: it does not load, does not compute what it should, or takes too much.
     """
-    words = [sys.executable, "-P", "-c", _CHILD, str(folder)]
+    words = [sys.executable, "-P", "-c", _CHILD, str(folder.resolve())]
     environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(  # noqa: S603 - this interpreter and a folder, without a shell

@@ -122,13 +122,17 @@ class Recorder:
             excerpt=self._excerpt(event.tick),
         )
 
+    def holds(self, tick: int) -> bool:
+        """True if the samples around this tick are recorded still."""
+        return bool(self._samples) and self._samples[0].tick <= tick <= self._samples[-1].tick
+
     def completed(self, frame: Frame) -> Frame | None:
         """The frame with what has come since, once that is as long as what was before; None until then.
 
         It stays as it is where what was recorded has begun anew meanwhile.
         """
         last = self.latest
-        if last is None or not self._samples[0].tick <= frame.tick <= last.tick:
+        if last is None or not self.holds(frame.tick):
             return frame
         if last.tick < frame.tick + self.ticks:
             return None

@@ -251,12 +251,13 @@ class FaultMemory:
     def _refine(self, episode: _Episode) -> Iterator[News]:
         """Other candidates: where they share none with what the entry was before, it was not that again.
 
-        And a new entry whose candidates are a remembered one's now is that one again, and was no new one.
+        And a new entry all of whose candidates are a remembered one's now is that one again, and was no new one.
         """
         assert episode.told is not None
         assert episode.number is not None
         before = episode.before
-        if before is None and self._entry_of(episode) is not None:
+        other = self._entry_of(episode)
+        if before is None and other is not None and names(episode.told.diagnoses) <= names(other.diagnoses):
             own, counter = self.faults[episode.number], episode.debounce.counter
             self._erase(own.number)
             episode.debounce.counter = counter

@@ -23,7 +23,7 @@ from service.core.health import Condition
 
 CLIENTS = 32  # at most
 IDLE_S = 5.0  # a client that could ask again and has not for so long is idle
-RESERVED = 16  # descriptors that clients leave to the rest of the process: buses, store, /proc, journal
+RESERVED = 16  # descriptors, or a quarter, that clients leave to the rest of the process: buses, store, /proc, journal
 AGAIN_S = 1.0  # where no connection can be accepted, this is tried again after so long
 REFUSED_S = 10.0  # for so long after a client was refused, that is a condition
 REQUEST_SIZE = 4096  # bytes of a client's line
@@ -84,13 +84,13 @@ class LineServer(ABC):
             self._accept_at = 0.0
             self._selector.register(self._listener, selectors.EVENT_READ, self)
         for key, events in ready:
-            if key.data is self:
-                self._accept()
-            elif isinstance(key.data, Client) and key.data in self._clients:
+            if isinstance(key.data, Client) and key.data in self._clients:
                 if events & selectors.EVENT_READ:
                     self._read(key.data)
                 if events & selectors.EVENT_WRITE and key.data in self._clients:
                     self._flush(key.data)
+        if any(key.data is self for key, _ in ready):  # last: who has asked meanwhile is not idle
+            self._accept()
 
     def close(self) -> None:
         """Ends every connection and removes the socket file."""
@@ -120,22 +120,34 @@ class LineServer(ABC):
         try:
             sock, _ = self._listener.accept()
         except OSError as error:
-            if error.errno in _SHORT:  # who waits would be found again at once, and the loop would turn at full speed
-                self._refused_at = time.monotonic()
-                self._accept_at = self._refused_at + AGAIN_S
-                self._forget(self._listener)
-            return  # else it is gone again
+            if error.errno in _SHORT and not self._make_room():
+                self._pause()  # who waits would be found again at once, and the loop would turn at full speed
+            return  # else it is gone again, or accepted at the next turn
+        while (len(self._clients) >= CLIENTS or _is_among_the_last(sock)) and self._make_room():
+            sock = _lowest(sock)  # what was freed is this one's, and the reserve is none's
         sock.setblocking(False)
         client = self._made(sock)
+        if len(self._clients) >= CLIENTS or _is_among_the_last(sock):
+            self._refused_at = client.active
+            self._clients.append(client)
+            self._refuse(client, "too many clients")
+            return
         self._clients.append(client)
         if self._selector is not None:
             self._selector.register(sock, selectors.EVENT_READ, client)
-        if len(self._clients) > CLIENTS or _is_among_the_last(sock):
-            idle = [each for each in self._clients if each is not client and self._is_idle(each)]
-            idlest = min(idle, key=lambda each: each.active, default=client)
-            if idlest is client:
-                self._refused_at = client.active
-            self._refuse(idlest, "too many clients")
+
+    def _make_room(self) -> bool:
+        """Disconnect the client that has been idle longest; False if none is."""
+        idle = [each for each in self._clients if self._is_idle(each)]
+        if not idle:
+            return False
+        self._refuse(min(idle, key=lambda each: each.active), "too many clients")
+        return True
+
+    def _pause(self) -> None:
+        self._refused_at = time.monotonic()
+        self._accept_at = self._refused_at + AGAIN_S
+        self._forget(self._listener)
 
     def _read(self, client: Client) -> None:
         try:
@@ -214,7 +226,17 @@ class LineServer(ABC):
 def _is_among_the_last(sock: socket.socket) -> bool:
     """True if the descriptor is one of those reserved for the rest of the process: the lowest is given out first."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return limit != resource.RLIM_INFINITY and sock.fileno() >= limit - RESERVED
+    return limit != resource.RLIM_INFINITY and sock.fileno() >= limit - min(RESERVED, limit // 4)
+
+
+def _lowest(sock: socket.socket) -> socket.socket:
+    """Return the connection under the lowest free descriptor."""
+    try:
+        lower = sock.dup()
+    except OSError:
+        return sock
+    sock.close()
+    return lower
 
 
 def _listen(path: Path) -> socket.socket:

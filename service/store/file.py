@@ -6,11 +6,13 @@ acknowledged since the last checkpoint is lost). One process has it, exclusively
 
 import os
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, NamedTuple, get_args
+
+import msgspec
 
 from service.core.errors import InputError
 
@@ -21,7 +23,7 @@ KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000}
 """The latest so many are kept. Each kind has its own number: a loose plug must not push out faults."""
 PRUNED = 256  # records between two looks whether there are too many
 ASIDE = 3  # damaged files that are left
-ENDLESS = 2**63 - 1  # larger than any number
+ENDLESS = 2**53  # larger than any number of a record
 NOTHING: Mapping[str, bytes | None] = MappingProxyType({})
 LOCKED_S = 5.0  # who looks at the file with a tool of his own has so long
 
@@ -66,7 +68,8 @@ class StoreFile:
 
     Of what is in it, `last` is the number of the latest record (0: none), `earlier` are the latest `remembered` ones,
     oldest first, `health` is the latest on health, and `kept` is what is remembered, by name. `aside` is where a
-    damaged one was put, None where it was whole.
+    damaged one was put, None where it was whole. Rows that are no records, or no names and values, stay where they are
+    and are not read: `senseless` says that there are some.
 
     Raises:
         StoreError: it cannot be opened or made, or another process has it, or it is another program's or a newer one's.
@@ -78,6 +81,8 @@ class StoreFile:
         self.health: Record | None = None
         self.kept: dict[str, bytes] = {}
         self.aside: Path | None = None
+        self.senseless = False
+        self._size = 0  # of the file, when it was looked at last [bytes]
         self._since_pruned = PRUNED  # however short a run is
         self._db: sqlite3.Connection
         self._begin()
@@ -114,8 +119,11 @@ class StoreFile:
         self._begin()
 
     def is_gone(self) -> bool:
-        """True if the file or its log was removed or replaced since it was opened; raises OSError."""
-        return any(was is not None and _identity(path) != was for path, was in self._opened.items())
+        """True if the file or its log was removed, replaced or cut off since it was opened; raises OSError."""
+        if any(was is not None and _identity(path) != was for path, was in self._opened.items()):
+            return True
+        before, self._size = self._size, self.path.stat().st_size
+        return self._size < before
 
     def restore(self) -> Path | None:
         """Writes all that is in it to its place anew; where what was found there instead was put, None for nothing.
@@ -133,9 +141,12 @@ class StoreFile:
             finally:
                 os.close(descriptor)
         self.close()
+        log = _log(self.path)
+        if _identity(log) == self._opened[log]:  # ours, and not of what was put there: SQLite would join them
+            log.unlink(missing_ok=True)
         if self.path.exists():
             aside = _put_aside(self.path)
-        _log(self.path).unlink(missing_ok=True)  # of the old one: SQLite would take it for the new one's
+        log.unlink(missing_ok=True)
         copy.rename(self.path)
         self._begin()
         return aside
@@ -148,15 +159,28 @@ class StoreFile:
     def before(self, seq: int | None, count: int) -> list[Record]:
         """The latest records, before number `seq` where that is given; oldest first."""
         rows = self._db.execute(
-            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC LIMIT ?",
-            (ENDLESS if seq is None else seq, count),
+            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC",
+            (ENDLESS if seq is None else seq,),
         )
-        return [Record(*row) for row in rows][::-1]
+        return self._records(rows, count)[::-1]
 
     def after(self, seq: int, count: int) -> list[Record]:
         """The records after number `seq`, oldest first."""
-        rows = self._db.execute("SELECT seq, about, line FROM record WHERE seq > ? ORDER BY seq LIMIT ?", (seq, count))
-        return [Record(*row) for row in rows]
+        rows = self._db.execute("SELECT seq, about, line FROM record WHERE seq > ? ORDER BY seq", (seq,))
+        return self._records(rows, count)
+
+    def _records(self, rows: Iterable[tuple[object, ...]], count: int) -> list[Record]:
+        """The first so many of the rows that are records."""
+        found: list[Record] = []
+        for row in rows if count else ():
+            record = _record(row)
+            if record is None:
+                self.senseless = True
+            else:
+                found.append(record)
+                if len(found) == count:
+                    break
+        return found
 
     def _prune(self) -> None:
         for about in get_args(About):
@@ -186,19 +210,36 @@ class StoreFile:
             failed.is_locked = is_locked
             raise failed from error
         self._opened = {path: _identity(path) for path in (self.path, _log(self.path))}
+        self._size = self.path.stat().st_size
 
     def _read(self) -> None:
         """Opens it and reads what is in it; an error in that is damage that the check did not see."""
         self._db = _open(self.path)
         try:
             self.earlier = self.before(None, self._remembered)
-            self.kept = dict(self._db.execute("SELECT name, value FROM kept"))
-            self.last = self._db.execute("SELECT coalesce(max(seq), 0) FROM record").fetchone()[0]
-            row = self._db.execute("SELECT * FROM record WHERE about = 'health' ORDER BY seq DESC LIMIT 1").fetchone()
-            self.health = Record(*row) if row else None
+            rows = self._db.execute("SELECT name, value FROM kept").fetchall()
+            self.kept = {name: value for name, value in rows if isinstance(name, str) and isinstance(value, bytes)}
+            self.senseless |= len(self.kept) < len(rows)
+            greatest = self._db.execute("SELECT coalesce(max(seq), 0) FROM record WHERE seq < ?", (ENDLESS,))
+            self.last = greatest.fetchone()[0]
+            latest = self._db.execute("SELECT seq, about, line FROM record WHERE about = 'health' ORDER BY seq DESC")
+            self.health = next(iter(self._records(latest, 1)), None)
         except sqlite3.Error:
             self.close()
             raise
+
+
+def _record(row: tuple[object, ...]) -> Record | None:
+    """The record in a row, None where it makes no sense: somebody else has written there."""
+    match row:
+        case (int(seq), ("event" | "health" | "fault") as about, bytes(line)) if 0 < seq < ENDLESS:
+            try:
+                msgspec.json.decode(line, type=dict[str, msgspec.Raw])
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                return None
+            return Record(seq, about, line) if line.endswith(b"\n") and line.count(b"\n") == 1 else None
+        case _:
+            return None
 
 
 def is_damage(error: sqlite3.Error) -> bool:

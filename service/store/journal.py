@@ -105,6 +105,11 @@ class Journal:
         """Whether it works as far as it can: a disk that hangs or fails is a condition, a thread that died a defect."""
         return self._thread is None or self._ended or self._thread.is_alive()
 
+    @property
+    def is_open(self) -> bool:
+        """True if there is a store that takes what is put, or none is wanted."""
+        return self.path is None or self._thread is not None
+
     def put(self, *records: Record, kept: Mapping[str, bytes | None] = NOTHING) -> None:
         """Takes records to keep and then to tell, and what is to be remembered, or no more (None), from then on."""
         now = self._clock()
@@ -182,6 +187,8 @@ class Journal:
             found.add(Condition("store-reset", str(self.path)))
         if self._removed:
             found.add(Condition("store-removed", str(self.path)))
+        if self._file is not None and self._file.senseless:
+            found.add(Condition("rows-set-aside", str(self.path)))
         return found
 
     def finish(self, within_s: float) -> list[Record]:
@@ -199,7 +206,7 @@ class Journal:
     def take_up(self) -> bool:
         """True once, if the store was opened since: `last` and `kept` are what it has, and all is kept from now on.
 
-        What was put before has been told, and is not kept.
+        What was put before has been told, and is not kept; of faults, the fault memory tells again what there is.
         """
         with self._changed:
             file = self._file
@@ -265,9 +272,10 @@ class Journal:
                 self._changed.wait_for(lambda: self._pending or self._dirty or self._asked or self._ended, LOOK_S)
                 asked = self._asked.popleft() if self._asked else None
                 batch, kept = [*self._pending], {**self._dirty}  # all of it: no state is newer than its last record
-                if self._ended and not (batch or kept or asked):
-                    break
+                is_last = self._ended and not (batch or kept or asked)
             failed = self._keep(file, batch, kept)
+            if is_last and not failed:
+                break
             for text in self._done(batch, kept, failed):
                 self._say(text)
             if asked:

@@ -1,5 +1,6 @@
 """A refused bundle is tried again ever less often, and at once when a reload is asked for."""
 
+import errno
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -63,3 +64,14 @@ def test_why_it_is_refused_now_is_the_condition() -> None:
     assert [condition.of for condition in refused.conditions] == ["damaged"]
     looked(refused, load, seconds=10)
     assert [condition.of for condition in refused.conditions] == ["/slots/current: damaged"]
+
+
+def test_an_error_of_the_system_refuses_a_bundle_and_ends_nothing(tmp_path: Path) -> None:
+    """No descriptor is left, or a folder may not be read."""
+
+    def short() -> None:
+        raise OSError(errno.EMFILE, "Too many open files", str(tmp_path))
+
+    bundle, why = Loader(short).or_spare(tmp_path)
+    assert bundle is None
+    assert "Too many open files" in why

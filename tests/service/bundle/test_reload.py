@@ -18,6 +18,7 @@ from service.core.errors import InputError
 from service.core.events import Event
 from service.core.manifest import Manifest
 from service.logs import Frame, open_log
+from service.refused import Loader
 from service.reload import Reload
 from service.watched import Line, watched
 
@@ -54,7 +55,7 @@ class Service:
         self.said: list[str] = []
         self.line = Line("powertrain", bus, [watched(load_bundle(self.bundle), "truck", 1.0)], self.said.append)
         self.trusted: list[InputError] = []
-        self.reload = Reload(self.path, self.config, [self.line], self.trust, self.said.append)
+        self.reload = Reload(self.path, self.config, [self.line], self.trust, Loader(lambda: None), self.said.append)
 
     def trust(self, _: Config) -> Trust | None:
         for error in self.trusted:
@@ -184,3 +185,13 @@ def test_another_graph_decides_otherwise() -> None:
     name = manifest.graphs[0].file
     files = {**manifest.files, name: msgspec.structs.replace(manifest.files[name], sha256="0" * 64)}
     assert not decide_alike(manifest, msgspec.structs.replace(manifest, files=files))
+
+
+def test_refused_bundles_are_tried_with_the_trust_of_the_reloaded_configuration(service: Service) -> None:
+    """A key that was revoked was believed until a restart."""
+    load = Loader(lambda: None)
+    reload = Reload(service.path, service.config, [service.line], service.trust, load, service.said.append)
+    reload(lambda: None)
+    service.trusted.append(InputError("that key is trusted no more"))
+    with pytest.raises(InputError, match="trusted no more"):
+        load(service.bundle)

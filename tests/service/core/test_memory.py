@@ -164,6 +164,19 @@ def test_a_new_one_that_turns_out_to_be_a_remembered_one_is_that_one_and_no_seco
     assert len({dtc for fault in truck.faults for dtc in fault.dtcs}) == len(truck.faults)
 
 
+def test_one_candidate_in_common_makes_a_new_entry_no_remembered_one() -> None:
+    """The wound: a confirmed fault became another entry's, and then pending, as explanations came and went."""
+    truck = Vehicle()
+    truck.tell("occurred", one("fA_t"))
+    truck.drive(5.0, suspicious=True)
+    truck.tell("healed")
+    truck.tell("occurred", one("fA_du"))
+    truck.drive(5.0, suspicious=True)
+    for diagnoses in ([one("fA_du"), one("fA_t")], [one("fA_du")], [one("fA_du"), one("fA_t")]):
+        assert {change for change, _ in changes(truck.tell("refined", *diagnoses))} <= {"refined"}
+    assert [fault.number for fault in truck.faults] == [1, 2]
+
+
 def test_what_rested_on_doubted_samples_was_never_there() -> None:
     truck = Vehicle()
     truck.tell("occurred", one("fA_t"))

@@ -5,6 +5,7 @@ import os
 import selectors
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -52,8 +53,9 @@ OPEN: list[Journal] = []
 class Vehicle:
     """A service without a loop: what a log says goes through bundle, memory and store."""
 
-    def __init__(self, path: Path | None, run: str = "1") -> None:
+    def __init__(self, path: Path | None, run: str = "1", frame_s: float = 10.0) -> None:
         self.said: list[str] = []
+        self.frame_s = frame_s
         self.journal = Journal(path, self.said.append)
         OPEN.append(self.journal)
         self.watched = watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)
@@ -64,7 +66,7 @@ class Vehicle:
 
     def made(self, run: str) -> Remembering:
         return Remembering(
-            *(Scribe("truck", self.journal.last, run), self.journal, [self.line], Rules(), 10.0, "boot", 0.0),
+            *(Scribe("truck", self.journal.last, run), self.journal, [self.line], Rules(), self.frame_s, "boot", 0.0),
             self.said.append,
             standing=lambda: ["error-passive: powertrain"],
         )
@@ -165,6 +167,14 @@ def test_what_cannot_be_read_is_kept_apart(driven: Path, tmp_path: Path) -> None
     assert all("cannot be read" in text and "it is kept as unreadable/" in text for text in vehicle.said)
 
 
+def nested() -> list[Any]:
+    """Lists in lists, deeper than anybody reads."""
+    found: list[Any] = []
+    for _ in range(900):
+        found = [found]
+    return found
+
+
 def changed(driven: Path, folder: Path, row: str, change: Callable[[dict[str, Any]], object]) -> Path:
     """A copy of the store in which a row has other values."""
     path = copied(driven, folder)
@@ -180,6 +190,7 @@ def changed(driven: Path, folder: Path, row: str, change: Callable[[dict[str, An
     ("row", "change", "aside"),
     [
         ("fault/1", lambda f: f["modes"].append("ascending"), {"fault/1", "frame/1/first"}),
+        ("fault/1", lambda f: f.update(first=nested()), {"fault/1", "frame/1/first"}),
         ("fault/1", lambda f: f.update(number=7), {"fault/1", "frame/1/first"}),
         ("fault/1", lambda f: f.update(number=0), {"fault/1", "frame/1/first"}),
         ("fault/1", lambda f: f.update(trips=-1), {"fault/1", "frame/1/first"}),
@@ -262,6 +273,43 @@ def test_after_a_failure_the_memory_goes_on_with_what_is_kept(
     assert vehicle.remembering.memory.faults == before
     vehicle.hear()
     assert [*vehicle.remembering.memory.faults] == [1]
+
+
+@pytest.mark.parametrize("frame_s", [10.0, 1.0], ids=["recent", "older than what is recorded"])
+@pytest.mark.parametrize("has_before", [False, True])
+def test_a_fault_that_was_told_before_the_store_opened_enters_it(
+    driven: Path, tmp_path: Path, has_before: bool, frame_s: float
+) -> None:
+    """The wound: "no fault is remembered" beside one that stands; and a system under another name than before."""
+    path = tmp_path / "mounted" / "late" / "store.sqlite"
+    vehicle = Vehicle(path, frame_s=frame_s).hear()
+    assert [*vehicle.remembering.memory.faults] == [1]
+    told = vehicle.journal.take()
+    (tmp_path / "elsewhere").mkdir()
+    if has_before:
+        names = {f"{vehicle.watched.place} on powertrain": "uds4@powertrain"}
+        store = StoreFile(copied(driven, tmp_path / "elsewhere"))
+        rows = {"names": json.dumps(names).encode()}
+        rows["fault/1"] = store.kept["fault/1"].replace(b'"system":"uds4"', b'"system":"uds4@powertrain"')
+        store.append([], rows)
+        store.close()
+    (tmp_path / "mounted").mkdir()
+    (tmp_path / "elsewhere").rename(tmp_path / "mounted" / "late")
+    end = time.monotonic() + 30.0
+    while not vehicle.journal.take_up():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    vehicle.remembering.take_up()
+    assert vehicle.remembering.conditions == set()
+    [fault] = vehicle.remembering.memory.faults.values()
+    assert (fault.number, fault.occurrences, fault.status.test_failed) == (1, 1, True)  # the same, which had not passed
+    assert [*vehicle.remembering.observed] == ["uds4@powertrain" if has_before else "uds4"]
+    changes = [json.loads(line)["change"] for line in vehicle.of("fault")]
+    assert changes[0] == ("refined" if has_before else "confirmed")
+    assert min(each.seq for each in vehicle.told) > 0
+    assert len(told) > 0
+    again = Vehicle(path, run="2")
+    assert again.remembering.memory.faults == vehicle.remembering.memory.faults
 
 
 def test_erasing_that_fails_is_said(served: "Served", monkeypatch: pytest.MonkeyPatch) -> None:

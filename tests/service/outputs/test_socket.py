@@ -287,7 +287,8 @@ def test_where_descriptors_are_short_clients_are_refused_and_the_rest_keeps_its_
     _, hard = limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     os.close(lowest := os.dup(0))
     resource.setrlimit(
-        resource.RLIMIT_NOFILE, (lowest + 1 + lines.RESERVED, hard)
+        resource.RLIMIT_NOFILE,
+        (next(n for n in range(lowest, 4096) if n - min(lines.RESERVED, n // 4) > lowest), hard),
     )  # the client has one, the other end is next
     try:
         assert loop.client(b"{}\n").recv(100) == b'{"error":"too many clients"}\n'

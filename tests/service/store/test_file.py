@@ -179,7 +179,7 @@ def test_a_full_disk_takes_nothing_and_loses_nothing(path: Path) -> None:
     store = StoreFile(path)
     store.append(records(1, 10))
     store._db.execute("PRAGMA max_page_count=8")
-    big = [Record(seq, "event", os.urandom(9000)) for seq in range(11, 30)]
+    big = [Record(seq, "event", b'{"x":"%s"}\n' % os.urandom(4500).hex().encode()) for seq in range(11, 30)]
     with pytest.raises(sqlite3.OperationalError, match="full"):
         store.append(big)
     assert store.before(None, 99) == records(1, 10)
@@ -227,7 +227,8 @@ store = StoreFile(Path(sys.argv[1]))
 seq = store.last
 while True:
     count = 1 + seq % 7
-    store.append([Record(seq + k, "event", b"x" * ((seq + k) % 3000)) for k in range(1, count + 1)])
+    lines = {k: b'{"x":"%s"}\\n' % (b"x" * (k % 3000)) for k in range(seq + 1, seq + count + 1)}
+    store.append([Record(k, "event", line) for k, line in lines.items()])
     seq += count
     os.write(1, b"%d\\n" % seq)
 """
@@ -254,5 +255,32 @@ def test_a_killed_process_has_lost_nothing_that_it_acknowledged(path: Path) -> N
         left = store.before(None, store.last)
         store.close()
         assert [each.seq for each in left] == list(range(left[0].seq, left[-1].seq + 1))
-        assert all(each.line == b"x" * (each.seq % 3000) for each in left)
+        assert all(each.line == b'{"x":"%s"}\n' % (b"x" * (each.seq % 3000)) for each in left)
     assert acknowledged > 8
+
+
+def test_rows_that_are_no_records_are_left_where_they_are_and_not_read(path: Path) -> None:
+    """Somebody else's tool has written there: what is told from the store is a line of JSON each."""
+    store = StoreFile(path)
+    store.append(records(1, 3))
+    rows: list[tuple[int, str, bytes]] = [
+        (4, "event", b"xx\n"),
+        (5, "event", b"[1]\n"),
+        (6, "event", b'{"seq":6}'),
+        (7, "event", b'{"a":1}\n{"b":2}\n'),
+        (8, "weather", b"{}\n"),
+        (9, "health", b'{"seq":9}\xff\n'),
+        (2**63 - 1, "event", b"{}\n"),
+    ]
+    store._db.executemany("INSERT INTO record VALUES (?, ?, ?)", rows)
+    store.append(records(10, 10))
+    store.close()
+    again = StoreFile(path, remembered=5)
+    assert again.senseless
+    assert again.earlier == [*records(1, 3), *records(10, 10)]
+    assert (again.last, again.health) == (10, None)
+    assert again.after(3, 1) == records(10, 10)
+    assert again.before(10, 2) == records(2, 3)
+    again.append(records(11, 11))
+    assert again.after(10, 9) == records(11, 11)
+    again.close()

@@ -132,14 +132,14 @@ def test_without_a_path_all_is_told_at_once(said: list[str]) -> None:
 
 def test_it_goes_on_from_what_is_there(path: Path, said: list[str]) -> None:
     with Journal(path, said.append) as journal:
-        for each in [*records(1, 20), Record(21, "health", b"h\n")]:
+        for each in [*records(1, 20), Record(21, "health", b"{}\n")]:
             journal.put(each)
         assert len(taken(journal, 21)) == 21
         journal.finish(10)
     with Journal(path, said.append, 3) as journal:
         assert journal.last == 21
-        assert journal.earlier == [*records(19, 20), Record(21, "health", b"h\n")]
-        assert journal.health == Record(21, "health", b"h\n")
+        assert journal.earlier == [*records(19, 20), Record(21, "health", b"{}\n")]
+        assert journal.health == Record(21, "health", b"{}\n")
         journal.finish(10)
     assert said == []
 
