@@ -57,7 +57,7 @@ class Observed:
         self.begin()
 
     def rename(self, name: str) -> None:
-        """What the fault memory calls it, where others have the bundle's name."""
+        """Take the name that the fault memory has for it: another than the bundle's where two have that."""
         self.name, self.system = name, self.system._replace(name=name)
 
     def begin(self) -> None:
@@ -165,10 +165,7 @@ class Remembering:
         memory = next(self._kept(["memory"], Remembered), Remembered())
         used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
         memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
-        try:
-            self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
-        except Exception as error:  # noqa: BLE001 as above
-            self._without(error)
+        self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
         for each in self.observed.values():
             each.unfinished.clear()
             self.memory.watch(each.system)
@@ -280,12 +277,6 @@ class Remembering:
                 self._say(f"the fault memory failed, and goes on with what is kept: {failure}")
             self._failed_at, self._failure = self._now, failure
             self.begin()
-
-    def _without(self, failure: Exception) -> None:
-        """Begins with nothing, where what is kept cannot be gone on with: better than no service."""
-        self._say(f"the fault memory cannot go on with what is kept, and begins empty: {one_line(failure)}")
-        self._failed_at = self._now
-        self.memory = FaultMemory(self._rules, (), None, self.cycle)
 
     def _framed(self, here: Observed, news: Iterable[News], event: Event) -> dict[str, bytes]:
         """The freeze frames of what has failed, by their names in the store."""

@@ -49,8 +49,9 @@ ROUGH = 3.0
 """Times the noise of its mode, from which an input's third difference is a jump: noise alone is one in 3 of 1,000."""
 
 JUMP = 1.0 / np.sqrt(12.0)
-"""Of its height, the standard deviation of what a jump makes of the mean over its interval: a jump whose instant within
-the interval is unknown. It comes at any with the same probability, and the mean is anywhere between before and after.
+"""Standard deviation of the mean over an interval in which the input jumps, in parts of the jump's height; its instant
+within the interval is unknown. It comes at any with the same probability, and the mean is anywhere between before and
+after.
 """
 
 

@@ -52,7 +52,7 @@ def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Pat
 
 
 def _title(v: Verdict, source: str | None) -> str:
-    """What was found, and where the recording comes from, as it says itself."""
+    """Return the title: what was found, and the source that the recording names."""
     origin = f" ({source})" if source else ""
     if not v.faults:
         return f"{v.recording}{origin}: fault-free, {v.false_alarms} false alarms"

@@ -19,7 +19,7 @@ EXAMPLE = """example:
 """
 
 AMBIENT_HPA = 500.0, 1100.0
-"""From 5500 m of altitude to the highest pressure at sea level."""
+"""Plausible ambient pressures: at 5500 m of altitude, and the highest at sea level."""
 
 
 def main(argv: list[str]) -> int:

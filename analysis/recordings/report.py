@@ -165,7 +165,7 @@ def sentences(found: Report) -> list[str]:
 
 
 def _ambient(found: Report) -> list[str]:
-    """Where the ambient pressure is not the one that shipped models assume: what follows, and what is doubtful."""
+    """Return what follows from an ambient pressure that shipped models do not assume, and what is doubtful of it."""
     lines = []
     if found.ambient == "seen":
         lines.append(

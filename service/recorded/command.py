@@ -33,12 +33,12 @@ def served(
         say(f"{path}: {log.report.summary()}")
     recording = Recording(log, path, bundle, say, _Progress(log.duration_s, say))
     strangers = bundle.table.strangers()
-    for text in strangers:
-        say(text)
     if recording.history.latest is None or not any(bundle.table.taken.values()):
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
         remedy = "; ".join(["give a log of this bundle's vehicle", *strangers])
         raise InputError(f"{path}: never has all of {signals}; {remedy}")
+    for text in strangers:
+        say(text)
     with TemporaryDirectory(prefix="faultline-") as place, Serving(Path(place), recording) as serving:
         yield serving.control, serving.events
 

@@ -27,8 +27,8 @@ GROWN = 1.01
 evidence there is and whatever noise lets expect; less does not tell one model from another."""
 
 UNEVEN = 1.03
-"""Where one output's steady error grows by more than this factor, the mean must shrink by as much: a blocked vent takes
-one error to a quarter and another up by a tenth, but small gains do not pay for losses."""
+"""The mean must shrink by this factor where one output's steady error grows by more than it: a blocked vent takes one
+error to a quarter and another up by a tenth, but small gains do not pay for losses."""
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: a sensor's lag or a command's delay beyond them does another thing's work."""
