@@ -9,20 +9,20 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
-from analysis.graph.bank import FAULTS, GRAPH, Bank, build_bank
-from analysis.graph.networks import GRAPH as NETWORKS
-from analysis.graph.networks import load_networks
-from analysis.graph.runnable import Runnable
-from analysis.graph.writer import with_metadata
-from analysis.model import dump_model
-from analysis.structure.lint import sound_model
-from analysis.tuning.file import Tuning, load_tuning, model_digest
-from analysis.tuning.manifest import GOLDEN, manifest_of
-from service.bundle import Bundle, Golden, graph_metadata, load_bundle, verify_golden
-from service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
-from service.core.consistency import FILE_NAME
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError, writing
+from faultline.analysis.graph.bank import FAULTS, GRAPH, Bank, build_bank
+from faultline.analysis.graph.networks import GRAPH as NETWORKS
+from faultline.analysis.graph.networks import load_networks
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.graph.writer import with_metadata
+from faultline.analysis.model import dump_model
+from faultline.analysis.structure.lint import sound_model
+from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
+from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
+from faultline.service.bundle import Bundle, Golden, graph_metadata, load_bundle, verify_golden
+from faultline.service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
+from faultline.service.core.consistency import FILE_NAME
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError, writing
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle

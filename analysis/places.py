@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 
 def check_folder(folder: Path, option: str) -> None:

@@ -6,16 +6,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from service.core.health import Standing
-from service.core.manifest import MODES
-from service.core.separating import separations
-from service.core.signals import Quality
-from service.distribution import installed_version
-from service.outputs.control import Asker, Live, Question, RefusedError
-from service.remembering import Observed, Remembering
-from service.scribe import now
-from service.store.file import Record
-from service.store.journal import Journal, Page
+from faultline.service.core.health import Standing
+from faultline.service.core.manifest import MODES
+from faultline.service.core.separating import separations
+from faultline.service.core.signals import Quality
+from faultline.service.distribution import installed_version
+from faultline.service.outputs.control import Asker, Live, Question, RefusedError
+from faultline.service.remembering import Observed, Remembering
+from faultline.service.scribe import now
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Journal, Page
 
 LIVE = "faultline.live/1"
 VERSION = installed_version()

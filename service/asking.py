@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 PATIENCE_S = 10.0
 """So long an answer may take: erasing waits for the disk."""

@@ -9,15 +9,15 @@ import numpy as np
 import onnxruntime as ort
 from onnxruntime.capi import onnxruntime_pybind11_state
 
-from service.bundle_files import BundleError, Trust, Whole, decode_json, one_line, whole
-from service.core.consistency import uneven
-from service.core.dbc import compile_dbc
-from service.core.decode import DecodeTable
-from service.core.errors import InputError
-from service.core.generators import GeneratorBank, Residuals
-from service.core.graph_file import GraphError, check_graph_file
-from service.core.manifest import Generator, Manifest
-from service.core.signals import Vector
+from faultline.service.bundle_files import BundleError, Trust, Whole, decode_json, one_line, whole
+from faultline.service.core.consistency import uneven
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import GeneratorBank, Residuals
+from faultline.service.core.graph_file import GraphError, check_graph_file
+from faultline.service.core.manifest import Generator, Manifest
+from faultline.service.core.signals import Vector
 
 T = TypeVar("T")
 

@@ -19,9 +19,9 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from service.core.consistency import inconsistencies
-from service.core.errors import InputError
-from service.core.manifest import SCHEMA, File, Manifest
+from faultline.service.core.consistency import inconsistencies
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import SCHEMA, File, Manifest
 
 T = TypeVar("T")
 

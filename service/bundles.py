@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from service.bundle import Bundle, load_bundle, verify_golden
-from service.bundle_files import MANIFEST, Trust
-from service.core.errors import InputError
-from service.core.manifest import brief
+from faultline.service.bundle import Bundle, load_bundle, verify_golden
+from faultline.service.bundle_files import MANIFEST, Trust
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import brief
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -85,14 +85,17 @@ def _trust(options: argparse.Namespace) -> Trust | None:
         raise InputError(f"--signatures {options.signatures}: at least 1")
     if options.keys is None:
         return None
-    from service.signing import Signed, load_keys  # brings in a cryptographic library, which showing does without
+    from faultline.service.signing import (  # brings in a cryptographic library, which showing does without
+        Signed,
+        load_keys,
+    )
 
     return Signed(load_keys(options.keys), options.signatures)
 
 
 def _install(options: argparse.Namespace) -> int:
-    from service.slots import Slots
-    from service.trial import trial
+    from faultline.service.slots import Slots
+    from faultline.service.trial import trial
 
     trust = _trust(options)
     if (trust is None) != options.allow_unsigned:
@@ -107,7 +110,7 @@ def _install(options: argparse.Namespace) -> int:
 
 
 def _sign(options: argparse.Namespace) -> int:
-    from service.signing import SUFFIX, public_of, sign
+    from faultline.service.signing import SUFFIX, public_of, sign
 
     private = _private(options.key)
     bundle = load_bundle(options.bundle)
@@ -122,7 +125,7 @@ def _sign(options: argparse.Namespace) -> int:
 
 
 def _public(options: argparse.Namespace) -> int:
-    from service.signing import public_of, public_text
+    from faultline.service.signing import public_of, public_text
 
     key = public_of(_private(options.key))
     _write(options.out, public_text(key))
@@ -131,7 +134,7 @@ def _public(options: argparse.Namespace) -> int:
 
 
 def _private(path: Path) -> "Ed25519PrivateKey":
-    from service.signing import SignatureError, load_private
+    from faultline.service.signing import SignatureError, load_private
 
     given = os.environ.get("FAULTLINE_KEY_PASSWORD")
     try:

@@ -18,8 +18,8 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, r
 from importlib.util import find_spec
 from pathlib import Path
 
-from service import distribution
-from service.core.errors import InputError
+from faultline.service import distribution
+from faultline.service.core.errors import InputError
 
 GROUP = "faultline.commands"
 
@@ -136,7 +136,7 @@ def overview(commands: Mapping[str, EntryPoint]) -> str:
     """The text of `faultline --help`: every command with its one line, grouped by where it runs."""
     lines = [HEAD]
     for package, heading in PLACES.items():
-        here = [entry for _, entry in sorted(commands.items()) if entry.module.partition(".")[0] == package]
+        here = [entry for _, entry in sorted(commands.items()) if entry.module.split(".")[:2] == ["faultline", package]]
         if here:
             lines += [f"{heading}:", *(f"  {entry.name:<12}{_first_line(entry.module)}" for entry in here), ""]
     return "\n".join([*lines, FOOT]).rstrip()
@@ -162,8 +162,7 @@ def _unknown(name: str, commands: Mapping[str, EntryPoint]) -> str:
 
 def _remedy(module: str) -> str | None:
     """What to install to get a module that is part of an extra, or of a package left out of this installation."""
-    top = module.partition(".")[0]
-    if top in PLACES:
+    if module in {f"faultline.{package}" for package in PLACES}:
         return "this installation of faultline is without it, use a full one"
     try:
         declared = requires(distribution.NAME) or []
@@ -171,6 +170,6 @@ def _remedy(module: str) -> str | None:
         return None
     for line in declared:
         match = re.fullmatch(r"([A-Za-z0-9_.-]+).*extra == ['\"](\w+)['\"].*", line)
-        if match and match[1] == top:
+        if match and match[1] == module.partition(".")[0]:
             return distribution.install_command(match[2])
     return None

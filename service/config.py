@@ -46,8 +46,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from service.core.memory import Rules
-from service.strict import ConfigError, Name, Part, Path_, Read, read
+from faultline.service.core.memory import Rules
+from faultline.service.strict import ConfigError, Name, Part, Path_, Read, read
 
 
 class BusConfig(Part, frozen=True):

@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from service.core.faults import Count
+from faultline.service.core.faults import Count
 
 SILENT_S = 60.0
 """After so long without a frame that a bundle wants, the key is off [s]; a loose plug is shorter."""

@@ -7,19 +7,28 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from service.bundle import Bundle
-from service.bundle_files import Trust
-from service.bus import open_bus
-from service.config import BundleConfig, BusConfig, Config, ControlConfig, EventsConfig, TrustConfig, load_config, named
-from service.loop import Loop
-from service.outputs.control import ControlSocket
-from service.outputs.socket import RING, EventSocket
-from service.refused import Loader, RefusedBundles
-from service.reload import Reload
-from service.scribe import Scribe
-from service.store.journal import Journal
-from service.systemd import Notifier, Supervisor
-from service.watched import Line, watched
+from faultline.service.bundle import Bundle
+from faultline.service.bundle_files import Trust
+from faultline.service.bus import open_bus
+from faultline.service.config import (
+    BundleConfig,
+    BusConfig,
+    Config,
+    ControlConfig,
+    EventsConfig,
+    TrustConfig,
+    load_config,
+    named,
+)
+from faultline.service.loop import Loop
+from faultline.service.outputs.control import ControlSocket
+from faultline.service.outputs.socket import RING, EventSocket
+from faultline.service.refused import Loader, RefusedBundles
+from faultline.service.reload import Reload
+from faultline.service.scribe import Scribe
+from faultline.service.store.journal import Journal
+from faultline.service.systemd import Notifier, Supervisor
+from faultline.service.watched import Line, watched
 
 BOOT = Path("/proc/sys/kernel/random/boot_id")  # random(4)
 
@@ -126,7 +135,10 @@ def _trust(config: Config) -> Trust | None:
     """Who must have signed the bundles; None where anybody may have made them."""
     if config.trust.keys is None:
         return None
-    from service.signing import Signed, load_keys  # brings in a cryptographic library, which a trial does without
+    from faultline.service.signing import (  # brings in a cryptographic library, which a trial does without
+        Signed,
+        load_keys,
+    )
 
     return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 

@@ -5,13 +5,13 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from service.bundle import Bundle, load_bundle, verify_golden
-from service.core.decision import Decision
-from service.core.errors import InputError
-from service.core.events import encode
-from service.core.monitor import Monitor
-from service.logs import Log, open_log
-from service.watch import describe, meanings
+from faultline.service.bundle import Bundle, load_bundle, verify_golden
+from faultline.service.core.decision import Decision
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import encode
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import Log, open_log
+from faultline.service.watch import describe, meanings
 
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle

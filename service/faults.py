@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 
-from service.asking import Control, ControlError
-from service.core.errors import InputError
-from service.core.events import Diagnosis
-from service.core.faults import Fault
-from service.core.frame import Frame
+from faultline.service.asking import Control, ControlError
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Fault
+from faultline.service.core.frame import Frame
 
 EXAMPLE = """examples:
   faultline faults list

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 EXAMPLE = """example, on the vehicle as root, or with --root while its image is made:
   python3 -m venv --copies /opt/faultline
@@ -125,7 +125,7 @@ def _files(options: argparse.Namespace) -> Iterator[File]:
 
 def _text(name: str, words: dict[str, str]) -> str:
     """A file of `service/vehicle` with its words in place of @NAME@."""
-    text = resources.files("service").joinpath("vehicle", name).read_text()
+    text = resources.files("faultline.service").joinpath("vehicle", name).read_text()
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
     return text

@@ -16,10 +16,10 @@ from types import FrameType
 
 import msgspec
 
-from service.answers import Answerer
-from service.clocks import Clocks
-from service.config import MemoryConfig
-from service.core.health import (
+from faultline.service.answers import Answerer
+from faultline.service.clocks import Clocks
+from faultline.service.config import MemoryConfig
+from faultline.service.core.health import (
     MEANINGS,
     OF_FRAMES,
     SCHEMA,
@@ -30,16 +30,16 @@ from service.core.health import (
     decode_health,
     encode_health,
 )
-from service.outputs.control import ControlSocket
-from service.outputs.journald import Journald
-from service.outputs.socket import EventSocket
-from service.refused import RefusedBundles
-from service.remembering import Remembering
-from service.scribe import Scribe, now
-from service.store.file import Record
-from service.store.journal import Journal
-from service.systemd import Heartbeat, Notifier
-from service.watched import Line
+from faultline.service.outputs.control import ControlSocket
+from faultline.service.outputs.journald import Journald
+from faultline.service.outputs.socket import EventSocket
+from faultline.service.refused import RefusedBundles
+from faultline.service.remembering import Remembering
+from faultline.service.scribe import Scribe, now
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Journal
+from faultline.service.systemd import Heartbeat, Notifier
+from faultline.service.watched import Line
 
 IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
 ASKED_S = 0.005  # how often a bus that wakes nobody is asked

@@ -7,13 +7,13 @@ be a restart every few seconds, and nobody could ask why.
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from service.bundle import Bundle, load_bundle, verify_golden
-from service.bundle_files import Trust, one_line
-from service.config import BundleConfig
-from service.core.errors import InputError
-from service.core.health import Condition
-from service.slots import spare
-from service.watched import FAILURES, Line, Watched, watched
+from faultline.service.bundle import Bundle, load_bundle, verify_golden
+from faultline.service.bundle_files import Trust, one_line
+from faultline.service.config import BundleConfig
+from faultline.service.core.errors import InputError
+from faultline.service.core.health import Condition
+from faultline.service.slots import spare
+from faultline.service.watched import FAILURES, Line, Watched, watched
 
 AGAIN_S, LONGEST_S = 5.0, 300.0
 """A refused bundle is tried again after so long; twice as long each time, and `LONGEST_S` at most [s]."""

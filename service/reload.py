@@ -8,12 +8,12 @@ in the kernel's queue.
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from service.bundle import load_bundle, verify_golden
-from service.bundle_files import Trust, one_line
-from service.config import Config, load_config
-from service.core.errors import InputError
-from service.refused import NOT_TAKEN, Loader
-from service.watched import Line, Watched
+from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.bundle_files import Trust, one_line
+from faultline.service.config import Config, load_config
+from faultline.service.core.errors import InputError
+from faultline.service.refused import NOT_TAKEN, Loader
+from faultline.service.watched import Line, Watched
 
 FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
 """Parts of the configuration that a reload leaves as they are."""

@@ -11,9 +11,9 @@ from typing import TypeVar
 
 import msgspec
 
-from service.bundle_files import one_line
-from service.core.events import Event, encode
-from service.core.faults import (
+from faultline.service.bundle_files import one_line
+from faultline.service.core.events import Event, encode
+from faultline.service.core.faults import (
     CLEARED,
     SCHEMA,
     Change,
@@ -23,16 +23,16 @@ from service.core.faults import (
     check,
     encode_record,
 )
-from service.core.frame import Frame
-from service.core.freeze import Recorder, Sample
-from service.core.health import Condition
-from service.core.memory import FaultMemory, News, Remembered, Rules
-from service.core.system import System
-from service.cycle import Cycle, OperationCycle
-from service.scribe import Scribe
-from service.store.file import Record
-from service.store.journal import Journal
-from service.watched import Line, Watched
+from faultline.service.core.frame import Frame
+from faultline.service.core.freeze import Recorder, Sample
+from faultline.service.core.health import Condition
+from faultline.service.core.memory import FaultMemory, News, Remembered, Rules
+from faultline.service.core.system import System
+from faultline.service.cycle import Cycle, OperationCycle
+from faultline.service.scribe import Scribe
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Journal
+from faultline.service.watched import Line, Watched
 
 FRAMED: frozenset[Change | None] = frozenset(("pending", "confirmed", "failed"))
 """Changes of which a freeze frame is taken."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from service.bus import open_bus
-from service.logs import Frame, open_log
+from faultline.service.bus import open_bus
+from faultline.service.logs import Frame, open_log
 
 EXAMPLE = """example:
   faultline replay logs/bench-validation-s3-fA_du --bus socketcan:vcan0 --speed 20

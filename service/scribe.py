@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import msgspec
 
-from service.core.events import Event
+from faultline.service.core.events import Event
 
 
 class Scribe:

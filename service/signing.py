@@ -19,7 +19,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 PURE, HASHED = b"Ed", b"ED"
 SUFFIX = ".minisig"

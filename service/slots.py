@@ -21,8 +21,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from service.bundle_files import Trust, Whole, whole
-from service.core.errors import InputError
+from faultline.service.bundle_files import Trust, Whole, whole
+from faultline.service.core.errors import InputError
 
 SLOTS = ("a", "b")
 CURRENT, FLOOR, LOCK = "current", "floor.json", "lock"

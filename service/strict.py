@@ -10,7 +10,7 @@ from typing import Annotated, Generic, NamedTuple, TypeVar
 import msgspec
 from msgspec import Meta
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 T = TypeVar("T", bound=msgspec.Struct)
 Step = str | int

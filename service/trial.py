@@ -10,14 +10,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 MEMORY = 320 << 20  # bytes of data, of which a thread's stack is 8 MiB; the service may have 256 MiB in real memory
 CPU_S = 60
 NOBODY = 65534
 PATIENCE_S = 120.0
 
-_CHILD = "import sys; from service.trial import child; sys.exit(child(sys.argv[1]))"
+_CHILD = "import sys; from faultline.service.trial import child; sys.exit(child(sys.argv[1]))"
 
 
 def trial(folder: Path, memory: int = MEMORY, cpu_s: int = CPU_S, patience_s: float = PATIENCE_S) -> None:
@@ -53,10 +53,10 @@ def child(folder: str) -> int:
     """What the process does; returns its exit code."""
     import numpy as np
 
-    from service.bundle import Bundle, bundle_of, verify_golden
-    from service.bundle_files import whole
-    from service.core.decision import Decision
-    from service.core.modes import ModeTracker
+    from faultline.service.bundle import Bundle, bundle_of, verify_golden
+    from faultline.service.bundle_files import whole
+    from faultline.service.core.decision import Decision
+    from faultline.service.core.modes import ModeTracker
 
     def decides(bundle: Bundle) -> None:
         manifest, bank = bundle.manifest, bundle.bank()

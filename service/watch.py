@@ -9,13 +9,13 @@ from pathlib import Path
 
 import msgspec
 
-from service.core.errors import InputError
-from service.core.events import Diagnosis, Event, decode, schema_of
-from service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
-from service.core.faults import SCHEMA as FAULT
-from service.core.health import MEANINGS, Health, decode_health
-from service.core.health import SCHEMA as HEALTH
-from service.core.manifest import Equation, Fault, Manifest
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Diagnosis, Event, decode, schema_of
+from faultline.service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
+from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.health import MEANINGS, Health, decode_health
+from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.manifest import Equation, Fault, Manifest
 
 EXAMPLE = """The screen needs the control socket: --control, or control.sock beside the socket of
 events. Keys: q ends, Tab shows the next system. Events are printed on a terminal too
@@ -106,8 +106,8 @@ def _screens(options: argparse.Namespace) -> Path | None:
 def _show(
     control: Path, events: Path, system: str | None, faults: Mapping[str, Fault], equations: Mapping[str, Equation]
 ) -> int:
-    from service.watching.hearing import Hearing  # what only a screen needs
-    from service.watching.show import show
+    from faultline.service.watching.hearing import Hearing  # what only a screen needs
+    from faultline.service.watching.show import show
 
     def described(line: bytes) -> str:
         parts = (part.strip() for part in _described(line, events, faults, equations).splitlines())
@@ -167,7 +167,7 @@ def _described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: 
 
 
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    from service.bundle import load_bundle  # brings in the inference library, which watching does without
+    from faultline.service.bundle import load_bundle  # brings in the inference library, which watching does without
 
     return meanings(load_bundle(folder).manifest)
 

@@ -4,20 +4,20 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from service.bundle import GRAPH_ERRORS, Bundle
-from service.bundle_files import one_line
-from service.bus import Bus
-from service.bus.base import Trouble
-from service.bus.losses import Losses
-from service.core.alike import decide_alike
-from service.core.decision import Decision
-from service.core.events import Event
-from service.core.freeze import Sample
-from service.core.health import Condition, Kind
-from service.core.monitor import Monitor
-from service.core.observer import Tick
-from service.core.traffic import EXPECTED_S, Traffic
-from service.logs import Frame
+from faultline.service.bundle import GRAPH_ERRORS, Bundle
+from faultline.service.bundle_files import one_line
+from faultline.service.bus import Bus
+from faultline.service.bus.base import Trouble
+from faultline.service.bus.losses import Losses
+from faultline.service.core.alike import decide_alike
+from faultline.service.core.decision import Decision
+from faultline.service.core.events import Event
+from faultline.service.core.freeze import Sample
+from faultline.service.core.health import Condition, Kind
+from faultline.service.core.monitor import Monitor
+from faultline.service.core.observer import Tick
+from faultline.service.core.traffic import EXPECTED_S, Traffic
+from faultline.service.logs import Frame
 
 LAG_S = 0.02
 """Ticks run this far [s, wall] behind the clock, so that a frame still in the socket's queue is in its own tick."""

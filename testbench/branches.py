@@ -2,8 +2,8 @@
 
 from typing import Protocol
 
-from testbench.restriction import Restriction
-from testbench.units import ATMOSPHERE
+from faultline.testbench.restriction import Restriction
+from faultline.testbench.units import ATMOSPHERE
 
 SLIGHT_FLOW = 1e-9  # m^3/s: below this the tangent of an orifice is no help
 

@@ -12,9 +12,9 @@ import cantools.database
 from cantools.database.can import Database, Message
 from cantools.errors import Error as CantoolsError
 
-from testbench.errors import RigError
-from testbench.plant import SYSTEM_PRESSURE
-from testbench.units import ATMOSPHERE, ML
+from faultline.testbench.errors import RigError
+from faultline.testbench.plant import SYSTEM_PRESSURE
+from faultline.testbench.units import ATMOSPHERE, ML
 
 RATED_DOSE = 1.2 * ML  # m^3/s with the valve held open at SYSTEM_PRESSURE, as the controller believes
 DENSITY = 1090e3  # g/m^3, ISO 22241-1 at 20 degC
@@ -117,7 +117,7 @@ def load_dbc(path: Path | None = None) -> Dbc:
     """
     where = str(path) if path else "uds.dbc"
     try:
-        content = path.read_bytes() if path else resources.files("dbc").joinpath("uds.dbc").read_bytes()
+        content = path.read_bytes() if path else resources.files("faultline.dbc").joinpath("uds.dbc").read_bytes()
         database = cantools.database.load_string(content.decode(), database_format="dbc")
     except OSError as error:
         raise RigError(f"{where}: {error.strerror}; give a DBC with --dbc") from error

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from testbench.traffic import Frame
+from faultline.testbench.traffic import Frame
 
 START = (
     1_767_225_600  # 2026-01-01T00:00:00Z in Unix time: when every recording starts, so that equal runs give equal files

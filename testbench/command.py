@@ -11,17 +11,17 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import Progress
 
-from testbench.bus import load_dbc
-from testbench.can_logger import FORMATS
-from testbench.cycles import CYCLES
-from testbench.effects import EFFECTS, PROFILE_TEXTS
-from testbench.errors import RigError
-from testbench.faults import FAULTS
-from testbench.options import add_logger, add_run, number, requested
-from testbench.recording import record, write_truth
-from testbench.request import Kind
-from testbench.sizes import frozen
-from testbench.vehicles import VEHICLES
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.can_logger import FORMATS
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.effects import EFFECTS, PROFILE_TEXTS
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import FAULTS
+from faultline.testbench.options import add_logger, add_run, number, requested
+from faultline.testbench.recording import record, write_truth
+from faultline.testbench.request import Kind
+from faultline.testbench.sizes import frozen
+from faultline.testbench.vehicles import VEHICLES
 
 EXAMPLES = """examples:
   faultline rig list
@@ -127,8 +127,8 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    from testbench.live_bus import on_bus  # python-can takes a quarter of a second to load
-    from testbench.play import live, play
+    from faultline.testbench.live_bus import on_bus  # python-can takes a quarter of a second to load
+    from faultline.testbench.play import live, play
 
     request = requested(arguments, "instrumented")
     if not arguments.speed > 0.0:
@@ -148,8 +148,8 @@ def _play(arguments: argparse.Namespace) -> int:
 
 
 def _picture(arguments: argparse.Namespace) -> int:
-    from testbench.picture import draw  # matplotlib takes a second to load
-    from testbench.recorded import read_recording
+    from faultline.testbench.picture import draw  # matplotlib takes a second to load
+    from faultline.testbench.recorded import read_recording
 
     draw(read_recording(arguments.recording), arguments.truth, arguments.out)
     print(f"picture   {arguments.out}")

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from testbench.errors import RigError
-from testbench.units import BAR
+from faultline.testbench.errors import RigError
+from faultline.testbench.units import BAR
 
 STANDING = 15.0  # s, pump off at atmospheric pressure: 150 samples, a zero to a tenth of the noise
 DOSING_FROM = 40.0  # s, ten after the pressure has settled at 10 bar

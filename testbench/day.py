@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from testbench.streams import stream
-from testbench.units import MBAR
+from faultline.testbench.streams import stream
+from faultline.testbench.units import MBAR
 
 VISCOSITY_SD = 0.05  # of its logarithm: some 2 degC, 2 to 3 % a degree (32.5 % urea in water near 20 degC)
 ZERO_SD = {"p_tp": 1.0, "p_ap": 3.0, "p_du": 3.0}  # mbar: 0.04, 0.02 and 0.02 % of the range

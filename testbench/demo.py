@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from testbench.promise import RECORDINGS, Recording, Verdict, problems, sentence
+from faultline.testbench.promise import RECORDINGS, Recording, Verdict, problems, sentence
 
 EXAMPLE = """example:
   faultline demo --out out/demo

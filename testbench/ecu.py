@@ -8,7 +8,7 @@ stops pump and dosing.
 import math
 from dataclasses import dataclass
 
-from testbench.units import ATMOSPHERE, BAR
+from faultline.testbench.units import ATMOSPHERE, BAR
 
 PERIOD = 0.02  # s, a usual task of such a controller
 

@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from testbench.branches import Branch, Creep, Leak, Relief
-from testbench.day import CALM, Day
-from testbench.errors import RigError
-from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
-from testbench.restriction import TURBULENT, Restriction
-from testbench.units import ATMOSPHERE, BAR, MBAR, ML
-from testbench.valve import Needle
-from testbench.vehicles import Vehicle
+from faultline.testbench.branches import Branch, Creep, Leak, Relief
+from faultline.testbench.day import CALM, Day
+from faultline.testbench.errors import RigError
+from faultline.testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
+from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.units import ATMOSPHERE, BAR, MBAR, ML
+from faultline.testbench.valve import Needle
+from faultline.testbench.vehicles import Vehicle
 
 LITRE = 1000 * ML
 RATED_SPEED = 33.0  # rev/s, at maximum dose

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from testbench.branches import Leak
-from testbench.bus import ERROR, NOT_AVAILABLE
-from testbench.errors import RigError
-from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
-from testbench.restriction import TURBULENT, Restriction
-from testbench.units import ATMOSPHERE, ML
+from faultline.testbench.branches import Leak
+from faultline.testbench.bus import ERROR, NOT_AVAILABLE
+from faultline.testbench.errors import RigError
+from faultline.testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
+from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.units import ATMOSPHERE, ML
 
 RESTRICTIONS = {
     "fA_t": "tank_filter",

@@ -9,7 +9,7 @@ low pressure models (International Journal of Fluid Power, 2012); the exponentia
 from dataclasses import dataclass
 from math import exp
 
-from testbench.units import ATMOSPHERE, BAR
+from faultline.testbench.units import ATMOSPHERE, BAR
 
 RATED = 10 * BAR
 

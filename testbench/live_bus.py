@@ -9,8 +9,8 @@ from ipaddress import AddressValueError, IPv4Address
 
 import can
 
-from testbench.errors import RigError
-from testbench.traffic import Frame
+from faultline.testbench.errors import RigError
+from faultline.testbench.traffic import Frame
 
 INTERFACES = ("socketcan", "udp_multicast", "virtual")
 SEND_S = 1.0  # s that a full queue is given to drain

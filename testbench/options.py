@@ -7,15 +7,15 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import get_args
 
-from testbench.cycles import CYCLES, cycle
-from testbench.day import day_of
-from testbench.effects import EFFECTS, PROFILES, checked
-from testbench.errors import RigError
-from testbench.faults import Course, Fault
-from testbench.request import Kind, Request, default_name
-from testbench.second_logger import RANGES, SecondLogger
-from testbench.sizes import frozen
-from testbench.vehicles import vehicle
+from faultline.testbench.cycles import CYCLES, cycle
+from faultline.testbench.day import day_of
+from faultline.testbench.effects import EFFECTS, PROFILES, checked
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Course, Fault
+from faultline.testbench.request import Kind, Request, default_name
+from faultline.testbench.second_logger import RANGES, SecondLogger
+from faultline.testbench.sizes import frozen
+from faultline.testbench.vehicles import vehicle
 
 SIZES = ("small", "large")
 

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from testbench.errors import RigError
-from testbench.faults import Fault
-from testbench.recorded import Recorded, read_toml
-from testbench.units import BAR
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Fault
+from faultline.testbench.recorded import Recorded, read_toml
+from faultline.testbench.units import BAR
 
 PANELS = (
     (("y_p_tp",), "bar", 1 / BAR),

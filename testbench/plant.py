@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from testbench.branches import Branch
-from testbench.hose import Hose
-from testbench.pump import PumpParameters
-from testbench.restriction import Restriction
-from testbench.units import ATMOSPHERE, BAR
+from faultline.testbench.branches import Branch
+from faultline.testbench.hose import Hose
+from faultline.testbench.pump import PumpParameters
+from faultline.testbench.restriction import Restriction
+from faultline.testbench.units import ATMOSPHERE, BAR
 
 Array = npt.NDArray[np.float64]
 

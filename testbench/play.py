@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
-from testbench.bus import Dbc
-from testbench.ecu import PERIOD
-from testbench.effects import EFFECTS
-from testbench.request import Request
-from testbench.simulation import MARGIN, Run, Simulation, joined
-from testbench.traffic import Frame, frames
+from faultline.testbench.bus import Dbc
+from faultline.testbench.ecu import PERIOD
+from faultline.testbench.effects import EFFECTS
+from faultline.testbench.request import Request
+from faultline.testbench.simulation import MARGIN, Run, Simulation, joined
+from faultline.testbench.traffic import Frame, frames
 
 SECTION_TICKS = 5  # of the controller: 0.1 s, a millisecond's work
 SECTIONS_KEPT = round(EFFECTS["log_delay"].largest / (SECTION_TICKS * PERIOD)) + 2  # what is sent may be that old

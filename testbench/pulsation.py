@@ -15,10 +15,10 @@ from math import pi
 
 import numpy as np
 
-from testbench.plant import Array, Plant
-from testbench.sensors import STANDSTILL
-from testbench.units import MBAR
-from testbench.vehicles import Vehicle
+from faultline.testbench.plant import Array, Plant
+from faultline.testbench.sensors import STANDSTILL
+from faultline.testbench.units import MBAR
+from faultline.testbench.vehicles import Vehicle
 
 PULSES = 6  # a revolution: three chambers; an odd number of chambers ripples twice as often as it has chambers
 RATED_SPEED = 33.0  # rev/s, at maximum dose

@@ -12,8 +12,8 @@ import numpy as np
 from cantools.database.can import Database
 from cantools.errors import Error as CantoolsError
 
-from testbench.errors import RigError
-from testbench.plant import Array
+from faultline.testbench.errors import RigError
+from faultline.testbench.plant import Array
 
 SCALES = {"kPa": 1e3, "1/s": 1.0, "%": 0.01}
 """What a DBC's unit is in Pa, rev/s and 0..1."""

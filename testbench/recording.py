@@ -13,17 +13,17 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from testbench.bus import Dbc
-from testbench.can_logger import START_TEXT, candump, in_format
-from testbench.day import CALM
-from testbench.effects import checked, fitted
-from testbench.errors import RigError
-from testbench.request import Request
-from testbench.second_logger import Clocking, external_csv
-from testbench.simulation import MARGIN, simulate
-from testbench.streams import stream
-from testbench.traffic import frames
-from testbench.vehicles import Vehicle
+from faultline.testbench.bus import Dbc
+from faultline.testbench.can_logger import START_TEXT, candump, in_format
+from faultline.testbench.day import CALM
+from faultline.testbench.effects import checked, fitted
+from faultline.testbench.errors import RigError
+from faultline.testbench.request import Request
+from faultline.testbench.second_logger import Clocking, external_csv
+from faultline.testbench.simulation import MARGIN, simulate
+from faultline.testbench.streams import stream
+from faultline.testbench.traffic import frames
+from faultline.testbench.vehicles import Vehicle
 
 
 def record(

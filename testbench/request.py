@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from testbench.cycles import Cycle, check_duration
-from testbench.day import CALM, Day
-from testbench.effects import PROFILES, checked
-from testbench.errors import RigError
-from testbench.faults import Fault
-from testbench.second_logger import SecondLogger
-from testbench.vehicles import Vehicle
+from faultline.testbench.cycles import Cycle, check_duration
+from faultline.testbench.day import CALM, Day
+from faultline.testbench.effects import PROFILES, checked
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Fault
+from faultline.testbench.second_logger import SecondLogger
+from faultline.testbench.vehicles import Vehicle
 
 Kind = Literal["bench", "instrumented", "production"]
 """A bench has the added sensors on a second logger, an instrumented vehicle on the bus, a production one nowhere."""

@@ -12,13 +12,13 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from testbench.day import Day
-from testbench.errors import RigError
-from testbench.faults import Fault, strength
-from testbench.plant import Array
-from testbench.pulsation import pulse
-from testbench.sensors import ExternalSensor
-from testbench.simulation import MARGIN, Run
+from faultline.testbench.day import Day
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Fault, strength
+from faultline.testbench.plant import Array
+from faultline.testbench.pulsation import pulse
+from faultline.testbench.sensors import ExternalSensor
+from faultline.testbench.simulation import MARGIN, Run
 
 PERIOD = 0.1  # s, thesis 5.7: sampled at 10 Hz
 JITTER = 0.005  # s, half width: its task has others beside it

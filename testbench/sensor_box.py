@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from testbench.bus import Knowledge
-from testbench.day import Day
-from testbench.faults import Fault, reading, strength
-from testbench.pulsation import pulse
-from testbench.sensors import ExternalSensor
-from testbench.simulation import Run
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.day import Day
+from faultline.testbench.faults import Fault, reading, strength
+from faultline.testbench.pulsation import pulse
+from faultline.testbench.sensors import ExternalSensor
+from faultline.testbench.simulation import Run
 
 ZEROED_OVER = 100  # 10 s at 10 Hz, within the standstill that a workshop waits for
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbench.plant import Array
-from testbench.units import ATMOSPHERE, BAR, MBAR
+from faultline.testbench.plant import Array
+from faultline.testbench.units import ATMOSPHERE, BAR, MBAR
 
 STANDSTILL = 0.1  # rev/s: no edges of the hall sensor arrive within its time-out
 

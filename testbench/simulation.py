@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbench.cycles import Cycle, Segment
-from testbench.day import CALM, Day
-from testbench.ecu import PERIOD, Command, Ecu
-from testbench.effects import PROFILES, Surroundings, branches_of, checked, fitted
-from testbench.faults import Fault, apply, reading, strength
-from testbench.plant import Array, Plant
-from testbench.pulsation import Pulsation
-from testbench.pump import Drive
-from testbench.sensors import Membrane
-from testbench.streams import stream
-from testbench.valve import PulseWidth
-from testbench.vehicles import Vehicle
+from faultline.testbench.cycles import Cycle, Segment
+from faultline.testbench.day import CALM, Day
+from faultline.testbench.ecu import PERIOD, Command, Ecu
+from faultline.testbench.effects import PROFILES, Surroundings, branches_of, checked, fitted
+from faultline.testbench.faults import Fault, apply, reading, strength
+from faultline.testbench.plant import Array, Plant
+from faultline.testbench.pulsation import Pulsation
+from faultline.testbench.pump import Drive
+from faultline.testbench.sensors import Membrane
+from faultline.testbench.streams import stream
+from faultline.testbench.valve import PulseWidth
+from faultline.testbench.vehicles import Vehicle
 
 STEP = 0.002  # s; tests/testbench/test_rig_simulation.py halves it
 MARGIN = 4.0  # s

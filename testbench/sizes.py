@@ -2,8 +2,8 @@
 
 Small is the smallest size that moves a 10 s mean of a pressure or of the pump speed by more than three standard
 deviations of that sensor's noise somewhere in the validation cycle (thesis 5.7.2), large one that moves it twice as
-far. `python -m testbench.sizes` finds them and prints the file `sizes.toml`, which is frozen: decision logic is tuned
-to none of it.
+far. `python -m faultline.testbench.sizes` finds them and prints the file `sizes.toml`, which is frozen: decision logic
+is tuned to none of it.
 """
 
 import tomllib
@@ -13,12 +13,12 @@ from importlib import resources
 
 import numpy as np
 
-from testbench.bus import Knowledge
-from testbench.cycles import CYCLES, DOSING_FROM
-from testbench.faults import FAULTS, Fault, limit
-from testbench.plant import Array
-from testbench.simulation import Run, simulate
-from testbench.vehicles import BENCH
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.cycles import CYCLES, DOSING_FROM
+from faultline.testbench.faults import FAULTS, Fault, limit
+from faultline.testbench.plant import Array
+from faultline.testbench.simulation import Run, simulate
+from faultline.testbench.vehicles import BENCH
 
 WINDOW = 10.0  # s
 PERIOD = 0.1  # s, of the samples that are averaged
@@ -30,7 +30,7 @@ TOLERANCE = 0.005  # of the size
 @cache
 def frozen() -> dict[str, tuple[float, float]]:
     """The small and the large size of every fault that has a size."""
-    table = tomllib.loads(resources.files("testbench").joinpath("sizes.toml").read_text())
+    table = tomllib.loads(resources.files("faultline.testbench").joinpath("sizes.toml").read_text())
     return {name: (sizes["small"], sizes["large"]) for name, sizes in table["fault"].items()}
 
 
@@ -82,7 +82,7 @@ def found(name: str, healthy: Run) -> tuple[float, float]:
 def main() -> None:
     """Finds all sizes and prints the file."""
     healthy = simulate(BENCH, CYCLES["validation"], (), 1, DURATION)
-    print("# Found by `python -m testbench.sizes`; frozen before any decision logic was tuned to them.")
+    print("# Found by `python -m faultline.testbench.sizes`; frozen before any decision logic was tuned to them.")
     for name, (_, meaning) in FAULTS.items():
         if name.startswith("off_"):
             continue  # silence has no size

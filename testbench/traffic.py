@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbench.bus import Dbc, Knowledge, Sender
-from testbench.effects import fitted
-from testbench.request import Request
-from testbench.sensor_box import SensorBox
-from testbench.simulation import Run
-from testbench.streams import stream
+from faultline.testbench.bus import Dbc, Knowledge, Sender
+from faultline.testbench.effects import fitted
+from faultline.testbench.request import Request
+from faultline.testbench.sensor_box import SensorBox
+from faultline.testbench.simulation import Run
+from faultline.testbench.streams import stream
 
 FRAME_TIME = 0.00027  # s on the bus: 29-bit identifier, 8 bytes and some stuffing at 500 kbit/s
 

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from testbench.branches import Branch
-from testbench.errors import RigError
-from testbench.hose import Hose
-from testbench.plant import SYSTEM_PRESSURE, PlantParameters
-from testbench.pump import PumpParameters
-from testbench.restriction import TURBULENT, Restriction
-from testbench.sensors import EcuSensors, ExternalSensor
-from testbench.units import ATMOSPHERE, BAR, MBAR, ML
-from testbench.valve import Needle
+from faultline.testbench.branches import Branch
+from faultline.testbench.errors import RigError
+from faultline.testbench.hose import Hose
+from faultline.testbench.plant import SYSTEM_PRESSURE, PlantParameters
+from faultline.testbench.pump import PumpParameters
+from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.sensors import EcuSensors, ExternalSensor
+from faultline.testbench.units import ATMOSPHERE, BAR, MBAR, ML
+from faultline.testbench.valve import Needle
 
 # Transmitters with 0.5..4.5 V ratiometric output. The tables bend by some tenths of a percent, as certificates show.
 # Noise: 0.16 % and 0.05 % of the range, what such sensors show on a bench's wiring. Zero: 0.6 % and 0.2 % of the range,

@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.graph.bank import build_bank
-from analysis.model import load_model
-from service.bundle import load_bundle
-from service.bus.interface import Interface
-from service.bus.reader import CLASSIC, SO_TIMESTAMPNS
-from service.bus.socketcan import EFF_FLAG, SocketCan
-from service.core.generators import Graph
-from service.core.monitor import Monitor
-from service.logs import open_log
-from testbench.command import main as rig
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import load_model
+from faultline.service.bundle import load_bundle
+from faultline.service.bus.interface import Interface
+from faultline.service.bus.reader import CLASSIC, SO_TIMESTAMPNS
+from faultline.service.bus.socketcan import EFF_FLAG, SocketCan
+from faultline.service.core.generators import Graph
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import open_log
+from faultline.testbench.command import main as rig
 
 GOLDEN = Path(__file__).parent / "golden"
 ROUNDS, CALLS = 15, 400
@@ -73,11 +73,11 @@ def networks() -> None:
 
     Untrained: what a step costs does not depend on the weights.
     """
-    from training.bank import networks_of
-    from training.layout import layout_of
-    from training.loop import Training
-    from training.recipe import DEFAULT
-    from training.samples import load_samples
+    from faultline.training.bank import networks_of
+    from faultline.training.layout import layout_of
+    from faultline.training.loop import Training
+    from faultline.training.recipe import DEFAULT
+    from faultline.training.samples import load_samples
 
     model = load_model("uds4")
     bank = build_bank(model)
@@ -111,7 +111,7 @@ def networks() -> None:
 def added_mib(graph: bytes, other: bytes, states: int) -> float:
     """What a graph adds to a process that runs another one already."""
     code = (
-        "import sys, numpy as np; from pathlib import Path; from service.core.generators import Graph\n"
+        "import sys, numpy as np; from pathlib import Path; from faultline.service.core.generators import Graph\n"
         "def rss(): return int(Path('/proc/self/statm').read_text().split()[1]) * 4096 / 2**20\n"
         "a = Graph(Path(sys.argv[1]).read_bytes()); before = rss(); b = Graph(Path(sys.argv[2]).read_bytes())\n"
         "for _ in range(100): b(z=np.ones((1, 5)), x=np.ones((1, int(sys.argv[3]))))\n"
@@ -154,7 +154,7 @@ def monitor() -> None:
 def memory() -> None:
     """Peak resident memory of a process that diagnoses the golden log (VmHWM, without its parent's)."""
     code = (
-        "import sys; from service.diagnose import main; main(sys.argv[1:]); "
+        "import sys; from faultline.service.diagnose import main; main(sys.argv[1:]); "
         "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
     )
     command = [sys.executable, "-c", code, str(GOLDEN / "log"), "--bundle", str(GOLDEN / "bundle")]

@@ -5,17 +5,17 @@ import hashlib
 import numpy as np
 import torch
 
-from analysis.graph.bank import PERIOD_S
-from analysis.graph.cells import cell_graph
-from analysis.graph.networks import GRAPH, SCHEMA, Description, Networks
-from service.core.manifest import Generator, State
-from training.free_run import RUN_UP, free_run
-from training.layout import Layout
-from training.loop import Training
-from training.novelty import novelty_of
-from training.samples import Samples
-from training.variance import cross_fit, variances
-from training.weights import cells_of
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.graph.cells import cell_graph
+from faultline.analysis.graph.networks import GRAPH, SCHEMA, Description, Networks
+from faultline.service.core.manifest import Generator, State
+from faultline.training.free_run import RUN_UP, free_run
+from faultline.training.layout import Layout
+from faultline.training.loop import Training
+from faultline.training.novelty import novelty_of
+from faultline.training.samples import Samples
+from faultline.training.variance import cross_fit, variances
+from faultline.training.weights import cells_of
 
 HELD = ".before"
 """Behind the name of a signal: its value a tick before, as a state."""

@@ -8,12 +8,12 @@ from pickle import UnpicklingError
 import msgspec
 import torch
 
-from analysis.model import dump_model
-from service.core.errors import InputError
-from training.layout import Layout
-from training.loop import Begin, Training
-from training.recipe import Recipe
-from training.samples import Samples
+from faultline.analysis.model import dump_model
+from faultline.service.core.errors import InputError
+from faultline.training.layout import Layout
+from faultline.training.loop import Begin, Training
+from faultline.training.recipe import Recipe
+from faultline.training.samples import Samples
 
 FILE = "checkpoint.pt"
 

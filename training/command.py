@@ -6,22 +6,22 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.graph.bank import inputs_of
-from analysis.graph.networks import Networks, save_networks
-from analysis.model import Model
-from analysis.structure.lint import sound_model
-from service.core.errors import InputError, writing
-from service.core.manifest import Generator
-from training.bank import HELD, networks_of
-from training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
-from training.device import device_of
-from training.layout import layout_of
-from training.loop import Training
-from training.picture import picture
-from training.progress import Progress
-from training.recipe import RECIPES, Recipe
-from training.samples import load_samples
-from training.saved import load_weights, save_weights
+from faultline.analysis.graph.bank import inputs_of
+from faultline.analysis.graph.networks import Networks, save_networks
+from faultline.analysis.model import Model
+from faultline.analysis.structure.lint import sound_model
+from faultline.service.core.errors import InputError, writing
+from faultline.service.core.manifest import Generator
+from faultline.training.bank import HELD, networks_of
+from faultline.training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
+from faultline.training.device import device_of
+from faultline.training.layout import layout_of
+from faultline.training.loop import Training
+from faultline.training.picture import picture
+from faultline.training.progress import Progress
+from faultline.training.recipe import RECIPES, Recipe
+from faultline.training.samples import load_samples
+from faultline.training.saved import load_weights, save_weights
 
 EXAMPLE = """example:
   faultline train uds4 logs/bench-training-s1 --out networks

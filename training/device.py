@@ -4,7 +4,7 @@ import os
 
 import torch
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 CPU = torch.device("cpu")
 

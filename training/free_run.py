@@ -5,8 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from training.network import Networks
-from training.windows import Windows
+from faultline.training.network import Networks
+from faultline.training.windows import Windows
 
 PIECE, RUN_UP = 100, 100
 """Ticks. The run-up is what the slowest state takes to forget where it began."""

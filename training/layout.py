@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.graph.bank import state_of
-from analysis.model import Model
-from analysis.structure import Test, find_tests
-from analysis.structure.arguments import Arguments, arguments
-from service.core.errors import InputError
-from service.core.manifest import State
+from faultline.analysis.graph.bank import state_of
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Test, find_tests
+from faultline.analysis.structure.arguments import Arguments, arguments
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import State
 
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]

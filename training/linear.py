@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from training.layout import Layout
-from training.reckoned import Example
-from training.scaling import Scaling
+from faultline.training.layout import Layout
+from faultline.training.reckoned import Example
+from faultline.training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]

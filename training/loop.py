@@ -10,18 +10,18 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from service.core.errors import InputError
-from training.device import CPU
-from training.free_run import free_run
-from training.layout import Layout
-from training.linear import linear_outputs, linear_rates
-from training.network import SPEED, Networks
-from training.recipe import Phase, Recipe
-from training.reckoned import Equations, Example, reckoned
-from training.samples import Samples
-from training.scaling import Scaling, scaling_of
-from training.varied import varied
-from training.windows import Batch, Windows
+from faultline.service.core.errors import InputError
+from faultline.training.device import CPU
+from faultline.training.free_run import free_run
+from faultline.training.layout import Layout
+from faultline.training.linear import linear_outputs, linear_rates
+from faultline.training.network import SPEED, Networks
+from faultline.training.recipe import Phase, Recipe
+from faultline.training.reckoned import Equations, Example, reckoned
+from faultline.training.samples import Samples
+from faultline.training.scaling import Scaling, scaling_of
+from faultline.training.varied import varied
+from faultline.training.windows import Batch, Windows
 
 Array = npt.NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from analysis.graph.bank import PERIOD_S
-from training.layout import Layout
-from training.recipe import Recipe
-from training.stack import Stack
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.training.layout import Layout
+from faultline.training.recipe import Recipe
+from faultline.training.stack import Stack
 
 SPEED = 2.0
 """Where the relaxation of a state begins, as a logit: 0.88 of the way in a tick."""

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from analysis.graph.cells import Novelty
-from training.free_run import Course
-from training.layout import Layout
-from training.windows import Windows
+from faultline.analysis.graph.cells import Novelty
+from faultline.training.free_run import Course
+from faultline.training.layout import Layout
+from faultline.training.windows import Windows
 
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.observer import Decoder
-from service.core.signals import Quality
-from service.logs import Frame
+from faultline.service.core.observer import Decoder
+from faultline.service.core.signals import Quality
+from faultline.service.logs import Frame
 
 PHASES, STARTS = 3, 4
 """Parts of a period by which messages are moved, and instants at which the vehicle is switched on then."""

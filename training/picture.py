@@ -5,7 +5,7 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.loop import Training
+from faultline.training.loop import Training
 
 BAR = 1e5
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from training.loop import Report
+from faultline.training.loop import Report
 
 LINE_S = 10.0
 """Between two lines of a training that writes into a file."""

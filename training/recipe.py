@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from training.scaling import Kind
+from faultline.training.scaling import Kind
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import Bank, bank_of
-from service.core.errors import InputError
-from service.core.generators import Graph
-from training.layout import Layout
-from training.samples import Samples
+from faultline.analysis.graph.bank import Bank, bank_of
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
+from faultline.training.layout import Layout
+from faultline.training.samples import Samples
 
 Array = npt.NDArray[np.float64]
 

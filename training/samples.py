@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.provenance import check_vehicle
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model
-from analysis.recordings.observe import Blind, open_for, ticks_of
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.core.manifest import Input
-from service.core.observer import Tick
-from training.phases import starts
+from faultline.analysis.calibration.provenance import check_vehicle
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model
+from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Input
+from faultline.service.core.observer import Tick
+from faultline.training.phases import starts
 
 Array = npt.NDArray[np.float64]
 

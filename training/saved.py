@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from analysis.graph.networks import GRAPH, Description
-from service.core.errors import InputError
-from training.checkpoint import UNREADABLE, reason
-from training.layout import Layout
-from training.loop import Training
-from training.network import Networks
-from training.recipe import RECIPES, Phase, Recipe
-from training.scaling import Scaling
+from faultline.analysis.graph.networks import GRAPH, Description
+from faultline.service.core.errors import InputError
+from faultline.training.checkpoint import UNREADABLE, reason
+from faultline.training.layout import Layout
+from faultline.training.loop import Training
+from faultline.training.network import Networks
+from faultline.training.recipe import RECIPES, Phase, Recipe
+from faultline.training.scaling import Scaling
 
 FILE = "weights.pt"
 

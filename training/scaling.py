@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from training.reckoned import Example
+from faultline.training.reckoned import Example
 
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]

@@ -14,10 +14,10 @@ import torch
 from scipy.stats import norm
 from torch import Tensor
 
-from training.free_run import Course
-from training.layout import Layout
-from training.stack import Stack
-from training.windows import Windows
+from faultline.training.free_run import Course
+from faultline.training.layout import Layout
+from faultline.training.stack import Stack
+from faultline.training.windows import Windows
 
 Columns = npt.NDArray[np.intp]
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import PERIOD_S
-from training.layout import Layout
-from training.reckoned import Equations, Example
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.training.layout import Layout
+from faultline.training.reckoned import Equations, Example
 
 Array = npt.NDArray[np.float64]
 

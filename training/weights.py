@@ -5,13 +5,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from analysis.graph.bank import PERIOD_S
-from analysis.graph.cells import Cells, Functions, Novelty, Variance
-from training.layout import Layout
-from training.network import Networks
-from training.scaling import Scaling
-from training.stack import Stack
-from training.variance import Variances
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.graph.cells import Cells, Functions, Novelty, Variance
+from faultline.training.layout import Layout
+from faultline.training.network import Networks
+from faultline.training.scaling import Scaling
+from faultline.training.stack import Stack
+from faultline.training.variance import Variances
 
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]

@@ -9,11 +9,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from analysis.graph.bank import PERIOD_S
-from training.layout import Layout
-from training.recipe import Phase, Recipe
-from training.reckoned import Example
-from training.scaling import Scaling
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.training.layout import Layout
+from faultline.training.recipe import Phase, Recipe
+from faultline.training.reckoned import Example
+from faultline.training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
 

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.calibration.fit import fit
-from analysis.calibration.identify import identify
-from analysis.calibration.problem import Nuisance
-from analysis.calibration.provenance import check_vehicle, entry, vehicle_of
-from analysis.calibration.pulses import pulses
-from analysis.calibration.report import Report, draw, page, report, sentences
-from analysis.calibration.sections import Section, sections
-from analysis.calibration.validate import Validation, validate
-from analysis.model import Model, dump_model
-from analysis.progress import Progress
-from analysis.recordings.observe import open_for
-from analysis.simulation import system_of
-from analysis.structure.lint import sound_model
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError, writing
-from service.logs import Log
+from faultline.analysis.calibration.fit import fit
+from faultline.analysis.calibration.identify import identify
+from faultline.analysis.calibration.problem import Nuisance
+from faultline.analysis.calibration.provenance import check_vehicle, entry, vehicle_of
+from faultline.analysis.calibration.pulses import pulses
+from faultline.analysis.calibration.report import Report, draw, page, report, sentences
+from faultline.analysis.calibration.sections import Section, sections
+from faultline.analysis.calibration.validate import Validation, validate
+from faultline.analysis.model import Model, dump_model
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.observe import open_for
+from faultline.analysis.simulation import system_of
+from faultline.analysis.structure.lint import sound_model
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError, writing
+from faultline.service.logs import Log
 
 EXAMPLE = """example:
   faultline calibrate uds4 logs/bench-training-s1 --validate logs/bench-validation-s2 --out calibrated.toml --report out

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 
-from analysis.calibration.fit import Fit
-from analysis.calibration.validate import STEADY, Validation
-from service.core.manifest import MODES
-from service.core.modes import EDGE
+from faultline.analysis.calibration.fit import Fit
+from faultline.analysis.calibration.validate import STEADY, Validation
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: what is further away is not what the model file says."""

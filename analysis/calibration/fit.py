@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult
 
-from analysis.calibration.noise import Levels, by_square, levels_of
-from analysis.calibration.problem import Problem, Unknowns
-from analysis.calibration.sections import Section, by_median
-from analysis.simulation import System
-from service.core.errors import InputError
+from faultline.analysis.calibration.noise import Levels, by_square, levels_of
+from faultline.analysis.calibration.problem import Problem, Unknowns
+from faultline.analysis.calibration.sections import Section, by_median
+from faultline.analysis.simulation import System
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

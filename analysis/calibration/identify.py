@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.fit import Fit
+from faultline.analysis.calibration.fit import Fit
 
 Array = npt.NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.sections import Section, is_command
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model
-from analysis.simulation import System, Trajectory
-from service.core.manifest import MODES
+from faultline.analysis.calibration.sections import Section, is_command
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model
+from faultline.analysis.simulation import System, Trajectory
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 Spread = Callable[[Array], float]

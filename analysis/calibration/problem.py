@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, least_squares
 
-from analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, level_of, stacked
-from analysis.calibration.sections import Section
-from analysis.model import Parameter
-from analysis.simulation import Drive, System, Trajectory, run
+from faultline.analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, level_of, stacked
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.model import Parameter
+from faultline.analysis.simulation import Drive, System, Trajectory, run
 
 Array = npt.NDArray[np.float64]
 

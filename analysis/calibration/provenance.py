@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.model import Model
-from service.core.errors import InputError
-from service.logs import Log
+from faultline.analysis.model import Model
+from faultline.service.core.errors import InputError
+from faultline.service.logs import Log
 
 COMMAND, DISCOVER = "calibrate", "discover"
 

@@ -2,15 +2,15 @@
 
 import msgspec
 
-from analysis.graph.bank import build_bank
-from analysis.model import Model
-from analysis.recordings.observe import observe
-from analysis.recordings.pulse import estimate_pulse
-from analysis.recordings.pulse_input import InputChoice, choose_input
-from analysis.recordings.track import tracks_of
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.logs import Log
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import Model
+from faultline.analysis.recordings.observe import observe
+from faultline.analysis.recordings.pulse import estimate_pulse
+from faultline.analysis.recordings.pulse_input import InputChoice, choose_input
+from faultline.analysis.recordings.track import tracks_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.logs import Log
 
 AFTER_PUMP, IN_UNIT = "y_p_ap", "y_p_du"
 """The pressures in which the valve's ripple shows."""

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.calibration.doubts import doubts
-from analysis.calibration.fit import Fit
-from analysis.calibration.identify import Identified
-from analysis.calibration.pulses import Pulses
-from analysis.calibration.pulses import sentences as of_pulses
-from analysis.calibration.validate import STEADY, Agreement, Validation
-from analysis.model import Known, Model
+from faultline.analysis.calibration.doubts import doubts
+from faultline.analysis.calibration.fit import Fit
+from faultline.analysis.calibration.identify import Identified
+from faultline.analysis.calibration.pulses import Pulses
+from faultline.analysis.calibration.pulses import sentences as of_pulses
+from faultline.analysis.calibration.validate import STEADY, Agreement, Validation
+from faultline.analysis.model import Known, Model
 
 BAR = 1e5
 CORRELATED = 0.9

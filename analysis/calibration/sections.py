@@ -14,16 +14,16 @@ import numpy.typing as npt
 import sympy as sp
 from scipy.interpolate import CubicSpline
 
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model
-from analysis.recordings.modes import modes_of
-from analysis.recordings.track import Track, tracks_of
-from analysis.simulation import Drive, System
-from service.core.decode import DecodeTable
-from service.core.errors import InputError
-from service.core.manifest import Input
-from service.core.modes import ModeTracker
-from service.logs import Frame
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model
+from faultline.analysis.recordings.modes import modes_of
+from faultline.analysis.recordings.track import Track, tracks_of
+from faultline.analysis.simulation import Drive, System
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Input
+from faultline.service.core.modes import ModeTracker
+from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]
 

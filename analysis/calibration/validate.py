@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import commands_of, disturbances, stacked
-from analysis.calibration.problem import Nuisance, runs
-from analysis.calibration.sections import Section
-from analysis.simulation import System, Trajectory
-from service.core.manifest import MODES
-from service.core.modes import EDGE
+from faultline.analysis.calibration.noise import commands_of, disturbances, stacked
+from faultline.analysis.calibration.problem import Nuisance, runs
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.simulation import System, Trajectory
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

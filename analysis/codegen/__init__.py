@@ -1,11 +1,11 @@
 """Residual generators as code to read: computation sequences with their causality, as Python and as C99."""
 
-from analysis.codegen.build import residual_program
-from analysis.codegen.c99 import c99_sources
-from analysis.codegen.identifiers import class_name
-from analysis.codegen.program import Program
-from analysis.codegen.python import python_source
-from analysis.codegen.sequence import Component, ComputationSequence, computation_sequence
+from faultline.analysis.codegen.build import residual_program
+from faultline.analysis.codegen.c99 import c99_sources
+from faultline.analysis.codegen.identifiers import class_name
+from faultline.analysis.codegen.program import Program
+from faultline.analysis.codegen.python import python_source
+from faultline.analysis.codegen.sequence import Component, ComputationSequence, computation_sequence
 
 __all__ = [
     "Component",

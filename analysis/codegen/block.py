@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import sympy as sp
 
-from analysis.codegen.elimination import Solved
-from analysis.graph.linear import last
-from analysis.graph.network import Evaluator, Values, flow_network
-from analysis.model import Differential, Equation, Known, Model, Unknown, sgsqrt
-from analysis.structure import Test
+from faultline.analysis.codegen.elimination import Solved
+from faultline.analysis.graph.linear import last
+from faultline.analysis.graph.network import Evaluator, Values, flow_network
+from faultline.analysis.model import Differential, Equation, Known, Model, Unknown, sgsqrt
+from faultline.analysis.structure import Test
 
 _SENSOR = "the output"
 

@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from analysis.codegen.block import Block, independent, names_in, state_network
-from analysis.codegen.elimination import Solved
-from analysis.codegen.identifiers import RESERVED, Names, file_scope, words_in
-from analysis.codegen.implicit import step_lines
-from analysis.codegen.loops import solve_component
-from analysis.codegen.program import Constant, Input, Line, Program, State, alive
-from analysis.codegen.sequence import Component, ComputationSequence
-from analysis.codegen.text import Writer, number
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Differential, Model
-from service.core.errors import InputError
+from faultline.analysis.codegen.block import Block, independent, names_in, state_network
+from faultline.analysis.codegen.elimination import Solved
+from faultline.analysis.codegen.identifiers import RESERVED, Names, file_scope, words_in
+from faultline.analysis.codegen.implicit import step_lines
+from faultline.analysis.codegen.loops import solve_component
+from faultline.analysis.codegen.program import Constant, Input, Line, Program, State, alive
+from faultline.analysis.codegen.sequence import Component, ComputationSequence
+from faultline.analysis.codegen.text import Writer, number
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Differential, Model
+from faultline.service.core.errors import InputError
 
 LISTED = 5
 """Equations of a loop that a comment lists; of more it says how many they are."""

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from analysis.codegen.helpers import Helper, helpers_in
-from analysis.codegen.identifiers import words_in
-from analysis.codegen.program import Program
-from analysis.codegen.text import number
+from faultline.analysis.codegen.helpers import Helper, helpers_in
+from faultline.analysis.codegen.identifiers import words_in
+from faultline.analysis.codegen.program import Program
+from faultline.analysis.codegen.text import number
 
 
 def c99_sources(program: Program) -> dict[str, str]:

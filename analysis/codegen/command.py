@@ -4,13 +4,13 @@ import argparse
 import re
 from pathlib import Path
 
-from analysis.codegen.build import residual_program
-from analysis.codegen.c99 import c99_sources
-from analysis.codegen.python import python_source
-from analysis.codegen.sequence import ComputationSequence, Form, computation_sequence
-from analysis.model import Model
-from analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
-from service.core.errors import InputError, writing
+from faultline.analysis.codegen.build import residual_program
+from faultline.analysis.codegen.c99 import c99_sources
+from faultline.analysis.codegen.python import python_source
+from faultline.analysis.codegen.sequence import ComputationSequence, Form, computation_sequence
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
+from faultline.service.core.errors import InputError, writing
 
 PERIOD_S = 0.2
 

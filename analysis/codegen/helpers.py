@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from analysis.codegen.identifiers import words_in
+from faultline.analysis.codegen.identifiers import words_in
 
 
 @dataclass(frozen=True)

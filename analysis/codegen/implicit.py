@@ -6,11 +6,11 @@ docs/decisions/001-implicit-step.md for the method, `step.py` for the letters.
 
 from collections.abc import Sequence
 
-from analysis.codegen.identifiers import Names
-from analysis.codegen.program import Line
-from analysis.codegen.text import number, weighted
-from analysis.graph.network import Array, Values
-from analysis.graph.step import S_MIN, SWEEPS, stack
+from faultline.analysis.codegen.identifiers import Names
+from faultline.analysis.codegen.program import Line
+from faultline.analysis.codegen.text import number, weighted
+from faultline.analysis.graph.network import Array, Values
+from faultline.analysis.graph.step import S_MIN, SWEEPS, stack
 
 Pattern = list[list[bool]]
 """Where a matrix is not zero."""

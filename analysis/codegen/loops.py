@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import sympy as sp
 
-from analysis.codegen.elimination import CANCELLED, Elimination, Solved
-from analysis.model import sgsqrt
-from service.core.errors import InputError
+from faultline.analysis.codegen.elimination import CANCELLED, Elimination, Solved
+from faultline.analysis.model import sgsqrt
+from faultline.service.core.errors import InputError
 
 
 class sgsquare(sp.Function):  # type: ignore[misc]  # noqa: N801  (as in generated code)

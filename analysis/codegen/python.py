@@ -1,9 +1,9 @@
 """Writes a residual generator as a Python module that needs nothing but the standard library."""
 
-from analysis.codegen.helpers import LIBRARY, helpers_in
-from analysis.codegen.identifiers import class_name, words_in
-from analysis.codegen.program import Program
-from analysis.codegen.text import number
+from faultline.analysis.codegen.helpers import LIBRARY, helpers_in
+from faultline.analysis.codegen.identifiers import class_name, words_in
+from faultline.analysis.codegen.program import Program
+from faultline.analysis.codegen.text import number
 
 
 def python_source(program: Program) -> str:

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from analysis.model import Model
-from analysis.structure import Structure, redundancy, structure_of
-from analysis.structure.causality import Causality, solving_order
-from analysis.structure.matching import Matching
-from service.core.errors import InputError
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Structure, redundancy, structure_of
+from faultline.analysis.structure.causality import Causality, solving_order
+from faultline.analysis.structure.matching import Matching
+from faultline.service.core.errors import InputError
 
 Kind = Literal["algebraic", "integral", "derivative", "mixed"]
 Form = Literal["integral", "derivative"]

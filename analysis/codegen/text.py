@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import sympy as sp
 
-from analysis.codegen.identifiers import HELPERS
-from service.core.errors import InputError
+from faultline.analysis.codegen.identifiers import HELPERS
+from faultline.service.core.errors import InputError
 
 
 class Writer:

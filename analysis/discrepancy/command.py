@@ -9,31 +9,31 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
-from analysis.calibration.provenance import recordings_of
-from analysis.discrepancy.add.adopt import undone, within_bounds
-from analysis.discrepancy.add.bundle_effect import BundleEffect, Trial, bundle_effect, trial
-from analysis.discrepancy.add.drift import drifts
-from analysis.discrepancy.add.gate import Adoption, adoption
-from analysis.discrepancy.add.held_out import shown
-from analysis.discrepancy.add.structure_change import structure_change
-from analysis.discrepancy.data import Data, load
-from analysis.discrepancy.discover import Discovery, discover
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import is_own, load_library
-from analysis.discrepancy.effects.rewrite import applicable
-from analysis.discrepancy.name.attempt import Attempt
-from analysis.discrepancy.name.experiment import MANY, Plan, propose
-from analysis.discrepancy.name.gauge import Gauge, gauge
-from analysis.discrepancy.name.work import workers
-from analysis.discrepancy.show.document import encoded
-from analysis.discrepancy.show.extras import Extras
-from analysis.discrepancy.show.report import DOCUMENT, write
-from analysis.discrepancy.show.sentences import sentences
-from analysis.discrepancy.show.told import document_of, origin_of
-from analysis.model import Model, dump_model
-from analysis.progress import Progress
-from analysis.structure.lint import sound_model
-from service.core.errors import InputError
+from faultline.analysis.calibration.provenance import recordings_of
+from faultline.analysis.discrepancy.add.adopt import undone, within_bounds
+from faultline.analysis.discrepancy.add.bundle_effect import BundleEffect, Trial, bundle_effect, trial
+from faultline.analysis.discrepancy.add.drift import drifts
+from faultline.analysis.discrepancy.add.gate import Adoption, adoption
+from faultline.analysis.discrepancy.add.held_out import shown
+from faultline.analysis.discrepancy.add.structure_change import structure_change
+from faultline.analysis.discrepancy.data import Data, load
+from faultline.analysis.discrepancy.discover import Discovery, discover
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.library import is_own, load_library
+from faultline.analysis.discrepancy.effects.rewrite import applicable
+from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.discrepancy.name.experiment import MANY, Plan, propose
+from faultline.analysis.discrepancy.name.gauge import Gauge, gauge
+from faultline.analysis.discrepancy.name.work import workers
+from faultline.analysis.discrepancy.show.document import encoded
+from faultline.analysis.discrepancy.show.extras import Extras
+from faultline.analysis.discrepancy.show.report import DOCUMENT, write
+from faultline.analysis.discrepancy.show.sentences import sentences
+from faultline.analysis.discrepancy.show.told import document_of, origin_of
+from faultline.analysis.model import Model, dump_model
+from faultline.analysis.progress import Progress
+from faultline.analysis.structure.lint import sound_model
+from faultline.service.core.errors import InputError
 
 EXAMPLE = """examples:
   faultline discover uds4 logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
-from analysis.calibration.sections import Section, sections
-from analysis.discrepancy.effects.compiled import system_with
-from analysis.model import Model, dump_model
-from analysis.recordings.observe import open_for
-from analysis.simulation import System
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.core.manifest import MODES
-from service.core.modes import EDGE
-from service.logs import Log
+from faultline.analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
+from faultline.analysis.calibration.sections import Section, sections
+from faultline.analysis.discrepancy.effects.compiled import system_with
+from faultline.analysis.model import Model, dump_model
+from faultline.analysis.recordings.observe import open_for
+from faultline.analysis.simulation import System
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
+from faultline.service.logs import Log
 
 STEP_S = 0.1
 """Of the free runs: models are compared on the same grid, and half the calibration's takes half the time."""

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from analysis.discrepancy.data import Data
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import is_own
-from analysis.discrepancy.effects.rewrite import applicable, rewritten
-from analysis.discrepancy.find.locate import Location
-from analysis.discrepancy.find.onset import Onset, onset
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import Outcome, Say, alone, asked, contest
-from analysis.discrepancy.name.sensitivity import Direction, chance
-from analysis.discrepancy.name.work import Crew
+from faultline.analysis.discrepancy.data import Data
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.library import is_own
+from faultline.analysis.discrepancy.effects.rewrite import applicable, rewritten
+from faultline.analysis.discrepancy.find.locate import Location
+from faultline.analysis.discrepancy.find.onset import Onset, onset
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.contest import Outcome, Say, alone, asked, contest
+from faultline.analysis.discrepancy.name.sensitivity import Direction, chance
+from faultline.analysis.discrepancy.name.work import Crew
 
 Kind = Literal["nothing missing", "named", "one of", "unnamed"]
 

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.evaluation.given import Given, check_reportable, given
-from analysis.evaluation.judge import Verdict, apart, judge
-from analysis.evaluation.live import live_events
-from analysis.evaluation.measure.facts import Facts, facts, labelled
-from analysis.evaluation.report.document import isolating
-from analysis.evaluation.sentence import sentence, summary
-from analysis.evaluation.story import Story, tell
-from analysis.places import check_folder
-from analysis.progress import Progress
-from service.bundle import Bundle, load_bundle
-from service.core.errors import InputError, writing
-from service.core.events import Event
+from faultline.analysis.evaluation.given import Given, check_reportable, given
+from faultline.analysis.evaluation.judge import Verdict, apart, judge
+from faultline.analysis.evaluation.live import live_events
+from faultline.analysis.evaluation.measure.facts import Facts, facts, labelled
+from faultline.analysis.evaluation.report.document import isolating
+from faultline.analysis.evaluation.sentence import sentence, summary
+from faultline.analysis.evaluation.story import Story, tell
+from faultline.analysis.places import check_folder
+from faultline.analysis.progress import Progress
+from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.core.errors import InputError, writing
+from faultline.service.core.events import Event
 
 EXAMPLE = """example:
   faultline evaluate out/demo/bundle out/demo/logs/validation-7-fA_t \\
@@ -174,7 +174,7 @@ def _judged(
 
 
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:
-    from analysis.evaluation.picture import draw  # matplotlib takes a second to import
+    from faultline.analysis.evaluation.picture import draw  # matplotlib takes a second to import
 
     with writing(path):
         draw(story, live, verdict, path)
@@ -184,7 +184,7 @@ def _report(
     folder: Path, bundle: Bundle, judged: list[Facts], stories: list[Story], required: list[tuple[str, str | None]]
 ) -> list[str]:
     """Writes the report; returns what is required and no generator does."""
-    from analysis.evaluation.report.write import write  # matplotlib takes a second to import
+    from faultline.analysis.evaluation.report.write import write  # matplotlib takes a second to import
 
     chosen = write(folder, bundle, judged, stories, required).selection
     return chosen.unmet if chosen else []

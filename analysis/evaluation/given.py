@@ -6,14 +6,14 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
-from analysis.evaluation.measure.blocks import BLOCK_S
-from analysis.evaluation.truth import Truth, find_truth
-from analysis.recordings.observe import open_known, samples_of
-from service.bundle import Bundle
-from service.core.errors import InputError
-from service.core.manifest import Origin
-from service.core.modes import MAXIMUM
-from service.logs import Log, Recording, load_recording
+from faultline.analysis.evaluation.measure.blocks import BLOCK_S
+from faultline.analysis.evaluation.truth import Truth, find_truth
+from faultline.analysis.recordings.observe import open_known, samples_of
+from faultline.service.bundle import Bundle
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Origin
+from faultline.service.core.modes import MAXIMUM
+from faultline.service.logs import Log, Recording, load_recording
 
 
 class Given(NamedTuple):

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import msgspec
 
-from analysis.evaluation.measure.weights import UNNAMED, true_explanation
-from analysis.evaluation.truth import Truth
-from service.core.events import Event
+from faultline.analysis.evaluation.measure.weights import UNNAMED, true_explanation
+from faultline.analysis.evaluation.truth import Truth
+from faultline.service.core.events import Event
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):

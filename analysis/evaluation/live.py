@@ -4,10 +4,10 @@ from pathlib import Path
 
 import msgspec
 
-from service.bundle import Bundle
-from service.core.errors import InputError
-from service.core.events import Event, decode, is_about, is_other
-from service.logs import Log
+from faultline.service.bundle import Bundle
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Event, decode, is_about, is_other
+from faultline.service.logs import Log
 
 
 def live_events(path: Path, bundle: Bundle, log: Log) -> list[Event]:

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.story import Story
-from service.core.events import Event
-from service.core.modes import PARTIAL
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.story import Story
+from faultline.service.core.events import Event
+from faultline.service.core.modes import PARTIAL
 
 UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}
 """What a signal is drawn in, by its unit: how much one is, and its name."""

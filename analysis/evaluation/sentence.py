@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import at_most
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.intervals import at_most
 
 
 def sentence(v: Verdict) -> str:

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.bundle import Bundle
-from service.core.decision import Decision
-from service.core.errors import InputError
-from service.core.events import Event
-from service.core.monitor import Monitor
-from service.core.observer import Tick
-from service.core.signals import Mask
-from service.logs import Log
+from faultline.service.bundle import Bundle
+from faultline.service.core.decision import Decision
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Event
+from faultline.service.core.monitor import Monitor
+from faultline.service.core.observer import Tick
+from faultline.service.core.signals import Mask
+from faultline.service.logs import Log
 
 Array = npt.NDArray[np.float64]
 

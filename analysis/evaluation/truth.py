@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from service.core.errors import InputError
-from service.core.manifest import Name
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Name
 
 
 class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.graph.formula import Formulas
-from analysis.graph.linear import last
-from analysis.graph.network import Evaluator, Network, flow_network
-from analysis.graph.step import OF_FORMULAS, STACKED, Region, Stacked, stack, step_graph
-from analysis.model import Model
-from analysis.structure import Test, find_tests
-from service.core.errors import InputError
-from service.core.generators import Graph
-from service.core.manifest import Generator, Input, State
+from faultline.analysis.graph.formula import Formulas
+from faultline.analysis.graph.linear import last
+from faultline.analysis.graph.network import Evaluator, Network, flow_network
+from faultline.analysis.graph.step import OF_FORMULAS, STACKED, Region, Stacked, stack, step_graph
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Test, find_tests
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
+from faultline.service.core.manifest import Generator, Input, State
 
 PERIOD_S = 0.2
 GRAPH = "ode.onnx"

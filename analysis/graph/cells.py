@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.writer import Writer
+from faultline.analysis.graph.writer import Writer
 
 WIDE = 32
 """Inputs of a product of several functions at most: with more, its zeros cost more than the product spares."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from analysis.graph.writer import Array, Writer
-from analysis.model import sgsqrt
-from service.core.errors import InputError
+from faultline.analysis.graph.writer import Array, Writer
+from faultline.analysis.model import sgsqrt
+from faultline.service.core.errors import InputError
 
 SMALLEST = 1e-300
 """Keeps the root of zero from being divided by."""

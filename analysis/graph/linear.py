@@ -20,10 +20,10 @@ from dataclasses import dataclass, field
 
 import sympy as sp
 
-from analysis.graph.formula import obstacle
-from analysis.model import sgsqrt
-from analysis.model.slope import Sign, slope
-from service.core.errors import InputError
+from faultline.analysis.graph.formula import obstacle
+from faultline.analysis.model import sgsqrt
+from faultline.analysis.model.slope import Sign, slope
+from faultline.service.core.errors import InputError
 
 TINY = 1e-30
 """Beside |x| in the denominator of its slope, which has none at zero; small in all SI units."""

@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.graph.linear import Linear, linear_form
-from analysis.model import Model, sgsqrt
-from analysis.structure import Test
-from service.core.errors import InputError
+from faultline.analysis.graph.linear import Linear, linear_form
+from faultline.analysis.model import Model, sgsqrt
+from faultline.analysis.structure import Test
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Form = Callable[[sp.Expr], sp.Expr]

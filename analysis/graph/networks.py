@@ -11,13 +11,13 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model
-from analysis.structure import Test, find_tests
-from service.bundle import GRAPH_ERRORS
-from service.core.errors import InputError
-from service.core.generators import Graph
-from service.core.manifest import Generator, Sha256
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Test, find_tests
+from faultline.service.bundle import GRAPH_ERRORS
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
+from faultline.service.core.manifest import Generator, Sha256
 
 FILE, GRAPH = "networks.json", "rnn.onnx"
 SCHEMA: Final = "faultline.networks/1"

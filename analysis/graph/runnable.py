@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph import networks as trained
-from analysis.graph.bank import GRAPH, Bank
-from analysis.graph.networks import Networks
-from service.core.generators import GeneratorBank
-from service.core.manifest import Evidence, Generator, GraphFile
+from faultline.analysis.graph import networks as trained
+from faultline.analysis.graph.bank import GRAPH, Bank
+from faultline.analysis.graph.networks import Networks
+from faultline.service.core.generators import GeneratorBank
+from faultline.service.core.manifest import Evidence, Generator, GraphFile
 
 TOLERANCE = 1e-6
 """Of sigma, for golden vectors of the equations, which are float64."""

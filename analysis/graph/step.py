@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.formula import Formulas
-from analysis.graph.network import Values
-from analysis.graph.writer import Writer
+from faultline.analysis.graph.formula import Formulas
+from faultline.analysis.graph.network import Values
+from faultline.analysis.graph.writer import Writer
 
 SWEEPS = 1
 S_MIN = 1e-3

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from analysis.model.errors import ModelError
-from analysis.model.expression import FUNCTIONS
-from analysis.model.model import Model
-from analysis.model.tables import first_repeated
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.expression import FUNCTIONS
+from faultline.analysis.model.model import Model
+from faultline.analysis.model.tables import first_repeated
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 

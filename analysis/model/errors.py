@@ -1,6 +1,6 @@
 """The error of this package, in a module of its own because all others raise it."""
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 
 class ModelError(InputError):

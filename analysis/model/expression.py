@@ -11,7 +11,7 @@ from collections.abc import Collection
 
 import sympy as sp
 
-from analysis.model.errors import ModelError
+from faultline.analysis.model.errors import ModelError
 
 MAXIMUM_LENGTH = 1000
 MAXIMUM_DEPTH = 60

@@ -24,10 +24,10 @@ from pathlib import Path
 
 import sympy as sp
 
-from analysis.model.check import check_model, check_name, check_names
-from analysis.model.errors import ModelError
-from analysis.model.expression import parse_expression
-from analysis.model.model import (
+from faultline.analysis.model.check import check_model, check_name, check_names
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.model import (
     WARM_UP_S,
     Differential,
     Equation,
@@ -39,7 +39,7 @@ from analysis.model.model import (
     Unknown,
     check_bounds,
 )
-from analysis.model.tables import Table
+from faultline.analysis.model.tables import Table
 
 SCHEMA = 1
 

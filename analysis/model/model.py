@@ -13,7 +13,7 @@ from typing import Literal
 
 import sympy as sp
 
-from analysis.model.errors import ModelError
+from faultline.analysis.model.errors import ModelError
 
 
 @dataclass(frozen=True, kw_only=True)

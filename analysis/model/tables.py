@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
-from analysis.model.errors import ModelError
+from faultline.analysis.model.errors import ModelError
 
 T = TypeVar("T")
 

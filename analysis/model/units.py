@@ -10,8 +10,8 @@ from fractions import Fraction
 
 import sympy as sp
 
-from analysis.model.errors import ModelError
-from analysis.model.expression import parse_expression, sgsqrt
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.expression import parse_expression, sgsqrt
 
 Dimension = tuple[Fraction, ...]
 """Exponents of the seven base units."""

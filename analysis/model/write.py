@@ -5,9 +5,9 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 
-from analysis.model.errors import ModelError
-from analysis.model.file import SCHEMA
-from analysis.model.model import Equation, Model, OperatingModes
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.file import SCHEMA
+from faultline.analysis.model.model import Equation, Model, OperatingModes
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 

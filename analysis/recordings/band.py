@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from analysis.recordings.track import Mask, Track
-from service.core.signals import Vector
+from faultline.analysis.recordings.track import Mask, Track
+from faultline.service.core.signals import Vector
 
 
 class Grid(NamedTuple):

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.external import Samples, read_external
-from analysis.recordings.track import Track, known_part
-from service.core.dbc import compile_dbc
-from service.core.decode import DecodeTable
-from service.core.errors import InputError
-from service.core.signals import Quality, Vector
-from service.logs import Frame, LogReport, Recording, load_recording, read_log
+from faultline.analysis.recordings.external import Samples, read_external
+from faultline.analysis.recordings.track import Track, known_part
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Quality, Vector
+from faultline.service.logs import Frame, LogReport, Recording, load_recording, read_log
 
 REFERENCE = "y_p_ap"
 """The added sensor that the controller's own y_p_du can be aligned with."""

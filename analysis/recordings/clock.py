@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.recordings.band import gridded
-from analysis.recordings.lags import MINIMUM_OVERLAP_S, Likeness, correlation, likeness
-from analysis.recordings.line import MOST_DRIFT, Line, Offset, line
-from analysis.recordings.steps import shared
-from analysis.recordings.track import Track
-from analysis.recordings.windows import STEP_S, Pressures, pressures
-from service.core.errors import InputError
-from service.core.signals import Vector
+from faultline.analysis.recordings.band import gridded
+from faultline.analysis.recordings.lags import MINIMUM_OVERLAP_S, Likeness, correlation, likeness
+from faultline.analysis.recordings.line import MOST_DRIFT, Line, Offset, line
+from faultline.analysis.recordings.steps import shared
+from faultline.analysis.recordings.track import Track
+from faultline.analysis.recordings.windows import STEP_S, Pressures, pressures
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Vector
 
 REACH_S = 0.5  # of the coarse lag, besides the drift
 PROBES_S = (0.2, 0.4)

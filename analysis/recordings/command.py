@@ -8,10 +8,10 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.progress import Progress
-from analysis.recordings.ingest import ingest
-from analysis.recordings.report import sentences
-from service.core.errors import InputError
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.ingest import ingest
+from faultline.analysis.recordings.report import sentences
+from faultline.service.core.errors import InputError
 
 EXAMPLE = """example:
   faultline ingest recordings/bench-training-s1 --out logs

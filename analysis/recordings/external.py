@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.rows import read_rows
-from service.core.errors import InputError
-from service.core.signals import Vector
-from service.logs.recording import External, Table
+from faultline.analysis.recordings.rows import read_rows
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Vector
+from faultline.service.logs.recording import External, Table
 
 OTHER_UNIT = 20.0  # times the table's highest voltage: no sensor gives that, another unit does
 LEAST_WITHIN = 0.1  # of all values, else it is another unit: a wire that is off for most of a day is none to use

@@ -6,10 +6,10 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
-from analysis.recordings.track import Mask
-from service.core.errors import InputError
-from service.core.signals import Vector
-from service.logs import Frame
+from faultline.analysis.recordings.track import Mask
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Vector
+from faultline.service.logs import Frame
 
 MESSAGE = "UDS_SENSORS"
 PASCAL = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5}

@@ -9,18 +9,18 @@ import numpy as np
 from cantools.database import load_string
 from cantools.database.can import Database
 
-from analysis.recordings.bench import ECU_UNITS, REFERENCE, Bench, read_bench
-from analysis.recordings.clock import Clock, ClockError, given, synchronise
-from analysis.recordings.external import STUCK
-from analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
-from analysis.recordings.lags import likeness
-from analysis.recordings.picture import picture
-from analysis.recordings.report import Report, Source, Standstill, report
-from analysis.recordings.track import known_part
-from analysis.recordings.uniform import uniform
-from analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
-from service.core.errors import InputError
-from service.core.signals import Vector
+from faultline.analysis.recordings.bench import ECU_UNITS, REFERENCE, Bench, read_bench
+from faultline.analysis.recordings.clock import Clock, ClockError, given, synchronise
+from faultline.analysis.recordings.external import STUCK
+from faultline.analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
+from faultline.analysis.recordings.lags import likeness
+from faultline.analysis.recordings.picture import picture
+from faultline.analysis.recordings.report import Report, Source, Standstill, report
+from faultline.analysis.recordings.track import known_part
+from faultline.analysis.recordings.uniform import uniform
+from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Vector
 
 SAME_PRESSURE = 0.9
 """Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""

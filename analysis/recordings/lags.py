@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import correlate
 
-from analysis.recordings.band import Grid, gridded
-from analysis.recordings.track import Mask, Track
-from service.core.signals import Vector
+from faultline.analysis.recordings.band import Grid, gridded
+from faultline.analysis.recordings.track import Mask, Track
+from faultline.service.core.signals import Vector
 
 STEP_S = 0.1  # of the lags
 SLOW_S = 2.0  # slower changes do not help to find a time

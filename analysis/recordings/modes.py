@@ -1,9 +1,9 @@
 """The operating modes of a model as the vehicle follows them, and what stands for a mode that the system has not."""
 
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model, OperatingModes
-from service.core.manifest import Modes
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model, OperatingModes
+from faultline.service.core.manifest import Modes
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 
 def modes_of(model: Model) -> Modes:

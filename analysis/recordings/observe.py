@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.graph.bank import PERIOD_S, Bank
-from analysis.graph.runnable import Runnable
-from analysis.model import Model
-from analysis.recordings.modes import modes_of
-from service.core.decode import DecodeTable
-from service.core.generators import Generators, Residuals
-from service.core.manifest import Input, Manifest
-from service.core.modes import ModeTracker
-from service.core.observer import Decoder, Observer, Tick
-from service.core.sampling import Sampler
-from service.core.signals import Mask, Vector
-from service.logs import Frame, Log, LogError, open_log
+from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model
+from faultline.analysis.recordings.modes import modes_of
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.generators import Generators, Residuals
+from faultline.service.core.manifest import Input, Manifest
+from faultline.service.core.modes import ModeTracker
+from faultline.service.core.observer import Decoder, Observer, Tick
+from faultline.service.core.sampling import Sampler
+from faultline.service.core.signals import Mask, Vector
+from faultline.service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0
 

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from analysis.recordings.band import gridded
-from analysis.recordings.clock import Clock
-from analysis.recordings.track import Track
+from faultline.analysis.recordings.band import gridded
+from faultline.analysis.recordings.clock import Clock
+from faultline.analysis.recordings.track import Track
 
 P_DU, P_AP, LINE, QUIET = "#1f4e79", "#e07b00", "#c62828", "#8a8a8a"
 SECTION_S = 40.0

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.recordings.track import Track
-from service.core.errors import InputError
-from service.core.signals import Vector
+from faultline.analysis.recordings.track import Track
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Vector
 
 LOWEST_HZ, HIGHEST_HZ = 1.0, 9.0
 PARTIAL = (0.05, 0.95)  # doses with a ripple to speak of

@@ -11,12 +11,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from analysis.graph.bank import PERIOD_S, Bank
-from analysis.recordings.pulse import Pulse, PulseError
-from analysis.recordings.track import Mask, Track
-from service.core.modes import PARTIAL
-from service.core.observer import Tick
-from service.core.signals import Vector
+from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.recordings.pulse import Pulse, PulseError
+from faultline.analysis.recordings.track import Mask, Track
+from faultline.service.core.modes import PARTIAL
+from faultline.service.core.observer import Tick
+from faultline.service.core.signals import Vector
 
 BLOCK = 50  # ticks, 10 s, which hardly know of each other
 MATTERS = 0.02  # of the variance

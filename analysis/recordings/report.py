@@ -4,12 +4,12 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from analysis.recordings.bench import ECU_UNITS, Bench
-from analysis.recordings.clock import MINIMUM_CORRELATION, Clock
-from analysis.recordings.track import Track, known_part
-from analysis.recordings.uniform import PERIOD_S
-from analysis.recordings.zero import ATMOSPHERE, WEATHER
-from service.logs.recording import Table
+from faultline.analysis.recordings.bench import ECU_UNITS, Bench
+from faultline.analysis.recordings.clock import MINIMUM_CORRELATION, Clock
+from faultline.analysis.recordings.track import Track, known_part
+from faultline.analysis.recordings.uniform import PERIOD_S
+from faultline.analysis.recordings.zero import ATMOSPHERE, WEATHER
+from faultline.service.logs.recording import Table
 
 RESAMPLED = f"{1 / PERIOD_S:g} Hz behind a zero-phase FIR low-pass, empty in gaps"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.core.signals import Vector
-from service.logs import LogError
+from faultline.service.core.signals import Vector
+from faultline.service.logs import LogError
 
 SEPARATORS = (";", "\t", ",")
 MOST_BAD = 0.05

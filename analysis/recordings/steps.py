@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from analysis.recordings.band import gridded
-from analysis.recordings.track import Track
-from service.core.signals import Vector
+from faultline.analysis.recordings.band import gridded
+from faultline.analysis.recordings.track import Track
+from faultline.service.core.signals import Vector
 
 GRID_S = 0.1
 SMOOTH_S = 0.3

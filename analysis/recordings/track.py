@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.core.decode import DecodeTable
-from service.core.signals import Quality, Vector
-from service.logs import Frame
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.signals import Quality, Vector
+from faultline.service.logs import Frame
 
 SILENT_S = 1.0
 SILENT_PERIODS = 5.0

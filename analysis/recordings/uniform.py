@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import filtfilt, firwin
 
-from analysis.recordings.track import Track
-from service.core.signals import Vector
+from faultline.analysis.recordings.track import Track
+from faultline.service.core.signals import Vector
 
 PERIOD_S = 0.2
 _FINE = 10  # points of the intermediate grid per output sample

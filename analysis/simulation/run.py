@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg.lapack import dtbtrs
 
-from analysis.simulation.instants import Entries, UndeterminedError, solved
-from analysis.simulation.system import Jacobian, System
-from service.core.errors import InputError
+from faultline.analysis.simulation.instants import Entries, UndeterminedError, solved
+from faultline.analysis.simulation.system import Jacobian, System
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.model import Model
-from analysis.model.expression import sgsqrt
-from analysis.model.slope import Sign, slope
-from service.core.errors import InputError
+from faultline.analysis.model import Model
+from faultline.analysis.model.expression import sgsqrt
+from faultline.analysis.model.slope import Sign, slope
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

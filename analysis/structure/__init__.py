@@ -1,19 +1,19 @@
 """Structural analysis: which equations make a test, what it is sensitive to, and how it can be computed."""
 
-from analysis.structure.arguments import Arguments, Computation, arguments
-from analysis.structure.causality import residual_causality
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.diagnosability import detectability, isolability_of
-from analysis.structure.explain import why
-from analysis.structure.index import differential_orders, low_index, observable
-from analysis.structure.isolability import detectable, isolability, signature_matrix
-from analysis.structure.lint import lint, lint_structure, sound_model
-from analysis.structure.matrix import read_structure, structural_model
-from analysis.structure.placement import place_sensors
-from analysis.structure.selection import select_tests
-from analysis.structure.sensors import add_sensors, drop_sensors, with_other_sensors
-from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
-from analysis.structure.supports import Support, Test, find_tests, integral_tests, mso_sets, mtes_sets
+from faultline.analysis.structure.arguments import Arguments, Computation, arguments
+from faultline.analysis.structure.causality import residual_causality
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import detectability, isolability_of
+from faultline.analysis.structure.explain import why
+from faultline.analysis.structure.index import differential_orders, low_index, observable
+from faultline.analysis.structure.isolability import detectable, isolability, signature_matrix
+from faultline.analysis.structure.lint import lint, lint_structure, sound_model
+from faultline.analysis.structure.matrix import read_structure, structural_model
+from faultline.analysis.structure.placement import place_sensors
+from faultline.analysis.structure.selection import select_tests
+from faultline.analysis.structure.sensors import add_sensors, drop_sensors, with_other_sensors
+from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
+from faultline.analysis.structure.supports import Support, Test, find_tests, integral_tests, mso_sets, mtes_sets
 
 __all__ = [
     "Arguments",

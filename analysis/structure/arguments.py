@@ -7,9 +7,9 @@ gives the layout of a grey-box network.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from analysis.model import Model
-from analysis.structure.structure import Structure, structure_of
-from analysis.structure.supports import Test
+from faultline.analysis.model import Model
+from faultline.analysis.structure.structure import Structure, structure_of
+from faultline.analysis.structure.supports import Test
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,18 @@ import sys
 from pathlib import Path
 from typing import get_args
 
-from analysis.model import Model, dump_model, load_model
-from analysis.progress import Progress
-from analysis.structure.diagnosability import Interpretation
-from analysis.structure.document import document
-from analysis.structure.explain import why
-from analysis.structure.lint import lint
-from analysis.structure.matrix import read_structure
-from analysis.structure.report import report
-from analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
-from analysis.structure.structure import Structure, structure_of
-from analysis.structure.supports import find_tests
-from service.core.errors import InputError, writing
+from faultline.analysis.model import Model, dump_model, load_model
+from faultline.analysis.progress import Progress
+from faultline.analysis.structure.diagnosability import Interpretation
+from faultline.analysis.structure.document import document
+from faultline.analysis.structure.explain import why
+from faultline.analysis.structure.lint import lint
+from faultline.analysis.structure.matrix import read_structure
+from faultline.analysis.structure.report import report
+from faultline.analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
+from faultline.analysis.structure.structure import Structure, structure_of
+from faultline.analysis.structure.supports import find_tests
+from faultline.service.core.errors import InputError, writing
 
 EXAMPLE = """examples:
   faultline structure uds4 --tests
@@ -80,7 +80,7 @@ def main(argv: list[str]) -> int:
             raise InputError(f"{options.model}: a structural model has no formulas to write; give a model file")
         _write(options.written, dump_model(model))
     if options.figures:
-        from analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
+        from faultline.analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
 
         with Progress("drawing"), writing(options.figures):
             written = draw_all(model, options.figures, name)

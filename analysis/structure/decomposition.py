@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import networkx as nx
 
-from analysis.structure.matching import Matching, bits, mask_of
-from analysis.structure.structure import Structure
+from faultline.analysis.structure.matching import Matching, bits, mask_of
+from faultline.analysis.structure.structure import Structure
 
 
 @dataclass(frozen=True)

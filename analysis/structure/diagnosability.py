@@ -12,10 +12,10 @@ for differential constraints (IEEE Transactions on Systems, Man and Cybernetics 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, get_args
 
-from analysis.model.errors import ModelError
-from analysis.structure.causality import Constraint
-from analysis.structure.matching import bits, mask_of
-from analysis.structure.structure import Structure
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.structure.causality import Constraint
+from faultline.analysis.structure.matching import bits, mask_of
+from faultline.analysis.structure.structure import Structure
 
 Interpretation = Literal["mixed", "integral", "derivative"]
 

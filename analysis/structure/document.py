@@ -3,18 +3,18 @@
 from collections.abc import Mapping, Sequence
 from typing import get_args
 
-from analysis.model import Model
-from analysis.structure.arguments import arguments
-from analysis.structure.causality import residual_causality
-from analysis.structure.decomposition import Part, dulmage_mendelsohn
-from analysis.structure.diagnosability import Interpretation, detectability, isolability_of
-from analysis.structure.index import low_index, observable
-from analysis.structure.isolability import signature_matrix
-from analysis.structure.lint import lint, lint_structure
-from analysis.structure.placement import MANY_POSITIONS, SensorSet, place_sensors
-from analysis.structure.selection import select_tests
-from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
-from analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
+from faultline.analysis.model import Model
+from faultline.analysis.structure.arguments import arguments
+from faultline.analysis.structure.causality import residual_causality
+from faultline.analysis.structure.decomposition import Part, dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import Interpretation, detectability, isolability_of
+from faultline.analysis.structure.index import low_index, observable
+from faultline.analysis.structure.isolability import signature_matrix
+from faultline.analysis.structure.lint import lint, lint_structure
+from faultline.analysis.structure.placement import MANY_POSITIONS, SensorSet, place_sensors
+from faultline.analysis.structure.selection import select_tests
+from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
+from faultline.analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
 
 CAUSALITIES: tuple[Interpretation, ...] = get_args(Interpretation)
 

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from analysis.model.errors import ModelError
-from analysis.structure.diagnosability import Interpretation, OverDeterminedPart
-from analysis.structure.matching import bits
-from analysis.structure.sensors import add_sensors
-from analysis.structure.structure import Structure, over_determined
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.structure.diagnosability import Interpretation, OverDeterminedPart
+from faultline.analysis.structure.matching import bits
+from faultline.analysis.structure.sensors import add_sensors
+from faultline.analysis.structure.structure import Structure, over_determined
 
 LISTED = 12  # names that a sentence lists before it says how many more there are
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.structure.matching import bits
+from faultline.analysis.structure.matching import bits
 
 Field = NDArray[np.uint64]
 """Numbers of the field, 0 .. 2**BITS - 2."""

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from analysis.structure.decomposition import Part, dulmage_mendelsohn
-from analysis.structure.matching import Matching, mask_of
-from analysis.structure.structure import Structure
+from faultline.analysis.structure.decomposition import Part, dulmage_mendelsohn
+from faultline.analysis.structure.matching import Matching, mask_of
+from faultline.analysis.structure.structure import Structure
 
 
 def low_index(structure: Structure, equations: Sequence[str] | None = None) -> bool:

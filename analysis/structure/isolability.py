@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.structure.supports import Support
+from faultline.analysis.structure.supports import Support
 
 
 def signature_matrix(tests: Sequence[Support], faults: Sequence[str]) -> npt.NDArray[np.bool_]:

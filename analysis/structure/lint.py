@@ -10,16 +10,16 @@ from typing import Literal
 
 import sympy as sp
 
-from analysis.model.check import check_model
-from analysis.model.errors import ModelError
-from analysis.model.file import load_model
-from analysis.model.model import Model
-from analysis.model.units import SECOND, Dimension, Dimensions, MismatchError, parse_unit
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.matching import Matching
-from analysis.structure.placement import MANY_POSITIONS, place_sensors
-from analysis.structure.structure import Structure, structure_of
-from analysis.structure.supports import Test, find_tests
+from faultline.analysis.model.check import check_model
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.file import load_model
+from faultline.analysis.model.model import Model
+from faultline.analysis.model.units import SECOND, Dimension, Dimensions, MismatchError, parse_unit
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.matching import Matching
+from faultline.analysis.structure.placement import MANY_POSITIONS, place_sensors
+from faultline.analysis.structure.structure import Structure, structure_of
+from faultline.analysis.structure.supports import Test, find_tests
 
 
 @dataclass(frozen=True)

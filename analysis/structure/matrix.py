@@ -14,10 +14,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 
-from analysis.model import Differential, ModelError
-from analysis.model.tables import Table, first_repeated
-from analysis.structure.matching import mask_of
-from analysis.structure.structure import Structure
+from faultline.analysis.model import Differential, ModelError
+from faultline.analysis.model.tables import Table, first_repeated
+from faultline.analysis.structure.matching import mask_of
+from faultline.analysis.structure.structure import Structure
 
 _NAME = re.compile(r"[^\s,]+")
 _MATRICES = {"X": 3, "F": 1, "Z": 1}  # the largest entry

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.structure.generic import Field, UnluckyNumbersError, difference, inverses, null_vectors, product
-from analysis.structure.matching import Matching, bits
+from faultline.analysis.structure.generic import Field, UnluckyNumbersError, difference, inverses, null_vectors, product
+from faultline.analysis.structure.matching import Matching, bits
 
 Flags = NDArray[np.bool_]
 

@@ -16,11 +16,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
-from analysis.model.errors import ModelError
-from analysis.structure.diagnosability import Interpretation, OverDeterminedPart
-from analysis.structure.matching import bits, mask_of
-from analysis.structure.sensors import add_sensors, check_unknowns
-from analysis.structure.structure import Structure
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.structure.diagnosability import Interpretation, OverDeterminedPart
+from faultline.analysis.structure.matching import bits, mask_of
+from faultline.analysis.structure.sensors import add_sensors, check_unknowns
+from faultline.analysis.structure.structure import Structure
 
 MANY_POSITIONS = 40
 """Beyond these, listing every minimal set may take minutes."""

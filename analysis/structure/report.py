@@ -3,17 +3,17 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from analysis.model import Model
-from analysis.structure.arguments import Arguments, arguments
-from analysis.structure.causality import residual_causality
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.diagnosability import detectability, isolability_of
-from analysis.structure.document import CAUSALITIES, selected, sensor_sets
-from analysis.structure.isolability import signature_matrix
-from analysis.structure.lint import lint, lint_structure
-from analysis.structure.placement import MANY_POSITIONS
-from analysis.structure.structure import Structure, over_determined, redundancy, structure_of
-from analysis.structure.supports import Support, Test, find_tests, mso_sets
+from faultline.analysis.model import Model
+from faultline.analysis.structure.arguments import Arguments, arguments
+from faultline.analysis.structure.causality import residual_causality
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import detectability, isolability_of
+from faultline.analysis.structure.document import CAUSALITIES, selected, sensor_sets
+from faultline.analysis.structure.isolability import signature_matrix
+from faultline.analysis.structure.lint import lint, lint_structure
+from faultline.analysis.structure.placement import MANY_POSITIONS
+from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
+from faultline.analysis.structure.supports import Support, Test, find_tests, mso_sets
 
 SHOWN = 5
 """How many of many equally good sets are printed."""

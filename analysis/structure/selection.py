@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
-from analysis.model.errors import ModelError
-from analysis.structure.matching import bits, mask_of
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.structure.matching import bits, mask_of
 
 TOLERANCE = 1e-9  # of the optimum, below which two sums of costs are equal
 SLACK = 1e-6  # of the optimum: what the bound by a linear program may be wrong

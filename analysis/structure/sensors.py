@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 
-from analysis.model.errors import ModelError
-from analysis.model.model import Equation, Fault, Known, Model, OperatingModes, Unknown
-from analysis.structure.structure import Structure, structure_of
+from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.model import Equation, Fault, Known, Model, OperatingModes, Unknown
+from faultline.analysis.structure.structure import Structure, structure_of
 
 
 def with_other_sensors(model: Model, dropped: Iterable[str], measured: Sequence[str]) -> Model:

@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from analysis.model import Differential, Model
-from analysis.structure.matching import Matching, bits
+from faultline.analysis.model import Differential, Model
+from faultline.analysis.structure.matching import Matching, bits
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from analysis.model import Model
-from analysis.structure.causality import integral_residuals, solving_order
-from analysis.structure.minimal import minimal_sets
-from analysis.structure.structure import Structure, structure_of
+from faultline.analysis.model import Model
+from faultline.analysis.structure.causality import integral_residuals, solving_order
+from faultline.analysis.structure.minimal import minimal_sets
+from faultline.analysis.structure.structure import Structure, structure_of
 
 
 @dataclass(frozen=True, kw_only=True)

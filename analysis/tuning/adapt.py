@@ -15,21 +15,21 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.provenance import recordings_of
-from analysis.graph.bank import PERIOD_S, Bank
-from analysis.graph.runnable import Runnable
-from analysis.model import dump_model
-from analysis.progress import Progress
-from analysis.recordings.modes import modes_of, stand_ins
-from analysis.tuning.evidence import no_surer, with_drifts
-from analysis.tuning.file import Tuning, load_tuning, model_digest
-from analysis.tuning.numbers import widest
-from analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
-from analysis.tuning.thresholds import Seen, more_of
-from analysis.tuning.vehicles import Vehicle, offsets, read
-from service.core.consistency import of_evidence
-from service.core.errors import InputError
-from service.core.manifest import MODES, Detector, Evidence
+from faultline.analysis.calibration.provenance import recordings_of
+from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import dump_model
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.modes import modes_of, stand_ins
+from faultline.analysis.tuning.evidence import no_surer, with_drifts
+from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
+from faultline.analysis.tuning.numbers import widest
+from faultline.analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
+from faultline.analysis.tuning.thresholds import Seen, more_of
+from faultline.analysis.tuning.vehicles import Vehicle, offsets, read
+from faultline.service.core.consistency import of_evidence
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES, Detector, Evidence
 
 Array = npt.NDArray[np.float64]
 

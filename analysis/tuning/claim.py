@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from analysis.tuning.days import without_day
-from analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
-from analysis.tuning.thresholds import tune_detectors
-from analysis.tuning.vehicles import (
+from faultline.analysis.tuning.days import without_day
+from faultline.analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
+from faultline.analysis.tuning.thresholds import tune_detectors
+from faultline.analysis.tuning.vehicles import (
     Drive,
     Vehicle,
     hardly_seen,
@@ -28,9 +28,9 @@ from analysis.tuning.vehicles import (
     pooled,
     pooled_left_out,
 )
-from service.core.decision import Decision
-from service.core.generators import Generators
-from service.core.manifest import Claim, Count, Detector, Evidence, Manifest
+from faultline.service.core.decision import Decision
+from faultline.service.core.generators import Generators
+from faultline.service.core.manifest import Claim, Count, Detector, Evidence, Manifest
 
 Array = npt.NDArray[np.float64]
 

@@ -9,28 +9,28 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.provenance import is_fitted, recordings_of, vehicle_of
-from analysis.graph.bank import build_bank
-from analysis.graph.networks import load_networks
-from analysis.graph.runnable import Runnable
-from analysis.model import dump_model
-from analysis.places import check_file
-from analysis.progress import Progress
-from analysis.recordings.modes import modes_of, stand_ins
-from analysis.recordings.observe import START_WITHIN_S
-from analysis.structure.lint import sound_model
-from analysis.tuning.adapt import adapt, check_alike, golden
-from analysis.tuning.claim import Found, claim, count, folds, thresholds
-from analysis.tuning.evidence import gather
-from analysis.tuning.file import SCHEMA, Tuning, model_digest
-from analysis.tuning.kinds import LEVEL_KINDS, Kind
-from analysis.tuning.manifest import manifest_of
-from analysis.tuning.numbers import widest
-from analysis.tuning.plausible import doubts
-from analysis.tuning.target import Rule
-from analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
-from service.core.errors import InputError, writing
-from service.core.manifest import Evidence, brief
+from faultline.analysis.calibration.provenance import is_fitted, recordings_of, vehicle_of
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.graph.networks import load_networks
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import dump_model
+from faultline.analysis.places import check_file
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.modes import modes_of, stand_ins
+from faultline.analysis.recordings.observe import START_WITHIN_S
+from faultline.analysis.structure.lint import sound_model
+from faultline.analysis.tuning.adapt import adapt, check_alike, golden
+from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds
+from faultline.analysis.tuning.evidence import gather
+from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
+from faultline.analysis.tuning.kinds import LEVEL_KINDS, Kind
+from faultline.analysis.tuning.manifest import manifest_of
+from faultline.analysis.tuning.numbers import widest
+from faultline.analysis.tuning.plausible import doubts
+from faultline.analysis.tuning.target import Rule
+from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
+from faultline.service.core.errors import InputError, writing
+from faultline.service.core.manifest import Evidence, brief
 
 Array = npt.NDArray[np.float64]
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from analysis.tuning.thresholds import Seen
-from service.core.day import Day
-from service.core.manifest import Evidence
+from faultline.analysis.tuning.thresholds import Seen
+from faultline.service.core.day import Day
+from faultline.service.core.manifest import Evidence
 
 
 def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:

@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analysis.graph.bank import FAULTS, Bank, Trial
-from analysis.graph.independence import independent
-from analysis.model import Model
-from analysis.tuning.thresholds import OWN, Seen
-from service.core.manifest import MODES, Evidence, Follower, Hypothesis
-from service.core.modes import EDGE
-from service.core.straying import MINIMUM_TICKS
+from faultline.analysis.graph.bank import FAULTS, Bank, Trial
+from faultline.analysis.graph.independence import independent
+from faultline.analysis.model import Model
+from faultline.analysis.tuning.thresholds import OWN, Seen
+from faultline.service.core.manifest import MODES, Evidence, Follower, Hypothesis
+from faultline.service.core.modes import EDGE
+from faultline.service.core.straying import MINIMUM_TICKS
 
 Array = npt.NDArray[np.float64]
 

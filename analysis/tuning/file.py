@@ -5,8 +5,8 @@ from pathlib import Path
 
 import msgspec
 
-from service.core.errors import InputError
-from service.core.manifest import Claim, Detector, Evidence, Input, Modes, PerMode
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Claim, Detector, Evidence, Input, Modes, PerMode
 
 SCHEMA = "faultline.tuning/5"
 

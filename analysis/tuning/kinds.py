@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from service.core.detectors.bank import detector
-from service.core.manifest import (
+from faultline.service.core.detectors.bank import detector
+from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
     Detector,

@@ -3,11 +3,11 @@
 import hashlib
 from collections.abc import Mapping
 
-from analysis.calibration.provenance import recordings_of, vehicle_of
-from analysis.graph.bank import PERIOD_S
-from analysis.graph.runnable import Runnable
-from analysis.tuning.file import Tuning
-from service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
+from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.tuning.file import Tuning
+from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
 
 GOLDEN = "golden.json"
 

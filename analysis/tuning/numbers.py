@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from service.core.decode import DecodeTable
-from service.core.manifest import Input
-from service.core.signals import Quality
-from service.logs import Frame
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals import Quality
+from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]
 

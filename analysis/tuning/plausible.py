@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from analysis.tuning.claim import Fold
-from analysis.tuning.thresholds import MINIMUM_TICKS, Seen
-from service.core.manifest import MODES, Evidence
-from service.core.modes import EDGE
+from faultline.analysis.tuning.claim import Fold
+from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
+from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

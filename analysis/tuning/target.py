@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from analysis.tuning.days import without_day
-from analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
-from analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
-from analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
-from service.core.manifest import Detector, Evidence, kind_of
+from faultline.analysis.tuning.days import without_day
+from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
+from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
+from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
+from faultline.service.core.manifest import Detector, Evidence, kind_of
 
 Array = npt.NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from itertools import zip_longest
 import numpy as np
 import numpy.typing as npt
 
-from analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kind, Run, closed, opened, reached
-from service.core.detectors.spread import LARGEST
-from service.core.errors import InputError
-from service.core.manifest import MODES, Detector, kind_of
-from service.core.modes import EDGE
-from service.core.observer import Tick
+from faultline.analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kind, Run, closed, opened, reached
+from faultline.service.core.detectors.spread import LARGEST
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES, Detector, kind_of
+from faultline.service.core.modes import EDGE
+from faultline.service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.provenance import check_vehicle, vehicle_of
-from analysis.graph.bank import PERIOD_S
-from analysis.graph.runnable import Runnable
-from analysis.progress import Progress
-from analysis.recordings.observe import open_for, ticks_of
-from analysis.tuning.numbers import limited
-from analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.core.manifest import MODES, Input
-from service.core.observer import Tick
+from faultline.analysis.calibration.provenance import check_vehicle, vehicle_of
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.observe import open_for, ticks_of
+from faultline.analysis.tuning.numbers import limited
+from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES, Input
+from faultline.service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 

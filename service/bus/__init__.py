@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable
 from ipaddress import AddressValueError, IPv4Address
 
-from service.bus.base import Bus, BusError
-from service.core.decode import Wanted
+from faultline.service.bus.base import Bus, BusError
+from faultline.service.core.decode import Wanted
 
 __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 
@@ -25,15 +25,15 @@ def open_bus(
     kind, _, rest = spec.partition(":")
     group, _, port = rest.partition(":")
     if kind == "socketcan" and re.fullmatch(r"[^\s/:]{1,15}", rest):
-        from service.bus.socketcan import SocketCan  # only the kind that is asked for is loaded
+        from faultline.service.bus.socketcan import SocketCan  # only the kind that is asked for is loaded
 
         return SocketCan(rest, wanted, believe_local=believe_local, required=required)
     if kind == "udp_multicast" and _is_group(group) and port.isdecimal() and 0 < int(port) < 65_536:
-        from service.bus.udp import UdpMulticast
+        from faultline.service.bus.udp import UdpMulticast
 
         return UdpMulticast(group, int(port))  # there as long as this machine is
     if (other := re.fullmatch(r"can:(\w+):([^\s:]+)(?::(\d{1,8}))?", spec)) is not None:
-        from service.bus.pythoncan import PythonCan
+        from faultline.service.bus.pythoncan import PythonCan
 
         interface, channel, bitrate = other.groups()
         if interface in _OWN:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal
 
-from service.core.decode import Wanted
-from service.core.errors import InputError
-from service.logs import Frame
+from faultline.service.core.decode import Wanted
+from faultline.service.core.errors import InputError
+from faultline.service.logs import Frame
 
 BATCH = 512
 """Frames taken in one call, so that a flood cannot hold up the loop."""

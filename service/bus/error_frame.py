@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from service.bus.base import Trouble
+from faultline.service.bus.base import Trouble
 
 BUS_OFF, RESTARTED, CONTROLLER = 0x40, 0x100, 0x04
 """Classes: bits of the identifier."""

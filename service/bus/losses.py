@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from service.bus.base import Bus
-from service.core.decode import DecodeTable, Rejected
+from faultline.service.bus.base import Bus
+from faultline.service.core.decode import DecodeTable, Rejected
 
 
 class Losses:

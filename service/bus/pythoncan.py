@@ -12,8 +12,8 @@ from typing import Any
 
 import can
 
-from service.bus.base import BATCH, Bus, BusError
-from service.logs import Frame
+from faultline.service.bus.base import BATCH, Bus, BusError
+from faultline.service.logs import Frame
 
 RETRY_S, LONGEST_RETRY_S = 0.2, 5.0
 ERRORS = (can.CanError, OSError, ValueError, NotImplementedError, ImportError, TypeError)

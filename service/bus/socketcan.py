@@ -10,12 +10,12 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-from service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
-from service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
-from service.bus.interface import Interface, interface, losses
-from service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
-from service.core.decode import Wanted
-from service.logs import Frame
+from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
+from faultline.service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
+from faultline.service.bus.interface import Interface, interface, losses
+from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
+from faultline.service.core.decode import Wanted
+from faultline.service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000

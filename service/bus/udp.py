@@ -16,8 +16,8 @@ import can
 import msgspec
 from can.interfaces.udp_multicast.utils import pack_message
 
-from service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
-from service.logs import Frame
+from faultline.service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
+from faultline.service.logs import Frame
 
 LOOPBACK = socket.inet_aton("127.0.0.1")
 IP_MULTICAST_ALL = 49  # linux/in.h

@@ -1,6 +1,6 @@
 """Whether two bundles decide alike: then what one has seen and suspects is worth the same to the other."""
 
-from service.core.manifest import Manifest
+from faultline.service.core.manifest import Manifest
 
 
 def decide_alike(one: Manifest, other: Manifest) -> bool:

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from service.core.signals import Indices, Mask, Vector
+from faultline.service.core.signals import Indices, Mask, Vector
 
 
 class Stepped(Protocol):

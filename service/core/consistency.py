@@ -6,8 +6,8 @@ from itertools import groupby
 
 import numpy as np
 
-from service.core.manifest import MODES, CusumDetector, Detector, Evidence, Manifest, SpreadDetector
-from service.core.signals import Vector
+from faultline.service.core.manifest import MODES, CusumDetector, Detector, Evidence, Manifest, SpreadDetector
+from faultline.service.core.signals import Vector
 
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
 ROUNDING = 1e-9  # of a correlation

@@ -15,10 +15,10 @@ one that nothing has been learnt of for a while comes back to the usual one, as 
 
 import numpy as np
 
-from service.core.manifest import Evidence
-from service.core.modes import EDGE
-from service.core.signals import Mask, Vector
-from service.core.straying import Level, Means, Straying, Visit
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Mask, Vector
+from faultline.service.core.straying import Level, Means, Straying, Visit
 
 GUARD_TICKS = 150
 """30 s: what is newer waits, one to two times as long."""

@@ -8,8 +8,8 @@ from cantools.database.can import Database, Message
 from cantools.database.can import Signal as DbcSignal
 from cantools.database.errors import Error as DatabaseError
 
-from service.core.decode import PRIORITY_MASK, Cut, DecodeTable, Field, Layout, Only, Selector
-from service.core.errors import InputError
+from faultline.service.core.decode import PRIORITY_MASK, Cut, DecodeTable, Field, Layout, Only, Selector
+from faultline.service.core.errors import InputError
 
 LONGEST = 8
 """Bytes of a message of J1939 that comes in one frame (SAE J1939-21)."""

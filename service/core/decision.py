@@ -18,17 +18,17 @@ from functools import partial
 
 import numpy as np
 
-from service.core.detectors.bank import DetectorBank
-from service.core.events import Diagnosis, candidates
-from service.core.explaining import Explainer
-from service.core.generators import Residuals
-from service.core.hypotheses import Hypotheses, Look
-from service.core.intermittence import BLOCK_TICKS, Intermittence
-from service.core.manifest import MODES, Manifest
-from service.core.modes import EDGE
-from service.core.signals import Mask, Vector
-from service.core.unlike import Unlike
-from service.core.window import Blocks
+from faultline.service.core.detectors.bank import DetectorBank
+from faultline.service.core.events import Diagnosis, candidates
+from faultline.service.core.explaining import Explainer
+from faultline.service.core.generators import Residuals
+from faultline.service.core.hypotheses import Hypotheses, Look
+from faultline.service.core.intermittence import BLOCK_TICKS, Intermittence
+from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Mask, Vector
+from faultline.service.core.unlike import Unlike
+from faultline.service.core.window import Blocks
 
 RANKING_PERIOD = 15
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.

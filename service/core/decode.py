@@ -13,8 +13,8 @@ from dataclasses import InitVar, dataclass, field
 from math import ceil, floor, inf, isfinite, nan
 from typing import NamedTuple
 
-from service.core.arrivals import Arrival, Arrivals
-from service.core.signals import Quality, j1939_quality
+from faultline.service.core.arrivals import Arrival, Arrivals
+from faultline.service.core.signals import Quality, j1939_quality
 
 PRIORITY_MASK = 0x03FF_FFFF
 """Bits of a 29-bit identifier below the priority: data page, PGN and source address."""

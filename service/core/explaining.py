@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.core.events import Diagnosis
-from service.core.hypotheses import Look, confined
-from service.core.isolation import UNKNOWN, diagnoses
-from service.core.manifest import Manifest
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.hypotheses import Look, confined
+from faultline.service.core.isolation import UNKNOWN, diagnoses
+from faultline.service.core.manifest import Manifest
 
 SUREST = 0.999
 """No fault is more probable than this: the model may lack what it is."""

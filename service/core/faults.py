@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from service.core.events import Diagnosis
-from service.core.manifest import MODES
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.manifest import MODES
 
 SCHEMA = "faultline.fault/1"
 

@@ -6,7 +6,7 @@ engineer would have wanted to record.
 
 import msgspec
 
-from service.core.events import Diagnosis
+from faultline.service.core.events import Diagnosis
 
 SCHEMA = "faultline.frame/1"
 

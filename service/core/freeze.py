@@ -7,12 +7,12 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from service.core.decision import Decision
-from service.core.events import Diagnosis, Event
-from service.core.frame import SCHEMA, Excerpt, Frame, Input, Verdict
-from service.core.manifest import MODES, Manifest
-from service.core.observer import Tick
-from service.core.signals import Mask, Qualities, Quality, Vector
+from faultline.service.core.decision import Decision
+from faultline.service.core.events import Diagnosis, Event
+from faultline.service.core.frame import SCHEMA, Excerpt, Frame, Input, Verdict
+from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.observer import Tick
+from faultline.service.core.signals import Mask, Qualities, Quality, Vector
 
 
 class Sample(NamedTuple):

@@ -14,9 +14,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import onnxruntime as ort
 
-from service.core.assumed import Assumed
-from service.core.manifest import Evidence, Generator, Input
-from service.core.signals import Indices, Mask, Vector
+from faultline.service.core.assumed import Assumed
+from faultline.service.core.manifest import Evidence, Generator, Input
+from faultline.service.core.signals import Indices, Mask, Vector
 
 HELD_TICKS = 2
 OUTSIDE = 0.01

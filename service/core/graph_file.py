@@ -9,7 +9,7 @@ What a node makes of its inputs is not bounded by that: a bundle is tried where 
 from collections.abc import Iterator
 from math import prod
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 OPERATORS = frozenset(
     {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "MatMul", "Max", "Mul", "Reciprocal"}

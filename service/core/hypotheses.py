@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.manifest import Evidence
-from service.core.signals import Indices, Mask, Vector
-from service.core.straying import Level, Means, Straying
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.signals import Indices, Mask, Vector
+from faultline.service.core.straying import Level, Means, Straying
 
 GAMMA = 0.1
 

@@ -7,11 +7,11 @@ were healthy before, it has come: what is before is left out. Only the same mode
 mode shows and another does not is told apart from others by just that.
 """
 
-from service.core.explaining import TIE
-from service.core.hypotheses import Hypotheses, Look
-from service.core.signals import Mask
-from service.core.straying import Level
-from service.core.window import Blocks
+from faultline.service.core.explaining import TIE
+from faultline.service.core.hypotheses import Hypotheses, Look
+from faultline.service.core.signals import Mask
+from faultline.service.core.straying import Level
+from faultline.service.core.window import Blocks
 
 BLOCK_TICKS = 15
 """3 s, of which all are left out or none: the shorter, the fewer are half with the fault and half without."""

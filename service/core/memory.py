@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 from msgspec import Meta, structs
 
-from service.core.debounce import Debounce, Disabled
-from service.core.events import Event, candidates
-from service.core.faults import Change, Fault, Number, Seen, Status, names
-from service.core.manifest import MODES
-from service.core.modes import EDGE
-from service.core.signals import Mask
-from service.core.system import System
+from faultline.service.core.debounce import Debounce, Disabled
+from faultline.service.core.events import Event, candidates
+from faultline.service.core.faults import Change, Fault, Number, Seen, Status, names
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Mask
+from faultline.service.core.system import System
 
 LOOK_TICKS = 25  # 5 s at the usual period
 Cycles = Annotated[int, Meta(ge=1, le=255)]

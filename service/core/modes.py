@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.manifest import MODES, Input, Modes
-from service.core.signals import Mask, Vector
+from faultline.service.core.manifest import MODES, Input, Modes
+from faultline.service.core.signals import Mask, Vector
 
 IDLE, PARTIAL, MAXIMUM, EDGE = range(len(MODES))
 

@@ -5,16 +5,16 @@ Live, in replay and offline the same frames at the same times give the same even
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from service.core.decision import Decision
-from service.core.decode import DecodeTable
-from service.core.events import Event
-from service.core.generators import GeneratorBank
-from service.core.manifest import Manifest
-from service.core.modes import ModeTracker
-from service.core.observer import Observer, Tick
-from service.core.sampling import Sampler
-from service.core.signals import Qualities
-from service.core.telling import Teller
+from faultline.service.core.decision import Decision
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.events import Event
+from faultline.service.core.generators import GeneratorBank
+from faultline.service.core.manifest import Manifest
+from faultline.service.core.modes import ModeTracker
+from faultline.service.core.observer import Observer, Tick
+from faultline.service.core.sampling import Sampler
+from faultline.service.core.signals import Qualities
+from faultline.service.core.telling import Teller
 
 
 class Monitor:

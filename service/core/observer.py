@@ -10,10 +10,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from service.core.generators import Generators, Residuals
-from service.core.modes import ModeTracker
-from service.core.sampling import Sampler
-from service.core.signals import Mask, Qualities, Quality, Vector
+from faultline.service.core.generators import Generators, Residuals
+from faultline.service.core.modes import ModeTracker
+from faultline.service.core.sampling import Sampler
+from faultline.service.core.signals import Mask, Qualities, Quality, Vector
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those

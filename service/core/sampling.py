@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.core.manifest import Input
-from service.core.signals import Qualities, Quality, Vector
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals import Qualities, Quality, Vector
 
 DOUBTED_S = 10.0
 """For so long after a frame that nobody knows whose it is, its signals are not believed [s]."""

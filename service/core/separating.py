@@ -9,8 +9,8 @@ from itertools import combinations
 
 import msgspec
 
-from service.core.events import Diagnosis
-from service.core.manifest import Generator
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.manifest import Generator
 
 MOST = 4  # explanations that are compared, the best ones: six pairs
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.manifest import MODES, Evidence
-from service.core.modes import EDGE
-from service.core.signals import Indices, Mask, Vector
+from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Indices, Mask, Vector
 
 STEADY = [mode for mode in range(len(MODES)) if mode != EDGE]
 MINIMUM_TICKS = 10

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from service.core.events import Diagnosis
-from service.core.faults import Dtc
-from service.core.manifest import Manifest
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Dtc
+from faultline.service.core.manifest import Manifest
 
 AMBIGUOUS, UNKNOWN = Dtc(spn=520192, fmi=11), Dtc(spn=520192, fmi=31)
 """The watched system as a whole, of a manufacturer's numbers: root cause not known (it is one of several components),

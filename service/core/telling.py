@@ -2,7 +2,7 @@
 
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from service.core.events import SCHEMA, Diagnosis, Event, Transition, candidates
+from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition, candidates
 
 SETTLE_TICKS = 10
 """A change is told once it has lasted this long: tests that fire within it tell their news together."""

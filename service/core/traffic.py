@@ -4,10 +4,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from service.core.decode import DecodeTable, Layout
-from service.core.health import Condition, Kind
-from service.core.manifest import Input
-from service.core.signals import Qualities, Quality
+from faultline.service.core.decode import DecodeTable, Layout
+from faultline.service.core.health import Condition, Kind
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals import Qualities, Quality
 
 WINDOW_S = 10.0
 """What is wrong with frames is told for so long after the last one."""

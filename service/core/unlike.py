@@ -7,14 +7,14 @@ fault tells that was there from the start, as far as no day looks like it.
 
 from collections.abc import Sequence
 
-from service.core.day import Day
-from service.core.detectors.bank import FROZEN_TICKS
-from service.core.generators import Residuals
-from service.core.hypotheses import Hypotheses
-from service.core.manifest import Evidence
-from service.core.signals import Vector
-from service.core.straying import Level, Means
-from service.core.window import Recent, Window
+from faultline.service.core.day import Day
+from faultline.service.core.detectors.bank import FROZEN_TICKS
+from faultline.service.core.generators import Residuals
+from faultline.service.core.hypotheses import Hypotheses
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.signals import Vector
+from faultline.service.core.straying import Level, Means
+from faultline.service.core.window import Recent, Window
 
 CHANGED, SAME = 15.0, 10.0
 """How much better than none a fault must fit, on this day, what has been seen of late; and that it no longer does."""

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.manifest import Evidence
-from service.core.modes import EDGE
-from service.core.signals import Mask, Vector
-from service.core.straying import Means, Visit
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Mask, Vector
+from faultline.service.core.straying import Means, Visit
 
 PART_TICKS = 750  # 150 s
 RECENT_TICKS = 150  # 30 s

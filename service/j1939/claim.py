@@ -8,9 +8,9 @@ take the next of our addresses, if our NAME says that we may, or say that we can
 from collections.abc import Sequence
 from typing import Literal
 
-from service.j1939.frames import ADDRESS_CLAIMED, NULL, Message
-from service.j1939.name import SIZE, delay_s, is_arbitrary
-from service.logs import Frame
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, NULL, Message
+from faultline.service.j1939.name import SIZE, delay_s, is_arbitrary
+from faultline.service.logs import Frame
 
 WAIT_S = 0.25
 CONTENDED = range(128, 248)

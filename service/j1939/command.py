@@ -5,12 +5,12 @@ import sys
 from contextlib import closing, suppress
 from pathlib import Path
 
-from service.j1939.config import load_config
-from service.j1939.loop import Loop
-from service.j1939.memory import Memory
-from service.j1939.node import Node
-from service.j1939.wire import Wire
-from service.systemd import Notifier, Supervisor
+from faultline.service.j1939.config import load_config
+from faultline.service.j1939.loop import Loop
+from faultline.service.j1939.memory import Memory
+from faultline.service.j1939.node import Node
+from faultline.service.j1939.wire import Wire
+from faultline.service.systemd import Notifier, Supervisor
 
 EXAMPLE = """example:
   faultline j1939 --config /etc/faultline/j1939.toml

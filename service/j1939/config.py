@@ -21,9 +21,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from service.j1939.claim import CONTENDED
-from service.j1939.name import name_of
-from service.strict import Part, Path_, Read, Step, read
+from faultline.service.j1939.claim import CONTENDED
+from faultline.service.j1939.name import name_of
+from faultline.service.strict import Part, Path_, Read, Step, read
 
 INTERFACE = r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z"
 

@@ -7,7 +7,7 @@ multicast group gives every sender its own datagrams.
 
 from collections import deque
 
-from service.logs import Frame
+from faultline.service.logs import Frame
 
 PATIENCE_S = 1.0
 """A frame that was not transmitted in that time, with none after it, is one on a bus that takes nothing."""

@@ -6,7 +6,7 @@ With a format below 240 the specific byte is the destination, else it belongs to
 
 from typing import NamedTuple
 
-from service.logs import Frame
+from faultline.service.logs import Frame
 
 NULL, GLOBAL = 254, 255
 """Addresses that nobody has: of a node that has none, and of all nodes."""

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-from service.j1939.frames import NULL
-from service.j1939.memory import Memory
-from service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node, Status
-from service.j1939.wire import Wire
-from service.systemd import Heartbeat, Notifier
+from faultline.service.j1939.frames import NULL
+from faultline.service.j1939.memory import Memory
+from faultline.service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node, Status
+from faultline.service.j1939.wire import Wire
+from faultline.service.systemd import Heartbeat, Notifier
 
 IDLE_S = 0.5
 ALIVE_S = 3.0

@@ -10,9 +10,9 @@ from typing import Any
 
 import msgspec
 
-from service.core.faults import Fault
-from service.j1939.dtcs import Known, known, left_out, unsent
-from service.j1939.lines import Lines
+from faultline.service.core.faults import Fault
+from faultline.service.j1939.dtcs import Known, known, left_out, unsent
+from faultline.service.j1939.lines import Lines
 
 ASK_S, ASK_BLIND_S = 10.0, 1.0
 """How often it is asked without being told that anything has changed: with the events, and without."""

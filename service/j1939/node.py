@@ -10,15 +10,15 @@ its parts take longer than that, the next one waits for the last part.
 from collections.abc import Sequence
 from typing import Literal
 
-from service.j1939.claim import Claim
-from service.j1939.dm1 import encode
-from service.j1939.dtcs import Known
-from service.j1939.echo import Echo
-from service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, FRAME, GLOBAL, NULL, Heard, Message, parse
-from service.j1939.name import SIZE
-from service.j1939.outbox import Outbox
-from service.j1939.requests import Refusal, refused, wanted
-from service.logs import Frame
+from faultline.service.j1939.claim import Claim
+from faultline.service.j1939.dm1 import encode
+from faultline.service.j1939.dtcs import Known
+from faultline.service.j1939.echo import Echo
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, FRAME, GLOBAL, NULL, Heard, Message, parse
+from faultline.service.j1939.name import SIZE
+from faultline.service.j1939.outbox import Outbox
+from faultline.service.j1939.requests import Refusal, refused, wanted
+from faultline.service.logs import Frame
 
 PERIOD_S = 1.0
 LATE_S = 0.2

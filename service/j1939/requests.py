@@ -6,7 +6,7 @@ to all, or not at all. Acknowledgements go to all; their fifth byte says who ask
 
 from enum import IntEnum
 
-from service.j1939.frames import ACKNOWLEDGEMENT, REQUEST, Heard, Message, pgn_bytes
+from faultline.service.j1939.frames import ACKNOWLEDGEMENT, REQUEST, Heard, Message, pgn_bytes
 
 _SIZE = 3
 

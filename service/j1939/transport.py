@@ -8,8 +8,8 @@ from collections import Counter
 from enum import IntEnum
 from typing import Literal
 
-from service.j1939.dm1 import LARGEST
-from service.j1939.frames import GLOBAL, TP_CM, TP_DT, TP_PRIORITY, Message, pgn_bytes
+from faultline.service.j1939.dm1 import LARGEST
+from faultline.service.j1939.frames import GLOBAL, TP_CM, TP_DT, TP_PRIORITY, Message, pgn_bytes
 
 PART = 7  # bytes
 RTS, CTS, END, BAM, ABORT = 0x10, 0x11, 0x13, 0x20, 0xFF

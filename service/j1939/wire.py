@@ -12,14 +12,14 @@ import errno
 import socket
 from collections.abc import Callable, Iterable, Sequence
 
-from service.bus import Bus, BusError, open_bus
-from service.bus.base import Trouble
-from service.bus.interface import SYS, Interface, interface
-from service.bus.reader import CLASSIC
-from service.bus.socketcan import CAN_RAW_RECV_OWN_MSGS, EFF_FLAG, SocketCan, can_socket
-from service.core.decode import Wanted
-from service.j1939.frames import ADDRESS_CLAIMED, REQUEST, TP_CM
-from service.logs import Frame
+from faultline.service.bus import Bus, BusError, open_bus
+from faultline.service.bus.base import Trouble
+from faultline.service.bus.interface import SYS, Interface, interface
+from faultline.service.bus.reader import CLASSIC
+from faultline.service.bus.socketcan import CAN_RAW_RECV_OWN_MSGS, EFF_FLAG, SocketCan, can_socket
+from faultline.service.core.decode import Wanted
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, REQUEST, TP_CM
+from faultline.service.logs import Frame
 
 IFF_ECHO = 1 << 18  # linux/if.h
 _FORMAT, _SOURCE = 0x00FF_0000, 0xFF

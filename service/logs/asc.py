@@ -8,7 +8,7 @@ CANoe and python-can write.
 import re
 from collections.abc import Iterator
 
-from service.logs.report import Frame, LogReport, OnChannel, read_lines, shown
+from faultline.service.logs.report import Frame, LogReport, OnChannel, read_lines, shown
 
 _HEADER = re.compile(rb"date\s.*|base\s+(hex|dec)\b(.*)|(?:no\s+)?internal\s+events\s+logged|//.*|", re.IGNORECASE)
 _TRIGGER = re.compile(rb"(begin|end)\s+triggerblock\b.*", re.IGNORECASE)

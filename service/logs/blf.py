@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from service.logs.report import Frame, LogReport, OnChannel
+from faultline.service.logs.report import Frame, LogReport, OnChannel
 
 _SIGNATURE = b"LOBJ"
 _FILE = struct.Struct("<4sL8xQQLL16s16s")  # LOGG, header's size, file's size, uncompressed, objects, read, start, stop

@@ -8,7 +8,7 @@ import re
 from binascii import unhexlify
 from collections.abc import Iterator
 
-from service.logs.report import Frame, LogReport, OnChannel, shown
+from faultline.service.logs.report import Frame, LogReport, OnChannel, shown
 
 EXAMPLE = "(1767225600.123456) can0 18FF103D#0011223344556677"
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from service.logs.asc import read_asc
-from service.logs.blf import read_blf
-from service.logs.candump import no_candump, read_candump
-from service.logs.report import Frame, LogError, LogReport, OnChannel, in_order
-from service.logs.tables import read_csv, read_sqlite
-from service.logs.trc import read_trc
+from faultline.service.logs.asc import read_asc
+from faultline.service.logs.blf import read_blf
+from faultline.service.logs.candump import no_candump, read_candump
+from faultline.service.logs.report import Frame, LogError, LogReport, OnChannel, in_order
+from faultline.service.logs.tables import read_csv, read_sqlite
+from faultline.service.logs.trc import read_trc
 
 READERS: Mapping[str, Callable[[bytes, LogReport], Iterator[OnChannel]]] = {
     ".asc": read_asc,

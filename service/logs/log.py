@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from service.logs.formats import parse_log
-from service.logs.recording import Recording, load_recording
-from service.logs.report import Frame, LogError, LogReport, Wanted, anything
+from faultline.service.logs.formats import parse_log
+from faultline.service.logs.recording import Recording, load_recording
+from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from service.logs.report import LogError
+from faultline.service.logs.report import LogError
 
 FILE = "recording.toml"
 SCHEMA = 1

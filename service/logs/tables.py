@@ -6,7 +6,7 @@ import struct
 from base64 import b64decode
 from collections.abc import Iterator
 
-from service.logs.report import Frame, LogReport, OnChannel, read_lines, shown
+from faultline.service.logs.report import Frame, LogReport, OnChannel, read_lines, shown
 
 _ROW = re.compile(
     rb"(-?\d+(?:\.\d*)?(?:e[-+]?\d+)?),(?:0x)?([0-9a-f]+),([01]),([01]),([01]),(\d+),([\w+/=]*)", re.IGNORECASE

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
-from service.logs.report import Frame, LogError, LogReport, OnChannel, read_lines, shown
+from faultline.service.logs.report import Frame, LogError, LogReport, OnChannel, read_lines, shown
 
 _COLUMNS = {
     b"1.0": b"NOILD",

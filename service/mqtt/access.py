@@ -9,8 +9,8 @@ import ssl
 from collections.abc import Mapping
 from pathlib import Path
 
-from service.core.errors import InputError
-from service.mqtt.config import MqttConfig, TlsConfig
+from faultline.service.core.errors import InputError
+from faultline.service.mqtt.config import MqttConfig, TlsConfig
 
 LONGEST = 65535
 """Bytes of a password at most (MQTT 5.0, 3.1.3.6)."""

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from service.mqtt.records import number_of
+from faultline.service.mqtt.records import number_of
 
 TIMEOUT_S = 1.0
 """For the whole answer: our own loop stands still meanwhile."""

@@ -6,18 +6,18 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from service.mqtt.ask import AskError, State, ask_faults, ask_state
-from service.mqtt.broker import Broker
-from service.mqtt.config import MqttConfig
-from service.mqtt.cursor import Cursor, CursorFile
-from service.mqtt.daemon import Daemon
-from service.mqtt.naming import Naming
-from service.mqtt.patience import Backoff, Say
-from service.mqtt.progress import Progress
-from service.mqtt.retained import Retained
-from service.mqtt.sender import Sender
-from service.mqtt.topics import TopicError
-from service.systemd import Heartbeat, Notifier
+from faultline.service.mqtt.ask import AskError, State, ask_faults, ask_state
+from faultline.service.mqtt.broker import Broker
+from faultline.service.mqtt.config import MqttConfig
+from faultline.service.mqtt.cursor import Cursor, CursorFile
+from faultline.service.mqtt.daemon import Daemon
+from faultline.service.mqtt.naming import Naming
+from faultline.service.mqtt.patience import Backoff, Say
+from faultline.service.mqtt.progress import Progress
+from faultline.service.mqtt.retained import Retained
+from faultline.service.mqtt.sender import Sender
+from faultline.service.mqtt.topics import TopicError
+from faultline.service.systemd import Heartbeat, Notifier
 
 TURN_S = 1.0
 """A turn begins so often, though nothing happens."""

@@ -6,7 +6,7 @@ import ssl
 
 from paho.mqtt.reasoncodes import ReasonCode
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 TIMEOUT_S = 10.0
 """So long may each step of connecting take."""

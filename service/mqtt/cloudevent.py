@@ -9,7 +9,7 @@ import re
 
 import msgspec
 
-from service.mqtt.records import CLEARED, EVENT, FAULT, HEALTH, Record
+from faultline.service.mqtt.records import CLEARED, EVENT, FAULT, HEALTH, Record
 
 CONTENT_TYPE = "application/cloudevents+json"
 DIGITS = 20

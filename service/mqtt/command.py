@@ -7,14 +7,14 @@ import time
 from contextlib import closing, suppress
 from pathlib import Path
 
-from service.distribution import installed_version
-from service.mqtt import config as format_of_the_file
-from service.mqtt.access import context, password
-from service.mqtt.bridge import Bridge
-from service.mqtt.config import load_config
-from service.mqtt.cursor import CursorFile
-from service.mqtt.patience import Said
-from service.systemd import Notifier, Supervisor
+from faultline.service.distribution import installed_version
+from faultline.service.mqtt import config as format_of_the_file
+from faultline.service.mqtt.access import context, password
+from faultline.service.mqtt.bridge import Bridge
+from faultline.service.mqtt.config import load_config
+from faultline.service.mqtt.cursor import CursorFile
+from faultline.service.mqtt.patience import Said
+from faultline.service.systemd import Notifier, Supervisor
 
 EXAMPLE = """example:
   faultline mqtt --config /etc/faultline/mqtt.toml

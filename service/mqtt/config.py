@@ -30,8 +30,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from service.core.errors import InputError
-from service.mqtt.topics import TopicError, level, levels
+from faultline.service.core.errors import InputError
+from faultline.service.mqtt.topics import TopicError, level, levels
 
 LARGEST = 256 * 1024
 """Bytes of the file at most."""

@@ -15,7 +15,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 VERSION = 1
 ASIDE = 3

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import msgspec
 
-from service.mqtt.patience import Backoff, Say
-from service.mqtt.records import Record, RecordError, read
-from service.mqtt.stream import Stream, StreamError
+from faultline.service.mqtt.patience import Backoff, Say
+from faultline.service.mqtt.records import Record, RecordError, read
+from faultline.service.mqtt.stream import Stream, StreamError
 
 RETRY_S = 0.5, 5.0
 """Between two tries to connect: at first, and at most."""

@@ -18,11 +18,11 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from service.mqtt.access import context, password
-from service.mqtt.broker_words import TIMEOUT_S, ended, failed, lost, refused
-from service.mqtt.config import MqttConfig
-from service.mqtt.outbox import IN_FLIGHT, Publication
-from service.mqtt.puback_codes import allow_all
+from faultline.service.mqtt.access import context, password
+from faultline.service.mqtt.broker_words import TIMEOUT_S, ended, failed, lost, refused
+from faultline.service.mqtt.config import MqttConfig
+from faultline.service.mqtt.outbox import IN_FLIGHT, Publication
+from faultline.service.mqtt.puback_codes import allow_all
 
 allow_all()
 

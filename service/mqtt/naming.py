@@ -1,6 +1,6 @@
 """Which vehicle this is."""
 
-from service.mqtt.topics import TopicError, level
+from faultline.service.mqtt.topics import TopicError, level
 
 
 class Naming:

@@ -2,9 +2,9 @@
 
 from collections.abc import Collection, Iterable
 
-from service.mqtt.cursor import Cursor, CursorFile
-from service.mqtt.outbox import Passed
-from service.mqtt.patience import Say
+from faultline.service.mqtt.cursor import Cursor, CursorFile
+from faultline.service.mqtt.outbox import Passed
+from faultline.service.mqtt.patience import Say
 
 KEPT_S = 0.5
 """Between two writes at least."""

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import msgspec
 
-from service.core.events import SCHEMA as EVENT
-from service.core.faults import CLEARED
-from service.core.faults import SCHEMA as FAULT
-from service.core.health import SCHEMA as HEALTH
+from faultline.service.core.events import SCHEMA as EVENT
+from faultline.service.core.faults import CLEARED
+from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.health import SCHEMA as HEALTH
 
 __all__ = ["CLEARED", "EVENT", "FAULT", "HEALTH", "FaultState", "Record", "RecordError", "read"]
 

@@ -1,13 +1,13 @@
 """All that is retained of a vehicle: the states of its faults, and its health."""
 
-from service.mqtt.ask import Remembered, State
-from service.mqtt.cursor import Cursor
-from service.mqtt.outbox import Publication
-from service.mqtt.patience import Say
-from service.mqtt.records import Record, RecordError
-from service.mqtt.states import FaultStates
-from service.mqtt.topics import Topics
-from service.mqtt.vehicle_health import VehicleHealth
+from faultline.service.mqtt.ask import Remembered, State
+from faultline.service.mqtt.cursor import Cursor
+from faultline.service.mqtt.outbox import Publication
+from faultline.service.mqtt.patience import Say
+from faultline.service.mqtt.records import Record, RecordError
+from faultline.service.mqtt.states import FaultStates
+from faultline.service.mqtt.topics import Topics
+from faultline.service.mqtt.vehicle_health import VehicleHealth
 
 
 class Retained:

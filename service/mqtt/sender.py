@@ -6,14 +6,14 @@ States come before records, and records in order.
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from service.mqtt.answers import HANGS_UP, PATIENCE_S, Answers, name_of
-from service.mqtt.cloudevent import CONTENT_TYPE, structured
-from service.mqtt.link import Answered, Link, Up
-from service.mqtt.outbox import IN_FLIGHT, Outbox, Passed, Publication
-from service.mqtt.patience import Backoff, Say
-from service.mqtt.records import Record
-from service.mqtt.retained import Retained
-from service.mqtt.topics import Topics
+from faultline.service.mqtt.answers import HANGS_UP, PATIENCE_S, Answers, name_of
+from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
+from faultline.service.mqtt.link import Answered, Link, Up
+from faultline.service.mqtt.outbox import IN_FLIGHT, Outbox, Passed, Publication
+from faultline.service.mqtt.patience import Backoff, Say
+from faultline.service.mqtt.records import Record
+from faultline.service.mqtt.retained import Retained
+from faultline.service.mqtt.topics import Topics
 
 RETRY_S = 1.0, 60.0
 """Until what was refused is sent again: at first, and at most."""

@@ -5,7 +5,7 @@ Source: MQTT 5.0 (OASIS), 4.7: `/` separates levels, `+` and `#` are wildcards, 
 
 import re
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 LEVEL = 80
 """Characters of a level at most."""

@@ -2,10 +2,10 @@
 
 import msgspec
 
-from service.mqtt.outbox import Publication
-from service.mqtt.records import HEALTH, Record, conditions_in
-from service.mqtt.states import Moment
-from service.mqtt.topics import Topics
+from faultline.service.mqtt.outbox import Publication
+from faultline.service.mqtt.records import HEALTH, Record, conditions_in
+from faultline.service.mqtt.states import Moment
+from faultline.service.mqtt.topics import Topics
 
 _UNKNOWN = msgspec.Raw(b"null")
 

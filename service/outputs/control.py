@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, Protocol, cast
 
 import msgspec
 
-from service.outputs.lines import IDLE_S, Client, LineServer
+from faultline.service.outputs.lines import IDLE_S, Client, LineServer
 
 Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
 _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
-from service.core.events import schema_of
-from service.core.faults import CLEARED, SCHEMA, Change, decode_cleared, decode_record
-from service.store.file import Record
+from faultline.service.core.events import schema_of
+from faultline.service.core.faults import CLEARED, SCHEMA, Change, decode_cleared, decode_record
+from faultline.service.store.file import Record
 
 SOCKET = Path("/run/systemd/journal/socket")
 MESSAGES: dict[Change | None, tuple[str, int, str]] = {

@@ -18,8 +18,8 @@ from types import TracebackType
 
 import msgspec
 
-from service.core.errors import InputError
-from service.core.health import Condition
+from faultline.service.core.errors import InputError
+from faultline.service.core.health import Condition
 
 CLIENTS = 32  # at most
 IDLE_S = 5.0  # a client that could ask again and has not for so long is idle

@@ -14,9 +14,9 @@ from typing import cast
 
 import msgspec
 
-from service.outputs.lines import Client, LineServer
-from service.store.file import Record
-from service.store.journal import Page
+from faultline.service.outputs.lines import Client, LineServer
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Page
 
 RING = 4096  # events that can be asked for again without a look into the store
 PAGE = 128  # events of one look

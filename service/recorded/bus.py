@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from itertools import islice
 
-from service.bus.base import BATCH, Bus, BusError
-from service.logs import Frame
+from faultline.service.bus.base import BATCH, Bus, BusError
+from faultline.service.logs import Frame
 
 
 class LogBus(Bus):

@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from service.bundle import load_bundle, verify_golden
-from service.core.errors import InputError
-from service.logs import open_log
-from service.recorded.service import Recording, Serving
+from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.core.errors import InputError
+from faultline.service.logs import open_log
+from faultline.service.recorded.service import Recording, Serving
 
 EVERY = 0.1  # of the log between two words of progress
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.core.events import Diagnosis
-from service.core.freeze import Sample
-from service.core.manifest import MODES, Manifest
-from service.core.separating import separations
-from service.core.signals import Quality
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.freeze import Sample
+from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.separating import separations
+from faultline.service.core.signals import Quality
 
 Columns = npt.NDArray[np.float32]
 

@@ -10,20 +10,20 @@ from typing import Any
 
 import msgspec
 
-from service.answers import Answerer, page_of
-from service.bundle import Bundle
-from service.config import MemoryConfig
-from service.core.events import Event
-from service.logs import Log
-from service.outputs.control import Asker, ControlSocket, Question, RefusedError
-from service.outputs.socket import EventSocket
-from service.recorded.bus import LogBus
-from service.recorded.history import History
-from service.remembering import Remembering
-from service.scribe import Scribe
-from service.store.file import Record
-from service.store.journal import Journal
-from service.watched import LAG_S, Line, Watched, watched
+from faultline.service.answers import Answerer, page_of
+from faultline.service.bundle import Bundle
+from faultline.service.config import MemoryConfig
+from faultline.service.core.events import Event
+from faultline.service.logs import Log
+from faultline.service.outputs.control import Asker, ControlSocket, Question, RefusedError
+from faultline.service.outputs.socket import EventSocket
+from faultline.service.recorded.bus import LogBus
+from faultline.service.recorded.history import History
+from faultline.service.remembering import Remembering
+from faultline.service.scribe import Scribe
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Journal
+from faultline.service.watched import LAG_S, Line, Watched, watched
 
 LARGEST = 2**53 - 1
 MOST_TICKS = 5000  # of one answer

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, get_args
 
 import msgspec
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 VERSION = 2  # 1 had no table `kept`
 

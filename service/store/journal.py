@@ -16,8 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from service.core.health import Condition
-from service.store.file import NOTHING, Record, StoreFile, is_damage
+from faultline.service.core.health import Condition
+from faultline.service.store.file import NOTHING, Record, StoreFile, is_damage
 
 OPENED_S = 10.0
 """So long the start waits for a disk that hangs, or a store that is locked; then it goes on without."""

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import msgspec
 
-from service.asking import Control, ControlError
-from service.core.errors import InputError
-from service.watching.seen import Seen, State, System, Tick
+from faultline.service.asking import Control, ControlError
+from faultline.service.core.errors import InputError
+from faultline.service.watching.seen import Seen, State, System, Tick
 
 RETRY_S = 0.5
 """Between two tries."""

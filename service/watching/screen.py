@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from textwrap import wrap
 
-from service.core.events import Diagnosis
-from service.core.health import MEANINGS
-from service.watching.lines import PLAIN, Line, Look, Piece, Section, fitted, line, rendered
-from service.watching.seen import Seen, System, Tick, at
-from service.watching.table import NAME, legend, table, widest
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.health import MEANINGS
+from faultline.service.watching.lines import PLAIN, Line, Look, Piece, Section, fitted, line, rendered
+from faultline.service.watching.seen import Seen, System, Tick, at
+from faultline.service.watching.table import NAME, legend, table, widest
 
 PA_PER_BAR = 1e5
 MODE_WORDS = {"live": ("LIVE", "good"), "waiting": ("WAITING", "warn"), "away": ("AWAY", "bad")}

@@ -5,8 +5,8 @@ from typing import Literal, TypeVar
 
 import msgspec
 
-from service.core.events import Diagnosis
-from service.core.separating import Separation
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.separating import Separation
 
 T = TypeVar("T")
 

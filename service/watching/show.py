@@ -5,10 +5,10 @@ import sys
 import time
 from contextlib import suppress
 
-from service.watching.hearing import Hearing
-from service.watching.lines import Look
-from service.watching.screen import screen
-from service.watching.terminal import Terminal
+from faultline.service.watching.hearing import Hearing
+from faultline.service.watching.lines import Look
+from faultline.service.watching.screen import screen
+from faultline.service.watching.terminal import Terminal
 
 SHORTEST_S, LONGEST_S = 0.2, 0.5
 """Between two drawings: no more than five a second, and often enough that a tick that is old does not stand."""

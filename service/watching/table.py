@@ -4,8 +4,8 @@ from collections.abc import Collection, Sequence
 from string import ascii_lowercase, digits
 from typing import NamedTuple
 
-from service.watching.lines import ALWAYS, PLAIN, Line, Look, Piece, Section, line, wrapped
-from service.watching.seen import System, Tick, at
+from faultline.service.watching.lines import ALWAYS, PLAIN, Line, Look, Piece, Section, line, wrapped
+from faultline.service.watching.seen import System, Tick, at
 
 NARROW, WIDE = 60, 100
 """Columns from which tests have longer words, and longer bars."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from service.core.faults import Fault
+from faultline.service.core.faults import Fault
 
 
 class _Answer(msgspec.Struct, frozen=True, kw_only=True):

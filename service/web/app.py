@@ -11,18 +11,18 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from service.web.asking import AwayError, Control, GarbledError, RefusedError
-from service.web.events import Hub
-from service.web.limits import Gate, Limits
-from service.web.live import Live
-from service.web.metrics import Counts
-from service.web.problems import RequestError, told
-from service.web.routes import Routes
-from service.web.settings import Settings
-from service.web.stream import Stream, Streams
-from service.web.tokens import Tokens
-from service.web.vehicle import Vehicle
-from service.web.waiting import Ending
+from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError
+from faultline.service.web.events import Hub
+from faultline.service.web.limits import Gate, Limits
+from faultline.service.web.live import Live
+from faultline.service.web.metrics import Counts
+from faultline.service.web.problems import RequestError, told
+from faultline.service.web.routes import Routes
+from faultline.service.web.settings import Settings
+from faultline.service.web.stream import Stream, Streams
+from faultline.service.web.tokens import Tokens
+from faultline.service.web.vehicle import Vehicle
+from faultline.service.web.waiting import Ending
 
 Handler = Callable[[Request], Awaitable[Response | Stream]]
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from service import distribution
-from service.core.errors import InputError
+from faultline.service import distribution
+from faultline.service.core.errors import InputError
 
 LISTEN = "127.0.0.1:8080"
 
@@ -36,7 +36,7 @@ def main(argv: list[str]) -> int:
     del starlette, uvicorn
     if options.recording is None:
         return _serve(options)
-    from service.recorded.command import served  # brings in the inference library, which serving does without
+    from faultline.service.recorded.command import served  # brings in the inference library, which serving does without
 
     with served(options.recording, options.bundle, _say, options.channel) as (control, events):
         options.control, options.events = str(control), str(events)
@@ -45,10 +45,10 @@ def main(argv: list[str]) -> int:
 
 def _serve(options: argparse.Namespace) -> int:
     """Serves until it is told to end."""
-    from service.web.listen import listen, remove, url
-    from service.web.server import serve
-    from service.web.settings import checked, load_settings
-    from service.web.tokens import find_tokens
+    from faultline.service.web.listen import listen, remove, url
+    from faultline.service.web.server import serve
+    from faultline.service.web.settings import checked, load_settings
+    from faultline.service.web.tokens import find_tokens
 
     if options.config is not None:
         settings = load_settings(options.config)

@@ -16,10 +16,10 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from service.web.limits import Limits
-from service.web.metrics import Counts
-from service.web.problems import MEDIA_TYPE, RequestError
-from service.web.sending import EVERYWHERE
+from faultline.service.web.limits import Limits
+from faultline.service.web.metrics import Counts
+from faultline.service.web.problems import MEDIA_TYPE, RequestError
+from faultline.service.web.sending import EVERYWHERE
 
 LATE, STALLED, ROOM, FULL, NO_HTTP = "late request", "takes nothing", "made room", "no room", "no HTTP"
 """Why a connection was ended."""

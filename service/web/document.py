@@ -8,12 +8,12 @@ from typing import Any
 
 import msgspec
 
-from service.core.events import Event
-from service.core.faults import Cleared, FaultRecord
-from service.core.health import Health
-from service.web import metrics, queries, shapes
-from service.web.faults import AGGREGATED, STATUS_KEYS
-from service.web.problems import MEDIA_TYPE
+from faultline.service.core.events import Event
+from faultline.service.core.faults import Cleared, FaultRecord
+from faultline.service.core.health import Health
+from faultline.service.web import metrics, queries, shapes
+from faultline.service.web.faults import AGGREGATED, STATUS_KEYS
+from faultline.service.web.problems import MEDIA_TYPE
 
 Json = dict[str, Any]
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import msgspec
 
-from service.web.answers import Records, State
-from service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of
-from service.web.metrics import Counts
-from service.web.ring import SIZE, Ring, Told, told
-from service.web.waiting import News, backoff
+from faultline.service.web.answers import Records, State
+from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of
+from faultline.service.web.metrics import Counts
+from faultline.service.web.ring import SIZE, Ring, Told, told
+from faultline.service.web.waiting import News, backoff
 
 SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
 BATCH = 64  # records in one piece of a stream

@@ -7,10 +7,10 @@ fault library, ros2_medkit): camelCase status with "0" and "1", filters by full 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-from service.core.events import Diagnosis
-from service.core.faults import Fault, Status
-from service.web.answers import Frames, Meaning
-from service.web.shapes import (
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Fault, Status
+from faultline.service.web.answers import Frames, Meaning
+from faultline.service.web.shapes import (
     Bit,
     Candidate,
     Detail,

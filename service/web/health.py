@@ -1,8 +1,8 @@
 """How the daemon is, in one word, from its state: pure."""
 
-from service.core.health import MEANINGS
-from service.web.answers import Condition, State
-from service.web.shapes import HealthBody
+from faultline.service.core.health import MEANINGS
+from faultline.service.web.answers import Condition, State
+from faultline.service.web.shapes import HealthBody
 
 BLINDING = frozenset(("bus-down", "bus-removed", "bus-off", "no-traffic", "bundle-failed", "bundle-refused"))
 """Conditions with which nothing of a system can be told: silence is then not "no fault"."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.web.metrics import Counts
-from service.web.problems import RequestError
-from service.web.sending import Answer, Held
-from service.web.tokens import Tokens, bearer
+from faultline.service.web.metrics import Counts
+from faultline.service.web.problems import RequestError
+from faultline.service.web.sending import Answer, Held
+from faultline.service.web.tokens import Tokens, bearer
 
 CLOSE = {"connection": "close"}
 

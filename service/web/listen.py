@@ -5,8 +5,8 @@ import socket
 import stat
 from pathlib import Path
 
-from service.core.errors import InputError
-from service.web.settings import Tcp, Unix
+from faultline.service.core.errors import InputError
+from faultline.service.web.settings import Tcp, Unix
 
 WAITING = 1024  # connections that the kernel holds until they are taken
 MODE = 0o660  # a Unix socket: this process's user and group

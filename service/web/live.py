@@ -5,9 +5,9 @@ from collections.abc import AsyncGenerator, Callable
 
 import msgspec
 
-from service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of, understood
-from service.web.events import RETRY_MS
-from service.web.waiting import Ending, News, backoff
+from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of, understood
+from faultline.service.web.events import RETRY_MS
+from faultline.service.web.waiting import Ending, News, backoff
 
 
 class _Feed:

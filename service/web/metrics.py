@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeVar
 
-from service.core.faults import Fault
-from service.web.answers import Bus, State, System
+from faultline.service.core.faults import Fault
+from faultline.service.web.answers import Bus, State, System
 
 Kind = Literal["gauge", "counter"]
 T = TypeVar("T")

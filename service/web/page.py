@@ -9,7 +9,7 @@ from typing import NamedTuple
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.web.problems import RequestError
+from faultline.service.web.problems import RequestError
 
 FOLDER = Path(__file__).parent / "page"
 INDEX = "index.html"

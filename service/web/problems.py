@@ -8,8 +8,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.web.asking import AwayError, GarbledError, RefusedError
-from service.web.shapes import Problem
+from faultline.service.web.asking import AwayError, GarbledError, RefusedError
+from faultline.service.web.shapes import Problem
 
 MEDIA_TYPE = "application/problem+json"
 RETRY = {"retry-after": "1"}  # seconds

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
 
-from service.web.faults import AGGREGATED, STATUS_KEYS
-from service.web.problems import RequestError
+from faultline.service.web.faults import AGGREGATED, STATUS_KEYS
+from faultline.service.web.problems import RequestError
 
 SYSTEM = r"^[^\x00-\x1f\x7f/]{1,200}$"
 CODE = r"^[1-9][0-9]{0,8}$"

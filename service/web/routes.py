@@ -7,22 +7,31 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.core.faults import Fault
-from service.web import metrics
-from service.web.asking import AwayError, GarbledError, RefusedError
-from service.web.document import document
-from service.web.events import Hub, stream
-from service.web.faults import detail_of, item_of, selected
-from service.web.health import away, health_of, is_well
-from service.web.limits import require
-from service.web.live import Live
-from service.web.page import INDEX, load_page, serve
-from service.web.problems import RETRY, RequestError, error_of
-from service.web.queries import filter_of, nothing_in, number_of, page_of, part_of, parts_of, place_of, system_of
-from service.web.shapes import Capabilities, Component, Components, HealthBody, Items, Ready
-from service.web.stream import Stream, Streams
-from service.web.tokens import Tokens
-from service.web.vehicle import Vehicle
+from faultline.service.core.faults import Fault
+from faultline.service.web import metrics
+from faultline.service.web.asking import AwayError, GarbledError, RefusedError
+from faultline.service.web.document import document
+from faultline.service.web.events import Hub, stream
+from faultline.service.web.faults import detail_of, item_of, selected
+from faultline.service.web.health import away, health_of, is_well
+from faultline.service.web.limits import require
+from faultline.service.web.live import Live
+from faultline.service.web.page import INDEX, load_page, serve
+from faultline.service.web.problems import RETRY, RequestError, error_of
+from faultline.service.web.queries import (
+    filter_of,
+    nothing_in,
+    number_of,
+    page_of,
+    part_of,
+    parts_of,
+    place_of,
+    system_of,
+)
+from faultline.service.web.shapes import Capabilities, Component, Components, HealthBody, Items, Ready
+from faultline.service.web.stream import Stream, Streams
+from faultline.service.web.tokens import Tokens
+from faultline.service.web.vehicle import Vehicle
 
 
 class Routes:

@@ -7,8 +7,8 @@ long while others take nothing of theirs is sent away.
 from starlette.datastructures import MutableHeaders
 from starlette.types import Message, Receive, Scope, Send
 
-from service.web.metrics import Counts
-from service.web.problems import RETRY, RequestError
+from faultline.service.web.metrics import Counts
+from faultline.service.web.problems import RETRY, RequestError
 
 PIECE = 64 * 1024  # bytes: what a connection holds before it makes wait (asyncio, uvicorn)
 

@@ -9,15 +9,15 @@ from contextlib import contextmanager
 
 import uvicorn
 
-from service.systemd import Notifier
-from service.web import connections
-from service.web.app import application
-from service.web.limits import Limits
-from service.web.listen import WAITING, url
-from service.web.metrics import Counts
-from service.web.settings import Settings
-from service.web.tokens import Tokens
-from service.web.waiting import Ending
+from faultline.service.systemd import Notifier
+from faultline.service.web import connections
+from faultline.service.web.app import application
+from faultline.service.web.limits import Limits
+from faultline.service.web.listen import WAITING, url
+from faultline.service.web.metrics import Counts
+from faultline.service.web.settings import Settings
+from faultline.service.web.tokens import Tokens
+from faultline.service.web.waiting import Ending
 
 TICKS = 5  # of uvicorn's, which are 0.1 s: how often connections are looked at
 TAKEN = 16  # connections taken in one turn: those of three turns must find room, or their first bytes are not read

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import msgspec
 
-from service.core.errors import InputError
-from service.strict import Part, Path_, read
-from service.web.limits import hosts_of
+from faultline.service.core.errors import InputError
+from faultline.service.strict import Part, Path_, read
+from faultline.service.web.limits import hosts_of
 
 LISTEN = "127.0.0.1:8080"
 

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from service.core.events import Diagnosis
-from service.core.faults import Dtc, Seen
-from service.web.answers import Bus, Condition, Store, System
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Dtc, Seen
+from faultline.service.web.answers import Bus, Condition, Store, System
 
 Bit = Literal["0", "1"]
 Code = Annotated[str, Meta(pattern="^[1-9][0-9]*$")]

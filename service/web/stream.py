@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from starlette.types import Receive, Scope, Send
 
-from service.web.connections import STALLED
-from service.web.limits import Limits
-from service.web.metrics import Counts
-from service.web.problems import RequestError
-from service.web.waiting import Ending
+from faultline.service.web.connections import STALLED
+from faultline.service.web.limits import Limits
+from faultline.service.web.metrics import Counts
+from faultline.service.web.problems import RequestError
+from faultline.service.web.waiting import Ending
 
 HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),

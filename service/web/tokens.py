@@ -11,7 +11,7 @@ import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 LEAST = 32  # characters of a token
 LARGEST = 64 * 1024  # bytes of the file

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from service.core.faults import Fault
-from service.web.answers import Erased, Meaning, Memory, Names, Records, Remembered, State
-from service.web.asking import Control, GarbledError, RefusedError
-from service.web.problems import RequestError
-from service.web.queries import Page, Part
-from service.web.ring import told
+from faultline.service.core.faults import Fault
+from faultline.service.web.answers import Erased, Meaning, Memory, Names, Records, Remembered, State
+from faultline.service.web.asking import Control, GarbledError, RefusedError
+from faultline.service.web.problems import RequestError
+from faultline.service.web.queries import Page, Part
+from faultline.service.web.ring import told
 
 
 class Vehicle:

@@ -5,12 +5,12 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from service.core.errors import InputError
-from service.core.events import Diagnosis
-from service.core.faults import Fault as Remembered
-from service.core.health import Standing
-from service.core.manifest import Disturbance, Equation, Fault
-from service.core.separating import Separation
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Fault as Remembered
+from faultline.service.core.health import Standing
+from faultline.service.core.manifest import Disturbance, Equation, Fault
+from faultline.service.core.separating import Separation
 
 T = TypeVar("T")
 

@@ -14,19 +14,19 @@ from typing import NamedTuple
 
 import msgspec
 
-from service.asking import Control, ControlError
-from service.core.errors import InputError
-from service.core.health import MEANINGS
-from service.workshop.answers import Memory, State, System, Tick, read
-from service.workshop.cycle import Cycle, End
-from service.workshop.hindrance import REMEDIES
-from service.workshop.listening import Listening
-from service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
-from service.workshop.report import page
-from service.workshop.result import Frame, Result, result
-from service.workshop.screen import Live, Plain, Screen, printable
-from service.workshop.verdict import Kind, Seen
-from service.workshop.words import HEADLINES, candidate_line, separation_line
+from faultline.service.asking import Control, ControlError
+from faultline.service.core.errors import InputError
+from faultline.service.core.health import MEANINGS
+from faultline.service.workshop.answers import Memory, State, System, Tick, read
+from faultline.service.workshop.cycle import Cycle, End
+from faultline.service.workshop.hindrance import REMEDIES
+from faultline.service.workshop.listening import Listening
+from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
+from faultline.service.workshop.report import page
+from faultline.service.workshop.result import Frame, Result, result
+from faultline.service.workshop.screen import Live, Plain, Screen, printable
+from faultline.service.workshop.verdict import Kind, Seen
+from faultline.service.workshop.words import HEADLINES, candidate_line, separation_line
 
 EXAMPLE = """examples:
   faultline workshop

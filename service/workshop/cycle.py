@@ -7,13 +7,13 @@ by who listens.
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from service.core.events import Diagnosis, candidates
-from service.core.manifest import MODES
-from service.core.separating import Separation
-from service.workshop.answers import System, Tick
-from service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
-from service.workshop.progress import NEAR, Progress
-from service.workshop.trace import Trace
+from faultline.service.core.events import Diagnosis, candidates
+from faultline.service.core.manifest import MODES
+from faultline.service.core.separating import Separation
+from faultline.service.workshop.answers import System, Tick
+from faultline.service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
+from faultline.service.workshop.progress import NEAR, Progress
+from faultline.service.workshop.trace import Trace
 
 LONGEST_GAP_S = 2.0
 """Ticks that a slow reader was not sent count as those around them: an edge between would have lasted longer."""

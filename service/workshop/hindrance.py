@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from service.core.health import Kind
-from service.workshop.answers import System, Tick
-from service.workshop.units import shown
+from faultline.service.core.health import Kind
+from faultline.service.workshop.answers import System, Tick
+from faultline.service.workshop.units import shown
 
 QUALITIES = {
     "missing": "has never come",

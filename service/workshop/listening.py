@@ -5,9 +5,9 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from service.asking import Control, ControlError
-from service.core.errors import InputError
-from service.workshop.answers import Tick, read
+from faultline.service.asking import Control, ControlError
+from faultline.service.core.errors import InputError
+from faultline.service.workshop.answers import Tick, read
 
 SILENT_S = 0.5
 """So long nothing has to come until that is said."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from service.workshop.plan import Step
+from faultline.service.workshop.plan import Step
 
 NEAR = 1e-6  # s, sums of tick lengths are not exact
 

@@ -3,16 +3,16 @@
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from service.core.faults import Fault as Remembered
-from service.core.health import MEANINGS, Standing
-from service.workshop import svg
-from service.workshop.answers import System
-from service.workshop.hindrance import REMEDIES
-from service.workshop.plan import REQUIRED
-from service.workshop.result import RememberedSeen, Result
-from service.workshop.trace import Sample
-from service.workshop.verdict import ENDS, Candidate
-from service.workshop.words import HEADLINES, separation_line
+from faultline.service.core.faults import Fault as Remembered
+from faultline.service.core.health import MEANINGS, Standing
+from faultline.service.workshop import svg
+from faultline.service.workshop.answers import System
+from faultline.service.workshop.hindrance import REMEDIES
+from faultline.service.workshop.plan import REQUIRED
+from faultline.service.workshop.result import RememberedSeen, Result
+from faultline.service.workshop.trace import Sample
+from faultline.service.workshop.verdict import ENDS, Candidate
+from faultline.service.workshop.words import HEADLINES, separation_line
 
 STYLE = """@page{size:A4;margin:15mm}
 body{font:10pt/1.35 sans-serif;color:#000;background:#fff;max-width:180mm;margin:8mm auto}

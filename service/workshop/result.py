@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from service.core.faults import Fault as Remembered
-from service.core.health import Standing
-from service.workshop.answers import State, System
-from service.workshop.cycle import Cycle, End
-from service.workshop.plan import REQUIRED
-from service.workshop.verdict import Seen, Verdict, judge, required_s
+from faultline.service.core.faults import Fault as Remembered
+from faultline.service.core.health import Standing
+from faultline.service.workshop.answers import State, System
+from faultline.service.workshop.cycle import Cycle, End
+from faultline.service.workshop.plan import REQUIRED
+from faultline.service.workshop.verdict import Seen, Verdict, judge, required_s
 
 SCHEMA = "faultline.workshop/1"
 

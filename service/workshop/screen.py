@@ -4,10 +4,10 @@ import shutil
 import unicodedata
 from typing import Protocol, TextIO
 
-from service.workshop.cycle import Cycle
-from service.workshop.plan import REQUIRED
-from service.workshop.units import shown
-from service.workshop.words import SILENCE_S, order, so_far
+from faultline.service.workshop.cycle import Cycle
+from faultline.service.workshop.plan import REQUIRED
+from faultline.service.workshop.units import shown
+from faultline.service.workshop.words import SILENCE_S, order, so_far
 
 HOME, BELOW, LINE, HIDE, SHOW = "\x1b[H", "\x1b[J", "\x1b[K", "\x1b[?25l", "\x1b[?25h"
 CLEAR = "\x1b[2J"

@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
 
-from service.workshop.answers import System
-from service.workshop.trace import Sample
-from service.workshop.units import scaled, unit_shown
+from faultline.service.workshop.answers import System
+from faultline.service.workshop.trace import Sample
+from faultline.service.workshop.units import scaled, unit_shown
 
 WIDTH, LEFT, RIGHT = 720.0, 70.0, 8.0
 HEIGHT = 150.0  # of a signal's picture

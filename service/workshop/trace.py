@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from service.workshop.answers import Tick
+from faultline.service.workshop.answers import Tick
 
 MOST = 1200
 """Samples that are kept: more than a printed page has room for."""

@@ -5,15 +5,15 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from service.core.events import Diagnosis
-from service.core.faults import Fault as Remembered
-from service.core.health import MEANINGS, Standing
-from service.core.separating import Separation
-from service.workshop.answers import System
-from service.workshop.cycle import Cycle, End, Episode
-from service.workshop.hindrance import hindrances, instead
-from service.workshop.plan import QUIET_S, REQUIRED
-from service.workshop.progress import NEAR
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Fault as Remembered
+from faultline.service.core.health import MEANINGS, Standing
+from faultline.service.core.separating import Separation
+from faultline.service.workshop.answers import System
+from faultline.service.workshop.cycle import Cycle, End, Episode
+from faultline.service.workshop.hindrance import hindrances, instead
+from faultline.service.workshop.plan import QUIET_S, REQUIRED
+from faultline.service.workshop.progress import NEAR
 
 Kind = Literal["fault", "no-fault", "cannot-tell"]
 

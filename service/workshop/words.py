@@ -1,12 +1,12 @@
 """What the technician reads: what to do next, how far it is, what is told so far, and the verdict."""
 
-from service.core.events import Diagnosis
-from service.core.separating import Separation
-from service.workshop.answers import System
-from service.workshop.cycle import Cycle
-from service.workshop.hindrance import hindrances, instead
-from service.workshop.plan import ORDERS, REQUIRED
-from service.workshop.verdict import Candidate, Kind, named
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.separating import Separation
+from faultline.service.workshop.answers import System
+from faultline.service.workshop.cycle import Cycle
+from faultline.service.workshop.hindrance import hindrances, instead
+from faultline.service.workshop.plan import ORDERS, REQUIRED
+from faultline.service.workshop.verdict import Candidate, Kind, named
 
 SILENCE_S = 2.0
 

@@ -13,15 +13,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.export import main
-from analysis.graph.bank import build_bank
-from analysis.model import dump_model, load_model
-from analysis.recordings.modes import modes_of
-from analysis.recordings.observe import START_WITHIN_S
-from analysis.tuning.file import SCHEMA, Tuning, model_digest
-from service.bundle import load_bundle, verify_golden
-from service.bundle_files import SEAL, BundleError, seal
-from service.core.errors import InputError
+from faultline.analysis.export import main
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import dump_model, load_model
+from faultline.analysis.recordings.modes import modes_of
+from faultline.analysis.recordings.observe import START_WITHIN_S
+from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
+from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.bundle_files import SEAL, BundleError, seal
+from faultline.service.core.errors import InputError
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"
 DBC = Path(__file__).resolve().parents[2] / "dbc" / "uds.dbc"

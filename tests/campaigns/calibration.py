@@ -19,22 +19,22 @@ from pathlib import Path
 import numpy as np
 from results_page import head_commit, provenance, share, wilson
 
-from analysis.calibration.fit import fit
-from analysis.calibration.identify import Estimate, identify
-from analysis.calibration.sections import Section, sections
-from analysis.calibration.validate import STEADY, Agreement, validate
-from analysis.model import Model, load_model
-from analysis.recordings.ingest import ingest
-from analysis.simulation import System, system_of
-from service.core.dbc import compile_dbc
-from service.logs import open_log
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES
-from testbench.effects import PROFILES
-from testbench.recording import record
-from testbench.request import Request
-from testbench.restriction import Restriction
-from testbench.vehicles import MAXIMUM_FLOW, Vehicle, vehicle
+from faultline.analysis.calibration.fit import fit
+from faultline.analysis.calibration.identify import Estimate, identify
+from faultline.analysis.calibration.sections import Section, sections
+from faultline.analysis.calibration.validate import STEADY, Agreement, validate
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.recordings.ingest import ingest
+from faultline.analysis.simulation import System, system_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.logs import open_log
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.effects import PROFILES
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.restriction import Restriction
+from faultline.testbench.vehicles import MAXIMUM_FLOW, Vehicle, vehicle
 
 DURATION_S = 480.0
 ANCHOR = "D_p"

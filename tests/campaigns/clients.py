@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from results_page import head_commit, provenance
 
-from service.asking import Control
+from faultline.service.asking import Control
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "outputs" / "web"))

@@ -24,8 +24,8 @@ from diagnosis_shop import Watched, Workshop, run_of, told_of, watched
 from diagnosis_visible import changes
 from results_page import digest, head_commit
 
-from service.bundle import Bundle
-from service.core.errors import InputError
+from faultline.service.bundle import Bundle
+from faultline.service.core.errors import InputError
 
 Record = dict[str, Any]
 

@@ -11,13 +11,13 @@ from typing import Literal
 
 import numpy as np
 
-from testbench.cycles import CYCLES
-from testbench.day import day_of
-from testbench.effects import PROFILES
-from testbench.faults import Fault, limit
-from testbench.request import Request
-from testbench.sizes import frozen
-from testbench.vehicles import vehicle
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.day import day_of
+from faultline.testbench.effects import PROFILES
+from faultline.testbench.faults import Fault, limit
+from faultline.testbench.request import Request
+from faultline.testbench.sizes import frozen
+from faultline.testbench.vehicles import vehicle
 
 Set = Literal["A", "B", "none"]
 Kind = Literal["free", "single", "curve", "pair"]

@@ -11,7 +11,7 @@ from shutil import rmtree
 from diagnosis_cases import REFERENCE
 from diagnosis_shop import Workshop, must
 
-from analysis.tuning.command import main as tune
+from faultline.analysis.tuning.command import main as tune
 
 DRIVES, DRIVE_S = (20, 21), 1800.0
 """Of each vehicle: an hour, eight in all."""

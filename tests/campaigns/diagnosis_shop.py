@@ -13,19 +13,19 @@ import msgspec
 import numpy as np
 from diagnosis_cases import Case, Set, request, seed_of
 
-from analysis.calibration.command import main as calibrate
-from analysis.export import main as export
-from analysis.tuning.command import main as tune
-from service.bundle import Bundle, load_bundle
-from service.core.decision import Decision
-from service.core.events import Diagnosis, Event
-from service.core.monitor import Monitor
-from service.core.observer import Tick
-from testbench.bus import load_dbc
-from testbench.recording import record
-from testbench.request import Request
-from testbench.simulation import Run, simulate
-from testbench.traffic import frames
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.export import main as export
+from faultline.analysis.tuning.command import main as tune
+from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.core.decision import Decision
+from faultline.service.core.events import Diagnosis, Event
+from faultline.service.core.monitor import Monitor
+from faultline.service.core.observer import Tick
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.simulation import Run, simulate
+from faultline.testbench.traffic import frames
 
 Record = dict[str, Any]
 

@@ -6,10 +6,10 @@ ripple reaches the sensor before the filter, there is nothing to see, and a diag
 
 import numpy as np
 
-from testbench.cycles import DOSING_FROM
-from testbench.request import Request
-from testbench.simulation import Run
-from testbench.sizes import PERIOD, SIGMAS, WINDOW, means
+from faultline.testbench.cycles import DOSING_FROM
+from faultline.testbench.request import Request
+from faultline.testbench.simulation import Run
+from faultline.testbench.sizes import PERIOD, SIGMAS, WINDOW, means
 
 QUIETER = 0.1  # of the spread of y_p_tp: a hundred samples show 14 %
 

@@ -24,22 +24,22 @@ from discrepancy_cases import STRONG, Case, cases
 from discrepancy_page import page
 from results_page import digest, head_commit
 
-from analysis.discrepancy.add.gate import adoption
-from analysis.discrepancy.add.held_out import shown
-from analysis.discrepancy.data import Data, load
-from analysis.discrepancy.discover import Discovery, discover
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.discrepancy.name.experiment import propose
-from analysis.model import load_model
-from service.core.manifest import MODES
-from service.core.modes import EDGE
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES, Cycle, read_cycle
-from testbench.effects import EFFECTS
-from testbench.recording import record
-from testbench.request import Request
-from testbench.vehicles import vehicle
+from faultline.analysis.discrepancy.add.gate import adoption
+from faultline.analysis.discrepancy.add.held_out import shown
+from faultline.analysis.discrepancy.data import Data, load
+from faultline.analysis.discrepancy.discover import Discovery, discover
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.discrepancy.name.experiment import propose
+from faultline.analysis.model import load_model
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES, Cycle, read_cycle
+from faultline.testbench.effects import EFFECTS
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.vehicles import vehicle
 
 DURATION_S, EXPERIMENT_S = 480.0, 120.0
 PAGE = Path("docs/results/discrepancy.md")

@@ -23,17 +23,17 @@ from discrepancy_ablations_page import ABLATIONS
 from discrepancy_cases import Case, cases
 from results_page import digest, head_commit
 
-from analysis.calibration.sections import Section
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.add.held_out import shown
-from analysis.discrepancy.data import Data, load
-from analysis.discrepancy.discover import discover
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.name.attempt import Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import Outcome, contest
-from analysis.model import load_model
-from service.core.errors import InputError
-from testbench.cycles import CYCLES
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.add.held_out import shown
+from faultline.analysis.discrepancy.data import Data, load
+from faultline.analysis.discrepancy.discover import discover
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.contest import Outcome, contest
+from faultline.analysis.model import load_model
+from faultline.service.core.errors import InputError
+from faultline.testbench.cycles import CYCLES
 
 Array = npt.NDArray[np.float64]
 Names = list[list[str]]
@@ -63,7 +63,7 @@ def no_timing_noise() -> Iterator[None]:
     def nothing(section: Section, *_: Any) -> Array:
         return np.zeros((sum(len(s.t) for s in section.samples.values()), 1))
 
-    with patch("analysis.discrepancy.name.likelihood.disturbances", nothing):
+    with patch("faultline.analysis.discrepancy.name.likelihood.disturbances", nothing):
         yield
 
 
@@ -75,7 +75,7 @@ def no_other_beginnings() -> Iterator[None]:
         del unbent
         return contest(crew, effects, nominal, threshold, None, say)
 
-    with patch("analysis.discrepancy.discover.contest", from_there):
+    with patch("faultline.analysis.discrepancy.discover.contest", from_there):
         yield
 
 

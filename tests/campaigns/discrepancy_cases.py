@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from testbench.effects import EFFECTS
+from faultline.testbench.effects import EFFECTS
 
 VALVE_PERIOD_S = 0.3
 

@@ -16,13 +16,13 @@ from typing import Any
 from discrepancy import DURATION_S, record_case
 from discrepancy_cases import Case, cases
 
-from analysis.discrepancy.data import load
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.name.attempt import Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import LEAST
-from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
-from analysis.model import load_model
-from testbench.cycles import CYCLES
+from faultline.analysis.discrepancy.data import load
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.contest import LEAST
+from faultline.analysis.discrepancy.name.sensitivity import alike, smallest_sizes
+from faultline.analysis.model import load_model
+from faultline.testbench.cycles import CYCLES
 
 DECLARED = Path(__file__).with_suffix(".json")
 

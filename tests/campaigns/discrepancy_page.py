@@ -11,9 +11,9 @@ import numpy as np
 from discrepancy_cases import OUTSIDE, TRUTHS
 from results_page import exact_share, provenance
 
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.model import load_model
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.model import load_model
 
 Result = Mapping[str, Any]
 Names = Sequence[str]

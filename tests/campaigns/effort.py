@@ -20,13 +20,13 @@ from typing import Any
 from diagnosis_shop import must
 from results_page import digest, head_commit, provenance
 
-from analysis.calibration.command import main as calibrate
-from analysis.graph.bank import build_bank
-from analysis.model import Model, load_model
-from testbench.command import main as rig
-from training.layout import layout_of
-from training.network import Networks
-from training.recipe import DEFAULT
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import Model, load_model
+from faultline.testbench.command import main as rig
+from faultline.training.layout import layout_of
+from faultline.training.network import Networks
+from faultline.training.recipe import DEFAULT
 
 Record = dict[str, Any]
 

@@ -22,7 +22,7 @@ from diagnosis_cases import Set, request
 from diagnosis_shop import Workshop, run_of, said, watched
 from results_page import digest, head_commit
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 Record = dict[str, Any]
 

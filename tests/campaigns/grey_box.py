@@ -21,23 +21,23 @@ import numpy as np
 import numpy.typing as npt
 from results_page import digest, head_commit
 
-from analysis.calibration.command import main as calibrate
-from analysis.graph.bank import build_bank
-from analysis.graph.networks import Networks
-from analysis.graph.runnable import Runnable
-from analysis.model import Model, load_model
-from analysis.recordings.observe import ticks_of
-from service.core.dbc import compile_dbc
-from service.logs import open_log
-from testbench import ecu
-from testbench.command import main as rig
-from testbench.sizes import frozen
-from training.bank import networks_of
-from training.layout import layout_of
-from training.loop import Begin, Training
-from training.recipe import DEFAULT, THESIS, Phase, Recipe
-from training.samples import Samples, load_samples
-from training.saved import PHASES, RATE
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.graph.networks import Networks
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.recordings.observe import ticks_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.logs import open_log
+from faultline.testbench import ecu
+from faultline.testbench.command import main as rig
+from faultline.testbench.sizes import frozen
+from faultline.training.bank import networks_of
+from faultline.training.layout import layout_of
+from faultline.training.loop import Begin, Training
+from faultline.training.recipe import DEFAULT, THESIS, Phase, Recipe
+from faultline.training.samples import Samples, load_samples
+from faultline.training.saved import PHASES, RATE
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]

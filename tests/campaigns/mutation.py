@@ -21,7 +21,7 @@ REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
 CODE = ("decode.py", "sampling.py", "signals.py", "isolation.py", "detectors/")
 TESTS = ("sampling", "decode", "detectors", "detector_family", "isolation", "health")
-COPIED = ("service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
+COPIED = ("src", "service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
 
 
 class Mutant(NamedTuple):

@@ -21,17 +21,17 @@ from typing import get_args
 import numpy as np
 from results_page import head_commit, provenance, share
 
-from analysis.recordings.bench import read_bench
-from analysis.recordings.clock import ClockError, synchronise
-from testbench.bus import Dbc, load_dbc
-from testbench.cycles import CYCLES
-from testbench.effects import EFFECTS, PROFILES
-from testbench.faults import Course, Fault
-from testbench.recording import record
-from testbench.request import Request
-from testbench.second_logger import SecondLogger
-from testbench.sizes import frozen
-from testbench.vehicles import vehicle
+from faultline.analysis.recordings.bench import read_bench
+from faultline.analysis.recordings.clock import ClockError, synchronise
+from faultline.testbench.bus import Dbc, load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.effects import EFFECTS, PROFILES
+from faultline.testbench.faults import Course, Fault
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.second_logger import SecondLogger
+from faultline.testbench.sizes import frozen
+from faultline.testbench.vehicles import vehicle
 
 ALLOWED_S = 0.05
 HEAVY = {

@@ -2,7 +2,7 @@
 
 from calibration import campaign, page
 
-from analysis.calibration.validate import STEADY
+from faultline.analysis.calibration.validate import STEADY
 
 
 def test_two_trucks_are_found() -> None:

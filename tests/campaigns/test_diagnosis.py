@@ -21,9 +21,9 @@ from diagnosis_visible import changes
 from false_alarms import hour
 from results_page import exact_rate, poisson
 
-from testbench.day import CALM
-from testbench.effects import PROFILES
-from testbench.faults import Fault
+from faultline.testbench.day import CALM
+from faultline.testbench.effects import PROFILES
+from faultline.testbench.faults import Fault
 
 FAULTS = {"fA_t", "fA_du", "fy_p_du"}
 NUMBER = REFERENCE[0]

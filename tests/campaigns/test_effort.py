@@ -5,8 +5,8 @@ from pathlib import Path
 
 from effort import PARTS, RESULTS, adapted, counted, lines, page
 
-from analysis.model import load_model
-from training.recipe import DEFAULT
+from faultline.analysis.model import load_model
+from faultline.training.recipe import DEFAULT
 
 
 def test_what_is_counted_is_what_is_there() -> None:

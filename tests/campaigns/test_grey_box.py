@@ -8,9 +8,9 @@ import torch
 from grey_box import SLOW, Case, judged, made, trained
 from grey_box_page import HARD, page
 
-from analysis.calibration.command import main as calibrate
-from analysis.model import load_model
-from training.recipe import DEFAULT
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.model import load_model
+from faultline.training.recipe import DEFAULT
 
 DISTINCT = ("t02", "t06", "t08", "t12", "t13")
 

@@ -11,7 +11,7 @@ from rival_methods import MEMORY, SMOOTH, Components, Forest, ThesisCusum, Varia
 from rival_series import Series, episodes, false_alarms, first_alarm, limit_for
 from rivals import Outcome, Way, allowed, better, faultline, folds, main, page, tried
 
-from service.core.detectors.spread import Spread
+from faultline.service.core.detectors.spread import Spread
 
 MATRIX = [frozenset({"fA_t", "fq_pump"}), frozenset({"fA_du", "fq_pump"})]
 ONSET_S = 100.0

@@ -6,7 +6,7 @@ import cantools.database
 import pytest
 from cantools.database.can import Database
 
-import dbc
+from faultline import dbc
 
 SHIPPED = sorted(Path(dbc.__file__).parent.glob("*.dbc"))
 FILES = [*SHIPPED, Path(__file__).parents[1] / "analysis" / "another_system" / "tanks.dbc"]

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service import distribution
+from faultline.service import distribution
 
 ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("service", "analysis", "training", "testbench", "dbc")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
@@ -26,21 +27,25 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-def test_every_package_folder_is_in_the_package_list() -> None:
-    folders = {
-        str(path.parent.relative_to(ROOT)).replace("/", ".")
-        for top in ("service", "analysis", "training", "testbench", "dbc")
-        for path in (ROOT / top).rglob("__init__.py")
-    }
-    assert folders == set(PROJECT["tool"]["setuptools"]["packages"])
+def test_the_package_links_to_the_folders_at_the_top() -> None:
+    links = {path.name: path.readlink() for path in (ROOT / "src/faultline").iterdir() if path.is_symlink()}
+    assert links == {name: Path("../..") / name for name in FOLDERS}
+
+
+def test_no_folder_of_the_user_hides_ours(tmp_path: Path) -> None:
+    for name in FOLDERS:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise AssertionError('the folder of the user was imported')")
+    code = "import faultline." + ", faultline.".join(FOLDERS)
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize(
     ("importer", "may"),
     [
-        ("service.core", set()),
-        ("analysis", {"core", "logs", "bundle", "bundle_files"}),
-        ("training", {"core", "logs", "bundle", "bundle_files"}),
+        ("faultline.service.core", set()),
+        ("faultline.analysis", {"core", "logs", "bundle", "bundle_files"}),
+        ("faultline.training", {"core", "logs", "bundle", "bundle_files"}),
     ],
 )
 def test_the_import_contracts_name_every_part_of_the_service(importer: str, may: set[str]) -> None:
@@ -51,19 +56,16 @@ def test_the_import_contracts_name_every_part_of_the_service(importer: str, may:
     parts = {
         path.stem for path in (ROOT / "service").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
     }
-    missing = {f"service.{part}" for part in parts - may - {"core", "__init__"}} - forbidden
+    missing = {f"faultline.service.{part}" for part in parts - may - {"core", "__init__"}} - forbidden
     assert missing == set()
 
 
-def test_the_wheels_top_level_is_the_five_packages(wheel: Path) -> None:
-    names = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
-    ours = {name for name in names if not name.endswith(".dist-info")}
-    assert ours == {"service", "analysis", "training", "testbench", "dbc"}
-    data = [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith((".dbc", ".toml"))]
-    assert "dbc/uds.dbc" in data
-    page = {"index.html", "main.js", "page.css", "icon.svg", "vendor/uPlot.js", "vendor/LICENSE"}
-    assert {f"service/web/page/{name}" for name in page} <= set(zipfile.ZipFile(wheel).namelist())
-    assert "analysis/model/uds4.toml" in data
+def test_the_wheel_holds_faultline_alone_and_all_of_it(wheel: Path) -> None:
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert {name.partition("/")[0] for name in names} == {"faultline"}
+    tracked = subprocess.run(["git", "ls-files", *FOLDERS], cwd=ROOT, capture_output=True, text=True, check=True)
+    product = {f"faultline/{name}" for name in tracked.stdout.split() if not name.endswith(".md")}
+    assert names == product | {"faultline/__init__.py", "faultline/py.typed"}
 
 
 def test_every_text_that_says_what_to_install_names_our_distribution() -> None:

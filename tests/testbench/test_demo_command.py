@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from testbench import demo
-from testbench.promise import RECORDINGS, Verdict, problems
+from faultline.testbench import demo
+from faultline.testbench.promise import RECORDINGS, Verdict, problems
 
 PERFECT = Verdict(
     recording="r",

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from testbench.command import main
-from testbench.faults import FAULTS
+from faultline.testbench.command import main
+from faultline.testbench.faults import FAULTS
 
 SHORT = ["record", "--cycle", "validation", "--duration", "60"]
 
@@ -91,7 +91,7 @@ def test_unfit_dbc_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[str], str], said: str
 ) -> None:
     path = tmp_path / "other.dbc"
-    path.write_text(change((resources.files("dbc") / "uds.dbc").read_text()))
+    path.write_text(change((resources.files("faultline.dbc") / "uds.dbc").read_text()))
     assert main([*SHORT, *where(tmp_path), "--dbc", str(path)]) == 2
     error = capsys.readouterr().err
     assert str(path) in error

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbench.command import main
-from testbench.cycles import DOSING_FROM, STANDING, SYSTEM, Segment, cycle, read_cycle
-from testbench.errors import RigError
+from faultline.testbench.command import main
+from faultline.testbench.cycles import DOSING_FROM, STANDING, SYSTEM, Segment, cycle, read_cycle
+from faultline.testbench.errors import RigError
 
 TEXT = """
 schema = 1

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.truth import load_truth
-from testbench.bus import Knowledge, load_dbc
-from testbench.command import main
-from testbench.cycles import CYCLES, STANDING
-from testbench.day import CALM, Day, day_of
-from testbench.effects import PROFILES
-from testbench.play import live
-from testbench.recorded import read_recording
-from testbench.recording import record
-from testbench.request import Kind, Request
-from testbench.simulation import Run, simulate
-from testbench.traffic import frames
-from testbench.units import MBAR
-from testbench.vehicles import VEHICLES
+from faultline.analysis.evaluation.truth import load_truth
+from faultline.testbench.bus import Knowledge, load_dbc
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES, STANDING
+from faultline.testbench.day import CALM, Day, day_of
+from faultline.testbench.effects import PROFILES
+from faultline.testbench.play import live
+from faultline.testbench.recorded import read_recording
+from faultline.testbench.recording import record
+from faultline.testbench.request import Kind, Request
+from faultline.testbench.simulation import Run, simulate
+from faultline.testbench.traffic import frames
+from faultline.testbench.units import MBAR
+from faultline.testbench.vehicles import VEHICLES
 
 BENCH = VEHICLES["bench"]
 SHORT = ["record", "--cycle", "validation", "--duration", "60", "--kind", "instrumented", "--seed", "7"]

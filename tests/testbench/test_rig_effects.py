@@ -6,21 +6,21 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from testbench.branches import Branch, Creep, Leak, Relief
-from testbench.bus import Knowledge
-from testbench.cycles import CYCLES
-from testbench.effects import EFFECTS, PROFILES, checked, fitted
-from testbench.errors import RigError
-from testbench.faults import ON_S, PERIOD_S, Fault
-from testbench.hose import Hose
-from testbench.plant import SYSTEM_PRESSURE, Array, Plant
-from testbench.pump import PumpParameters
-from testbench.restriction import TURBULENT, Restriction
-from testbench.sensors import EcuSensors, Membrane
-from testbench.simulation import MARGIN, STEP, Run, simulate
-from testbench.units import ATMOSPHERE, BAR, ML
-from testbench.valve import FREQUENCY, Needle, PulseWidth
-from testbench.vehicles import VEHICLES
+from faultline.testbench.branches import Branch, Creep, Leak, Relief
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.effects import EFFECTS, PROFILES, checked, fitted
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import ON_S, PERIOD_S, Fault
+from faultline.testbench.hose import Hose
+from faultline.testbench.plant import SYSTEM_PRESSURE, Array, Plant
+from faultline.testbench.pump import PumpParameters
+from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.sensors import EcuSensors, Membrane
+from faultline.testbench.simulation import MARGIN, STEP, Run, simulate
+from faultline.testbench.units import ATMOSPHERE, BAR, ML
+from faultline.testbench.valve import FREQUENCY, Needle, PulseWidth
+from faultline.testbench.vehicles import VEHICLES
 
 BENCH = VEHICLES["bench"]
 WINDOW = 10.0  # s

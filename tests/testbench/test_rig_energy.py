@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from testbench.branches import Leak
-from testbench.effects import fitted
-from testbench.hose import Hose
-from testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
-from testbench.restriction import TURBULENT, Restriction
-from testbench.units import ATMOSPHERE, ML
-from testbench.valve import PulseWidth
-from testbench.vehicles import VEHICLES
+from faultline.testbench.branches import Leak
+from faultline.testbench.effects import fitted
+from faultline.testbench.hose import Hose
+from faultline.testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
+from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.units import ATMOSPHERE, ML
+from faultline.testbench.valve import PulseWidth
+from faultline.testbench.vehicles import VEHICLES
 
 DURATION = 24.0  # s
 BENCH = VEHICLES["bench"]

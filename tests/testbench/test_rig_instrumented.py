@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from service.diagnose import main as diagnose
-from service.logs import open_log
-from service.logs.recording import load_recording
-from testbench.bus import load_dbc
-from testbench.command import main
-from testbench.cycles import CYCLES
-from testbench.faults import Fault
-from testbench.plant import Array
-from testbench.recording import record
-from testbench.request import Kind, Request
-from testbench.simulation import simulate
-from testbench.units import ATMOSPHERE
-from testbench.vehicles import VEHICLES
+from faultline.service.diagnose import main as diagnose
+from faultline.service.logs import open_log
+from faultline.service.logs.recording import load_recording
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.faults import Fault
+from faultline.testbench.plant import Array
+from faultline.testbench.recording import record
+from faultline.testbench.request import Kind, Request
+from faultline.testbench.simulation import simulate
+from faultline.testbench.units import ATMOSPHERE
+from faultline.testbench.vehicles import VEHICLES
 
 GOLDEN_BUNDLE = Path(__file__).parents[1] / "golden" / "bundle"
 DURATION = 70.0

@@ -8,12 +8,12 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from testbench.bus import Knowledge
-from testbench.command import main
-from testbench.cycles import CYCLES
-from testbench.recorded import read_recording
-from testbench.simulation import simulate
-from testbench.vehicles import VEHICLES
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.recorded import read_recording
+from faultline.testbench.simulation import simulate
+from faultline.testbench.vehicles import VEHICLES
 
 DURATION = 70.0
 FAULT = ["--fault", "off_p_du", "--size", "1", "--onset", "60"]

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from testbench.effects import PROFILES, fitted
-from testbench.plant import SYSTEM_PRESSURE, Plant
-from testbench.pump import Drive, PumpParameters
-from testbench.restriction import Restriction
-from testbench.units import ATMOSPHERE, BAR, ML
-from testbench.valve import FREQUENCY, PulseWidth
-from testbench.vehicles import VEHICLES
+from faultline.testbench.effects import PROFILES, fitted
+from faultline.testbench.plant import SYSTEM_PRESSURE, Plant
+from faultline.testbench.pump import Drive, PumpParameters
+from faultline.testbench.restriction import Restriction
+from faultline.testbench.units import ATMOSPHERE, BAR, ML
+from faultline.testbench.valve import FREQUENCY, PulseWidth
+from faultline.testbench.vehicles import VEHICLES
 
 H = 0.002
 BENCH_PLANT = fitted(VEHICLES["bench"], PROFILES["realistic"]).plant

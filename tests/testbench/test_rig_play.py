@@ -13,16 +13,16 @@ from pathlib import Path
 import can
 import pytest
 
-from service.bus import open_bus
-from testbench.bus import load_dbc
-from testbench.command import main
-from testbench.cycles import CYCLES
-from testbench.live_bus import on_bus
-from testbench.play import live, play
-from testbench.request import Request
-from testbench.simulation import simulate
-from testbench.traffic import Frame, frames
-from testbench.vehicles import VEHICLES
+from faultline.service.bus import open_bus
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.live_bus import on_bus
+from faultline.testbench.play import live, play
+from faultline.testbench.request import Request
+from faultline.testbench.simulation import simulate
+from faultline.testbench.traffic import Frame, frames
+from faultline.testbench.vehicles import VEHICLES
 
 SHORT = ["play", "--cycle", "drive", "--duration", "60"]
 GROUP = "udp_multicast:239.74.163.2"
@@ -135,7 +135,7 @@ def test_the_service_hears_it_on_this_machines_multicast_and_the_truth_is_writte
 
 
 def test_control_c_ends_it_with_exit_code_0(port: int) -> None:
-    code = "import sys; from testbench.command import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from faultline.testbench.command import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code]
     with (
         open_bus(f"{GROUP}:{port}") as listener,

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES, STANDING
-from testbench.effects import fitted
-from testbench.faults import Fault
-from testbench.plant import Plant
-from testbench.pulsation import PULSES, RATED_SPEED, Pulsation, felt, pulse
-from testbench.recorded import read_recording
-from testbench.recording import record
-from testbench.request import Kind, Request
-from testbench.simulation import simulate
-from testbench.units import MBAR
-from testbench.vehicles import TRUCK
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES, STANDING
+from faultline.testbench.effects import fitted
+from faultline.testbench.faults import Fault
+from faultline.testbench.plant import Plant
+from faultline.testbench.pulsation import PULSES, RATED_SPEED, Pulsation, felt, pulse
+from faultline.testbench.recorded import read_recording
+from faultline.testbench.recording import record
+from faultline.testbench.request import Kind, Request
+from faultline.testbench.simulation import simulate
+from faultline.testbench.units import MBAR
+from faultline.testbench.vehicles import TRUCK
 
 ALONE = {"suction_pulsation": 20.0}
 

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from testbench import can_logger
-from testbench.bus import Knowledge, load_dbc
-from testbench.cycles import CYCLES
-from testbench.errors import RigError
-from testbench.faults import Fault
-from testbench.recording import record
-from testbench.request import Request
-from testbench.second_logger import RANGES
-from testbench.sensors import EcuSensors
-from testbench.vehicles import VEHICLES
+from faultline.testbench import can_logger
+from faultline.testbench.bus import Knowledge, load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Fault
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.second_logger import RANGES
+from faultline.testbench.sensors import EcuSensors
+from faultline.testbench.vehicles import VEHICLES
 
 DURATION = 70.0
 FAULT = Fault("fA_du", 0.65, 50.0)

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbench.command import main
-from testbench.cycles import CYCLES
-from testbench.day import CALM
-from testbench.errors import RigError
-from testbench.faults import Fault
-from testbench.second_logger import Clocking, SecondLogger, external_csv
-from testbench.simulation import MARGIN, Run, simulate
-from testbench.units import ATMOSPHERE
-from testbench.vehicles import VEHICLES
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.day import CALM
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import Fault
+from faultline.testbench.second_logger import Clocking, SecondLogger, external_csv
+from faultline.testbench.simulation import MARGIN, Run, simulate
+from faultline.testbench.units import ATMOSPHERE
+from faultline.testbench.vehicles import VEHICLES
 
 Rows = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 DURATION = 60.0

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from testbench.bus import Knowledge
-from testbench.cycles import CYCLES, SYSTEM
-from testbench.ecu import CUT_BELOW, PERIOD, Ecu
-from testbench.errors import RigError
-from testbench.faults import FAULTS, Fault
-from testbench.simulation import STEP, Run, simulate
-from testbench.units import ATMOSPHERE
-from testbench.vehicles import BENCH, VEHICLES
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.cycles import CYCLES, SYSTEM
+from faultline.testbench.ecu import CUT_BELOW, PERIOD, Ecu
+from faultline.testbench.errors import RigError
+from faultline.testbench.faults import FAULTS, Fault
+from faultline.testbench.simulation import STEP, Run, simulate
+from faultline.testbench.units import ATMOSPHERE
+from faultline.testbench.vehicles import BENCH, VEHICLES
 
 TP, BP, AP, DU = range(4)
 N_P = Knowledge._fields.index("n_p")

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from testbench.command import main
-from testbench.cycles import CYCLES
-from testbench.faults import FAULTS, Fault, limit
-from testbench.simulation import Run, simulate
-from testbench.sizes import DURATION, SIGMAS, effect, frozen
-from testbench.vehicles import BENCH
+from faultline.testbench.command import main
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.faults import FAULTS, Fault, limit
+from faultline.testbench.simulation import Run, simulate
+from faultline.testbench.sizes import DURATION, SIGMAS, effect, frozen
+from faultline.testbench.vehicles import BENCH
 
 
 @pytest.fixture(scope="module")

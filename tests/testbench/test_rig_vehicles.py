@@ -4,11 +4,11 @@ import statistics
 
 import pytest
 
-from testbench.bus import Knowledge
-from testbench.cycles import CYCLES, SYSTEM
-from testbench.errors import RigError
-from testbench.simulation import simulate
-from testbench.vehicles import LIFE, VEHICLES, vehicle
+from faultline.testbench.bus import Knowledge
+from faultline.testbench.cycles import CYCLES, SYSTEM
+from faultline.testbench.errors import RigError
+from faultline.testbench.simulation import simulate
+from faultline.testbench.vehicles import LIFE, VEHICLES, vehicle
 
 
 def test_a_truck_has_longer_hoses_and_other_sensors() -> None:

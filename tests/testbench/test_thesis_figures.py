@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES, DOSING_FROM
-from testbench.ecu import CUT_BELOW, RESUME_WITHIN
-from testbench.faults import Fault
-from testbench.plant import Array
-from testbench.pump import PumpParameters
-from testbench.recorded import Track, read_recording
-from testbench.recording import record
-from testbench.request import Request
-from testbench.units import ATMOSPHERE, BAR
-from testbench.vehicles import VEHICLES
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES, DOSING_FROM
+from faultline.testbench.ecu import CUT_BELOW, RESUME_WITHIN
+from faultline.testbench.faults import Fault
+from faultline.testbench.plant import Array
+from faultline.testbench.pump import PumpParameters
+from faultline.testbench.recorded import Track, read_recording
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.units import ATMOSPHERE, BAR
+from faultline.testbench.vehicles import VEHICLES
 
 SEEDS = (1, 2, 3)
 TRAINING, VALIDATION = 360.0, 220.0  # s

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.bundle import load_bundle
-from service.core.events import Event, candidates
-from service.core.health import Conditions
-from service.core.monitor import Monitor
-from service.logs import Frame, open_log
-from service.watched import watched
+from faultline.service.bundle import load_bundle
+from faultline.service.core.events import Event, candidates
+from faultline.service.core.health import Conditions
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import Frame, open_log
+from faultline.service.watched import watched
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FRAMES = list(open_log(GOLDEN / "log").relative())

@@ -25,7 +25,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, words: tuple[str
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (MOST, MOST))
 
-    script = "import sys; from service.cli import main; sys.exit(main())"
+    script = "import sys; from faultline.service.cli import main; sys.exit(main())"
     done = subprocess.run(
         [sys.executable, "-c", script, *(word.format(tmp_path) for word in words)],
         cwd=ROOT,

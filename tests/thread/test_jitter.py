@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.bundle import load_bundle
-from service.core.decision import RANKING_PERIOD
-from service.core.events import candidates, decode
-from service.core.monitor import Monitor
-from service.logs import Frame, open_log
+from faultline.service.bundle import load_bundle
+from faultline.service.core.decision import RANKING_PERIOD
+from faultline.service.core.events import candidates, decode
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().splitlines()]

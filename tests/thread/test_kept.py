@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from ports import multicast
 
-from service.store.file import StoreFile
+from faultline.service.store.file import StoreFile
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.calibration.command import main as calibrate
-from analysis.discrepancy.command import main as discover
-from analysis.tuning.command import main as tune
-from service.core.errors import InputError
-from training.command import main as train
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.discrepancy.command import main as discover
+from faultline.analysis.tuning.command import main as tune
+from faultline.service.core.errors import InputError
+from faultline.training.command import main as train
 
 LOG = Path(__file__).parents[1] / "golden" / "log"
 

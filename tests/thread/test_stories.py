@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from analysis.model import Model, load_model
+from faultline.analysis.model import Model, load_model
 
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -16,11 +16,11 @@ from typing import IO
 import pytest
 from ports import multicast
 
-from service.bundle import load_bundle
-from service.core.events import Event, decode, is_other, schema_of
-from service.core.faults import SCHEMA as FAULT
-from service.core.faults import decode_record
-from service.logs import open_log
+from faultline.service.bundle import load_bundle
+from faultline.service.core.events import Event, decode, is_other, schema_of
+from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.faults import decode_record
+from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().splitlines()]

@@ -12,18 +12,18 @@ import msgspec
 import pytest
 from ports import multicast
 
-from service.answers import _live, _system
-from service.bundle import load_bundle
-from service.core.decision import Decision
-from service.core.freeze import Sample
-from service.core.monitor import Monitor
-from service.core.observer import Tick as Observed
-from service.logs import open_log
-from service.workshop.answers import System, Tick
-from service.workshop.cycle import Cycle
-from service.workshop.plan import plan
-from service.workshop.result import Result
-from service.workshop.verdict import Seen, Verdict, judge
+from faultline.service.answers import _live, _system
+from faultline.service.bundle import load_bundle
+from faultline.service.core.decision import Decision
+from faultline.service.core.freeze import Sample
+from faultline.service.core.monitor import Monitor
+from faultline.service.core.observer import Tick as Observed
+from faultline.service.logs import open_log
+from faultline.service.workshop.answers import System, Tick
+from faultline.service.workshop.cycle import Cycle
+from faultline.service.workshop.plan import plan
+from faultline.service.workshop.result import Result
+from faultline.service.workshop.verdict import Seen, Verdict, judge
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))

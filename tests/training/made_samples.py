@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from analysis.graph.bank import PERIOD_S
-from analysis.model import load_model
-from training.layout import Layout, layout_of
-from training.recipe import DEFAULT, Phase
-from training.samples import Samples, Stretch
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import load_model
+from faultline.training.layout import Layout, layout_of
+from faultline.training.recipe import DEFAULT, Phase
+from faultline.training.samples import Samples, Stretch
 
 Array = npt.NDArray[np.float64]
 

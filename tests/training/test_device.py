@@ -14,12 +14,12 @@ from made_samples import SHORT, circuit, dosing, rc
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from analysis.model import load_model
-from service.core.errors import InputError
-from training.device import CPU, device_of
-from training.layout import layout_of
-from training.loop import Training
-from training.recipe import DEFAULT, THESIS
+from faultline.analysis.model import load_model
+from faultline.service.core.errors import InputError
+from faultline.training.device import CPU, device_of
+from faultline.training.layout import layout_of
+from faultline.training.loop import Training
+from faultline.training.recipe import DEFAULT, THESIS
 
 META = torch.device("meta")
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from analysis.model import load_model
-from service.core.errors import InputError
-from training.layout import layout_of
+from faultline.analysis.model import load_model
+from faultline.service.core.errors import InputError
+from faultline.training.layout import layout_of
 
 TABLE = {
     "t02": {"p_du": "p_du y_p_ap dc_dose", "h": "p_du"},

@@ -4,11 +4,11 @@ import numpy as np
 import torch
 from made_samples import circuit, rc
 
-from training.free_run import Course
-from training.novelty import novelty, novelty_of, operating_points
-from training.reckoned import Equations, reckoned
-from training.scaling import scaling_of
-from training.windows import Windows
+from faultline.training.free_run import Course
+from faultline.training.novelty import novelty, novelty_of, operating_points
+from faultline.training.reckoned import Equations, reckoned
+from faultline.training.scaling import scaling_of
+from faultline.training.windows import Windows
 
 
 def walk(seed: int, inside: bool, ticks: int = 3000) -> tuple[Windows, Course]:

@@ -8,22 +8,22 @@ import pytest
 import torch
 from made_samples import circuit, dosing, rc
 
-from analysis.graph.cells import cell_graph
-from analysis.graph.networks import GRAPH
-from analysis.model import load_model
-from service.core.generators import Graph
-from training.bank import generator_of
-from training.free_run import Course, free_run
-from training.layout import Layout, layout_of
-from training.network import Networks, Run
-from training.novelty import novelty, novelty_of, operating_points
-from training.recipe import DEFAULT, THESIS, Recipe
-from training.reckoned import Equations, reckoned
-from training.samples import Samples
-from training.scaling import scaling_of
-from training.variance import Variances, variances
-from training.weights import cells_of
-from training.windows import Windows
+from faultline.analysis.graph.cells import cell_graph
+from faultline.analysis.graph.networks import GRAPH
+from faultline.analysis.model import load_model
+from faultline.service.core.generators import Graph
+from faultline.training.bank import generator_of
+from faultline.training.free_run import Course, free_run
+from faultline.training.layout import Layout, layout_of
+from faultline.training.network import Networks, Run
+from faultline.training.novelty import novelty, novelty_of, operating_points
+from faultline.training.recipe import DEFAULT, THESIS, Recipe
+from faultline.training.reckoned import Equations, reckoned
+from faultline.training.samples import Samples
+from faultline.training.scaling import scaling_of
+from faultline.training.variance import Variances, variances
+from faultline.training.weights import cells_of
+from faultline.training.windows import Windows
 
 PARITY = 1e-5
 """Of the largest |y|: what the project promises."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from service.core.signals import Quality
-from service.logs import Frame
-from training.phases import PHASES, STARTS, Signals, Start, _share, starts
+from faultline.service.core.signals import Quality
+from faultline.service.logs import Frame
+from faultline.training.phases import PHASES, STARTS, Signals, Start, _share, starts
 
 FAST, SLOW = 1, 2
 PERIODS = {FAST: 0.1, SLOW: 0.2}

@@ -2,7 +2,7 @@
 
 import torch
 
-from training.stack import Stack
+from faultline.training.stack import Stack
 
 
 def test_each_function_is_its_own_network() -> None:

@@ -10,16 +10,16 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from analysis.export import main as export
-from analysis.graph.networks import load_networks
-from analysis.model import load_model
-from analysis.tuning.command import main as tune
-from service.bundle import load_bundle, verify_golden
-from service.core.errors import InputError
-from service.diagnose import main as diagnose
-from service.logs import open_log
-from training.command import main as train
-from training.recipe import DEFAULT, Phase
+from faultline.analysis.export import main as export
+from faultline.analysis.graph.networks import load_networks
+from faultline.analysis.model import load_model
+from faultline.analysis.tuning.command import main as tune
+from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.core.errors import InputError
+from faultline.service.diagnose import main as diagnose
+from faultline.service.logs import open_log
+from faultline.training.command import main as train
+from faultline.training.recipe import DEFAULT, Phase
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
 import tanks
@@ -43,7 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("networks")
     logs = tuple(tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
     networks, tuning, bundle = folder / "networks", folder / "tuning.json", folder / "bundle"
-    with patch.dict("training.command.RECIPES", {"default": QUICK}):
+    with patch.dict("faultline.training.command.RECIPES", {"default": QUICK}):
         assert train(["three_tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
     given = ["three_tank", "--networks", str(networks)]
     assert tune([*given, *map(str, logs[1:]), "--out", str(tuning)]) == 0
@@ -104,7 +104,7 @@ def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: 
 def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_path: Path) -> None:
     short = tanks.record(tmp_path / "short", 7, 160.0)
     given = ["three_tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
-    with patch("training.saved.PHASES", QUICK.phases):
+    with patch("faultline.training.saved.PHASES", QUICK.phases):
         assert train(given) == 0
     model = load_model("three_tank")
     before, after = (load_networks(folder, model).description for folder in (made.networks, tmp_path / "adapted"))

@@ -9,15 +9,15 @@ import pytest
 import torch
 from made_samples import SHORT, circuit, rc
 
-from service.core.errors import InputError
-from training.bank import networks_of
-from training.checkpoint import key_of, load_checkpoint, save_checkpoint
-from training.free_run import free_run
-from training.loop import Training
-from training.recipe import THESIS, Phase, Recipe
-from training.reckoned import Equations, reckoned
-from training.samples import Samples, Stretch
-from training.windows import Windows
+from faultline.service.core.errors import InputError
+from faultline.training.bank import networks_of
+from faultline.training.checkpoint import key_of, load_checkpoint, save_checkpoint
+from faultline.training.free_run import free_run
+from faultline.training.loop import Training
+from faultline.training.recipe import THESIS, Phase, Recipe
+from faultline.training.reckoned import Equations, reckoned
+from faultline.training.samples import Samples, Stretch
+from faultline.training.windows import Windows
 
 NOISE = 1e-4
 QUICK = dataclasses.replace(SHORT, phases=(Phase(30, 15, 16, 60), Phase(60, 30, 8, 60)))

@@ -4,13 +4,13 @@ import numpy as np
 import torch
 from made_samples import circuit, rc
 
-from analysis.model import load_model
-from training.free_run import Course
-from training.layout import layout_of
-from training.reckoned import Equations, reckoned
-from training.scaling import scaling_of
-from training.variance import Variances, variance_columns, variances
-from training.windows import Windows
+from faultline.analysis.model import load_model
+from faultline.training.free_run import Course
+from faultline.training.layout import layout_of
+from faultline.training.reckoned import Equations, reckoned
+from faultline.training.scaling import scaling_of
+from faultline.training.variance import Variances, variance_columns, variances
+from faultline.training.windows import Windows
 
 MEMBERS = 3
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from made_samples import circuit, rc
 
-from training.reckoned import Equations, Example, reckoned
-from training.varied import varied
+from faultline.training.reckoned import Equations, Example, reckoned
+from faultline.training.varied import varied
 
 AMPLITUDE = 0.3
 

@@ -17,11 +17,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
-from analysis.calibration.provenance import DISCOVER
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.model import Model, ModelError, Parameter, dump_model, parse_model
-from analysis.model.tables import Table
+from faultline.analysis.calibration.provenance import DISCOVER
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.model import Model, ModelError, Parameter, dump_model, parse_model
+from faultline.analysis.model.tables import Table
 
 T = TypeVar("T")
 

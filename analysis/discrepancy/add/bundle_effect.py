@@ -10,22 +10,22 @@ from pathlib import Path
 from statistics import mean
 from tempfile import TemporaryDirectory
 
-from analysis.calibration.provenance import check_vehicle
-from analysis.evaluation.judge import Verdict, judge
-from analysis.evaluation.story import tell
-from analysis.evaluation.truth import Truth, load_truth
-from analysis.export import bundle_files
-from analysis.graph.bank import build_bank
-from analysis.graph.runnable import Runnable
-from analysis.model import Model
-from analysis.progress import Progress
-from analysis.recordings.observe import open_known
-from analysis.tuning.command import tune
-from service.bundle import Bundle, load_bundle, verify_golden
-from service.core.errors import InputError
-from service.core.manifest import CusumDetector, Generator
-from service.core.modes import EDGE
-from service.logs import Log
+from faultline.analysis.calibration.provenance import check_vehicle
+from faultline.analysis.evaluation.judge import Verdict, judge
+from faultline.analysis.evaluation.story import tell
+from faultline.analysis.evaluation.truth import Truth, load_truth
+from faultline.analysis.export import bundle_files
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model
+from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.observe import open_known
+from faultline.analysis.tuning.command import tune
+from faultline.service.bundle import Bundle, load_bundle, verify_golden
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import CusumDetector, Generator
+from faultline.service.core.modes import EDGE
+from faultline.service.logs import Log
 
 ALIKE = 0.1
 """A test that tolerates up to so much more or less than it did, of that, tolerates as much."""

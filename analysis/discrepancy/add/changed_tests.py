@@ -7,7 +7,7 @@ or, where no test has them all, the largest share of them.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from analysis.structure import Support, Test
+from faultline.analysis.structure import Support, Test
 
 ALIKE = 0.5
 """Of the equations that either test has, those that both must have to be one test."""

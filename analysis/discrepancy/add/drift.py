@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.discrepancy.name.attempt import Attempt
-from analysis.model import Model, Parameter
+from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.model import Model, Parameter
 
 MOVED = 0.5
 """Standard deviations of the prior by which a parameter must come nearer or go further to be named."""

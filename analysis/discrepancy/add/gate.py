@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.calibration.problem import DELAY_S, LAG_S
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.add.adopt import adopted
-from analysis.discrepancy.add.held_out import Shown
-from analysis.discrepancy.data import Data
-from analysis.discrepancy.discover import Discovery
-from analysis.model import Model
-from service.core.manifest import MODES
-from service.core.modes import EDGE
+from faultline.analysis.calibration.problem import DELAY_S, LAG_S
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.add.adopt import adopted
+from faultline.analysis.discrepancy.add.held_out import Shown
+from faultline.analysis.discrepancy.data import Data
+from faultline.analysis.discrepancy.discover import Discovery
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
 
 WORSE = 1.05
 """A free run's error in a mode may grow by this factor, and to what noise lets expect; more, and nothing is added."""

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import Section, fitting
-from analysis.calibration.validate import STEADY, Agreement, validate
-from analysis.discrepancy.add.whiteness import Whiteness, whiteness
-from analysis.discrepancy.effects.compiled import system_with
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried
-from analysis.discrepancy.name.likelihood import Bins, Likelihood, bins_of
-from analysis.simulation import System, Trajectory
-from service.core.manifest import MODES
-from service.core.modes import EDGE
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import Section, fitting
+from faultline.analysis.calibration.validate import STEADY, Agreement, validate
+from faultline.analysis.discrepancy.add.whiteness import Whiteness, whiteness
+from faultline.analysis.discrepancy.effects.compiled import system_with
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried
+from faultline.analysis.discrepancy.name.likelihood import Bins, Likelihood, bins_of
+from faultline.analysis.simulation import System, Trajectory
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

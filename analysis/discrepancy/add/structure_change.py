@@ -6,11 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.calibration.identify import TELLS
-from analysis.discrepancy.add.changed_tests import ChangedTest, changed_tests
-from analysis.discrepancy.name.attempt import Attempt
-from analysis.model import Model
-from analysis.structure import (
+from faultline.analysis.calibration.identify import TELLS
+from faultline.analysis.discrepancy.add.changed_tests import ChangedTest, changed_tests
+from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.model import Model
+from faultline.analysis.structure import (
     Structure,
     Support,
     Test,

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.model import Model, dump_model
-from analysis.simulation import System, system_of
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.model import Model, dump_model
+from faultline.analysis.simulation import System, system_of
 
 MOST = 256
 """Systems that are remembered: some for every entry of a library."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from analysis.model import Differential, Parameter
+from faultline.analysis.model import Differential, Parameter
 
 
 @dataclass(frozen=True, kw_only=True)

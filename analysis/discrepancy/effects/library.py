@@ -22,12 +22,12 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from analysis.discrepancy.effects.effect import Change, Effect, EffectEquation, EffectParameter, EffectUnknown
-from analysis.model import Differential, ModelError
-from analysis.model.check import check_name
-from analysis.model.expression import FUNCTIONS, parse_expression
-from analysis.model.model import check_bounds
-from analysis.model.tables import Table, first_repeated
+from faultline.analysis.discrepancy.effects.effect import Change, Effect, EffectEquation, EffectParameter, EffectUnknown
+from faultline.analysis.model import Differential, ModelError
+from faultline.analysis.model.check import check_name
+from faultline.analysis.model.expression import FUNCTIONS, parse_expression
+from faultline.analysis.model.model import check_bounds
+from faultline.analysis.model.tables import Table, first_repeated
 
 SCHEMA = 1
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 
 import sympy as sp
 
-from analysis.discrepancy.effects.effect import Change, Effect
-from analysis.discrepancy.effects.soundness import check_rewritten
-from analysis.model import Differential, Equation, Fault, Model, ModelError, Unknown
-from analysis.model.expression import parse_expression
+from faultline.analysis.discrepancy.effects.effect import Change, Effect
+from faultline.analysis.discrepancy.effects.soundness import check_rewritten
+from faultline.analysis.model import Differential, Equation, Fault, Model, ModelError, Unknown
+from faultline.analysis.model.expression import parse_expression
 
 
 def applicable(model: Model, effect: Effect) -> str | None:

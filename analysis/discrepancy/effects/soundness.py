@@ -5,12 +5,12 @@ from random import Random
 
 import sympy as sp
 
-from analysis.discrepancy.effects.effect import Effect
-from analysis.model import Model, ModelError
-from analysis.model.check import check_model
-from analysis.simulation import system_of
-from analysis.structure.lint import unit_findings
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.model import Model, ModelError
+from faultline.analysis.model.check import check_model
+from faultline.analysis.simulation import system_of
+from faultline.analysis.structure.lint import unit_findings
+from faultline.service.core.errors import InputError
 
 PROBES = 8
 """Points at which formulas are compared that sympy cannot tell to be equal."""

@@ -6,8 +6,8 @@ Every equation gets a fault of its own; what is not isolable then is not localis
 import dataclasses
 from collections.abc import Collection, Sequence
 
-from analysis.model import Model
-from analysis.structure import Structure, add_sensors, isolability_of, structure_of
+from faultline.analysis.model import Model
+from faultline.analysis.structure import Structure, add_sensors, isolability_of, structure_of
 
 
 def inseparable(model: Model, equation: str) -> tuple[str, ...]:

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.calibration.noise import stacked
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import Section
-from analysis.simulation import Drive, System, Trajectory, disturbance, run, system_of
+from faultline.analysis.calibration.noise import stacked
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.simulation import Drive, System, Trajectory, disturbance, run, system_of
 
 Array = npt.NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.discrepancy.find.disturbed import DisturbedRuns
-from analysis.discrepancy.find.quantities import PARTIAL, Term, mode_of, quantities, terms_of
-from analysis.model import Model
-from service.core.manifest import MODES
+from faultline.analysis.discrepancy.find.disturbed import DisturbedRuns
+from faultline.analysis.discrepancy.find.quantities import PARTIAL, Term, mode_of, quantities, terms_of
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from analysis.calibration.noise import Weigh
-from analysis.calibration.problem import Problem
+from faultline.analysis.calibration.noise import Weigh
+from faultline.analysis.calibration.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

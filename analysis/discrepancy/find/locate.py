@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Weigh
-from analysis.calibration.problem import Problem
-from analysis.discrepancy.find.classes import inseparable, splitting_sensors
-from analysis.discrepancy.find.disturbed import disturbed_runs
-from analysis.discrepancy.find.features import Operation
-from analysis.discrepancy.find.latent import Known, Latent, Misfit, Response, null_law, tail
-from analysis.discrepancy.find.operating_space import PLAUSIBLE, Finding, columns_of, finding_of
-from analysis.discrepancy.find.refit import without
-from analysis.discrepancy.find.unknown_input import cells_of
+from faultline.analysis.calibration.noise import Weigh
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.discrepancy.find.classes import inseparable, splitting_sensors
+from faultline.analysis.discrepancy.find.disturbed import disturbed_runs
+from faultline.analysis.discrepancy.find.features import Operation
+from faultline.analysis.discrepancy.find.latent import Known, Latent, Misfit, Response, null_law, tail
+from faultline.analysis.discrepancy.find.operating_space import PLAUSIBLE, Finding, columns_of, finding_of
+from faultline.analysis.discrepancy.find.refit import without
+from faultline.analysis.discrepancy.find.unknown_input import cells_of
 
 Array = npt.NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.discrepancy.find.locate import Location
-from analysis.model import Model
+from faultline.analysis.discrepancy.find.locate import Location
+from faultline.analysis.model import Model
 
 Array = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.discrepancy.find.features import Feature, Operation
-from analysis.discrepancy.find.latent import Misfit
+from faultline.analysis.discrepancy.find.features import Feature, Operation
+from faultline.analysis.discrepancy.find.latent import Misfit
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
-from analysis.calibration.sections import Section
-from analysis.model import Model
-from analysis.simulation import System, Trajectory
-from service.core.manifest import MODES
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.model import Model
+from faultline.analysis.simulation import System, Trajectory
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Weigh
-from analysis.calibration.problem import Problem
-from analysis.discrepancy.find.latent import Latent, Response
-from service.core.errors import InputError
+from faultline.analysis.calibration.noise import Weigh
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.discrepancy.find.latent import Latent, Response
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

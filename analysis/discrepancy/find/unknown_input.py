@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.sections import Section
-from analysis.discrepancy.find.disturbed import DisturbedRuns
-from analysis.discrepancy.find.quantities import mode_of
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.discrepancy.find.disturbed import DisturbedRuns
+from faultline.analysis.discrepancy.find.quantities import mode_of
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

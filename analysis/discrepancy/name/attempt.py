@@ -13,17 +13,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from analysis.calibration.problem import Problem, Unknowns
-from analysis.calibration.sections import Section, fitting
-from analysis.discrepancy.effects.compiled import system_with
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.find.latent import Known
-from analysis.discrepancy.find.locate import Location, locate
-from analysis.discrepancy.name.likelihood import Likelihood, bins_of, blocks, levels_of
-from analysis.discrepancy.name.search import Optimum, descend
-from analysis.discrepancy.name.sensitivity import Direction, remaining
-from analysis.model import Model
-from analysis.simulation import System
+from faultline.analysis.calibration.problem import Problem, Unknowns
+from faultline.analysis.calibration.sections import Section, fitting
+from faultline.analysis.discrepancy.effects.compiled import system_with
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.find.latent import Known
+from faultline.analysis.discrepancy.find.locate import Location, locate
+from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of, blocks, levels_of
+from faultline.analysis.discrepancy.name.search import Optimum, descend
+from faultline.analysis.discrepancy.name.sensitivity import Direction, remaining
+from faultline.analysis.model import Model
+from faultline.analysis.simulation import System
 
 Array = npt.NDArray[np.float64]
 

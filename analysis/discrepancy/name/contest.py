@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from analysis.discrepancy.name.attempt import Attempt, Begin, Glance
-from analysis.discrepancy.name.work import Crew, Order
+from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Glance
+from faultline.analysis.discrepancy.name.work import Crew, Order
 
 AT_MOST = 3
 """Effects at once: what more are needed, the library lacks."""

@@ -17,21 +17,21 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import Section, cut, fitting
-from analysis.discrepancy.data import STEP_S
-from analysis.discrepancy.effects.compiled import model_with, system_with
-from analysis.discrepancy.effects.library import EXPERIMENTS
-from analysis.discrepancy.find.quantities import mode_of
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
-from analysis.discrepancy.name.likelihood import Likelihood, bins_of
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Equation, Known, Model, Unknown
-from analysis.model.expression import parse_expression
-from analysis.model.tables import Table
-from analysis.recordings.track import Track
-from analysis.simulation import Drive, System, run, system_of
-from service.core.errors import InputError
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import Section, cut, fitting
+from faultline.analysis.discrepancy.data import STEP_S
+from faultline.analysis.discrepancy.effects.compiled import model_with, system_with
+from faultline.analysis.discrepancy.effects.library import EXPERIMENTS
+from faultline.analysis.discrepancy.find.quantities import mode_of
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
+from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Equation, Known, Model, Unknown
+from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.tables import Table
+from faultline.analysis.recordings.track import Track
+from faultline.analysis.simulation import Drive, System, run, system_of
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

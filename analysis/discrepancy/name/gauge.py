@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import fitting
-from analysis.discrepancy.effects.compiled import system_with
-from analysis.discrepancy.find.quantities import mode_of, quantities
-from analysis.discrepancy.name.attempt import Attempt, Study
-from service.core.errors import InputError
-from service.core.manifest import MODES
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import fitting
+from faultline.analysis.discrepancy.effects.compiled import system_with
+from faultline.analysis.discrepancy.find.quantities import mode_of, quantities
+from faultline.analysis.discrepancy.name.attempt import Attempt, Study
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 

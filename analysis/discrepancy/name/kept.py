@@ -6,8 +6,8 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-from analysis.discrepancy.name.attempt import Attempt, Glance
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.name.attempt import Attempt, Glance
+from faultline.service.core.errors import InputError
 
 Kept = TypeVar("Kept", Attempt, Glance)
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Whitening, disturbances
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import Section
-from analysis.model import Model
-from service.core.manifest import MODES
+from faultline.analysis.calibration.noise import Whitening, disturbances
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

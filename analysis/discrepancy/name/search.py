@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
-from analysis.calibration.problem import Problem
-from analysis.discrepancy.name.likelihood import Likelihood
-from service.core.errors import InputError
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.discrepancy.name.likelihood import Likelihood
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
 
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
-from analysis.discrepancy.name.kept import keep, kept
-from analysis.discrepancy.name.sensitivity import Direction
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
+from faultline.analysis.discrepancy.name.kept import keep, kept
+from faultline.analysis.discrepancy.name.sensitivity import Direction
+from faultline.service.core.errors import InputError
 
 Result = TypeVar("Result")
 

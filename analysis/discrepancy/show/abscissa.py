@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.sections import Section
-from analysis.discrepancy.discover import Discovery
-from analysis.discrepancy.find.disturbed import STEP_S
-from analysis.model import Model
-from analysis.simulation import system_of
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.discrepancy.discover import Discovery
+from faultline.analysis.discrepancy.find.disturbed import STEP_S
+from faultline.analysis.model import Model
+from faultline.analysis.simulation import system_of
 
 Array = npt.NDArray[np.float64]
 

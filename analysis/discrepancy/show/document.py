@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from analysis.discrepancy.discover import Kind
+from faultline.analysis.discrepancy.discover import Kind
 
 SCHEMA = "faultline.discovery/1"
 

@@ -5,7 +5,7 @@ import io
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from analysis.discrepancy.show.document import Document
+from faultline.analysis.discrepancy.show.document import Document
 
 # Okabe and Ito, Color universal design (2008): told apart with every kind of colour blindness.
 BEFORE, AFTER, ALSO, INK, QUIET, BAND = "#D55E00", "#0072B2", "#56B4E9", "#222222", "#9a9a9a", "#e4e4e4"

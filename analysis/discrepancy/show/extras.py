@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 
 import msgspec
 
-from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
-from analysis.discrepancy.add.drift import Drifts
-from analysis.discrepancy.add.structure_change import StructureChange
-from analysis.discrepancy.find.onset import Onset
-from analysis.discrepancy.name.experiment import Plan
-from analysis.discrepancy.name.gauge import Gauge
-from analysis.discrepancy.show import document as told
-from analysis.discrepancy.show.sizes import readable
+from faultline.analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
+from faultline.analysis.discrepancy.add.drift import Drifts
+from faultline.analysis.discrepancy.add.structure_change import StructureChange
+from faultline.analysis.discrepancy.find.onset import Onset
+from faultline.analysis.discrepancy.name.experiment import Plan
+from faultline.analysis.discrepancy.name.gauge import Gauge
+from faultline.analysis.discrepancy.show import document as told
+from faultline.analysis.discrepancy.show.sizes import readable
 
 
 @dataclass(frozen=True, kw_only=True)

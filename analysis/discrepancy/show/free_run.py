@@ -5,11 +5,11 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.calibration.sections import Section
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.add.held_out import FreeRun, Shown
-from analysis.discrepancy.show.document import Document
-from analysis.discrepancy.show.drawing import (
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.add.held_out import FreeRun, Shown
+from faultline.analysis.discrepancy.show.document import Document
+from faultline.analysis.discrepancy.show.drawing import (
     AFTER,
     BAND,
     BEFORE,
@@ -22,7 +22,7 @@ from analysis.discrepancy.show.drawing import (
     unit_of,
     with_effects,
 )
-from analysis.model import Model
+from faultline.analysis.model import Model
 
 Array = npt.NDArray[np.float64]
 

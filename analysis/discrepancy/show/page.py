@@ -5,9 +5,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
-from analysis.discrepancy.show.document import Document, Entry, Regime, White
-from analysis.discrepancy.show.sizes import readable
-from analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
+from faultline.analysis.discrepancy.show.document import Document, Entry, Regime, White
+from faultline.analysis.discrepancy.show.sizes import readable
+from faultline.analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
 
 CAPTIONS = {
     "free-run": (

@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.add.held_out import Shown
-from analysis.discrepancy.find.operating_space import UNITS
-from analysis.discrepancy.show.abscissa import Abscissa
-from analysis.discrepancy.show.document import Course, Document, Regime
-from analysis.discrepancy.show.drawing import (
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.add.held_out import Shown
+from faultline.analysis.discrepancy.find.operating_space import UNITS
+from faultline.analysis.discrepancy.show.abscissa import Abscissa
+from faultline.analysis.discrepancy.show.document import Course, Document, Regime
+from faultline.analysis.discrepancy.show.drawing import (
     AFTER,
     ALSO,
     BEFORE,
@@ -30,9 +30,9 @@ from analysis.discrepancy.show.drawing import (
     unit_of,
     with_effects,
 )
-from analysis.discrepancy.show.free_run import free_run
-from analysis.model import Model
-from service.core.manifest import MODES
+from faultline.analysis.discrepancy.show.free_run import free_run
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 

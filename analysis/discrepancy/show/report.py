@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from analysis.discrepancy.add.held_out import Shown
-from analysis.discrepancy.discover import Discovery
-from analysis.discrepancy.show.abscissa import abscissa_of
-from analysis.discrepancy.show.document import Document, encoded
-from analysis.discrepancy.show.page import page
-from analysis.discrepancy.show.summary import summary
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.add.held_out import Shown
+from faultline.analysis.discrepancy.discover import Discovery
+from faultline.analysis.discrepancy.show.abscissa import abscissa_of
+from faultline.analysis.discrepancy.show.document import Document, encoded
+from faultline.analysis.discrepancy.show.page import page
+from faultline.analysis.discrepancy.show.summary import summary
+from faultline.service.core.errors import InputError
 
 DOCUMENT = "discovery.json"
 
@@ -22,7 +22,7 @@ def write(folder: Path, found: Discovery, document: Document, runs: Shown) -> li
     Raises:
         InputError: the folder cannot be written.
     """
-    from analysis.discrepancy.show.picture import pictures  # matplotlib takes a second to import
+    from faultline.analysis.discrepancy.show.picture import pictures  # matplotlib takes a second to import
 
     drawn = pictures(document, runs, found.study.model, abscissa_of(found))
     files = {

@@ -1,8 +1,8 @@
 """A discovery in the terminal: a line a matter, what was found before how it was found."""
 
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.show.document import Document, Regime
-from analysis.discrepancy.show.verdicts import confidence, halted, next_steps
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.show.document import Document, Regime
+from faultline.analysis.discrepancy.show.verdicts import confidence, halted, next_steps
 
 BAR = 1e5
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.find.operating_space import UNITS
-from analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.find.operating_space import UNITS
+from faultline.analysis.discrepancy.name.attempt import Attempt
 
 SURE = 1.96
 """Standard deviations either way, for 95 %."""

@@ -1,9 +1,9 @@
 """A discovery on one page in plain words, for those who look after the vehicles: `summary.md`."""
 
-from analysis.calibration.validate import STEADY
-from analysis.discrepancy.show.document import Document
-from analysis.discrepancy.show.sentences import gap_words
-from analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
+from faultline.analysis.calibration.validate import STEADY
+from faultline.analysis.discrepancy.show.document import Document
+from faultline.analysis.discrepancy.show.sentences import gap_words
+from faultline.analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
 
 HEADS = {
     "nothing missing": "The model describes these recordings",

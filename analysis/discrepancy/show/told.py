@@ -5,19 +5,26 @@ from math import isfinite
 
 from msgspec import structs
 
-from analysis.discrepancy.add.held_out import Gap, Shown
-from analysis.discrepancy.add.whiteness import Whiteness
-from analysis.discrepancy.data import Data
-from analysis.discrepancy.discover import Discovery
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.find.locate import Location, Suspect
-from analysis.discrepancy.name.attempt import Attempt
-from analysis.discrepancy.name.sensitivity import alike, smallest_sizes
-from analysis.discrepancy.show import document as told
-from analysis.discrepancy.show.extras import Extras, bundle_told, drifts_told, experiment_told, gauge_told, section
-from analysis.discrepancy.show.sizes import sizes
-from analysis.discrepancy.show.verdicts import sentence_of
-from analysis.model import Model
+from faultline.analysis.discrepancy.add.held_out import Gap, Shown
+from faultline.analysis.discrepancy.add.whiteness import Whiteness
+from faultline.analysis.discrepancy.data import Data
+from faultline.analysis.discrepancy.discover import Discovery
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.find.locate import Location, Suspect
+from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.discrepancy.name.sensitivity import alike, smallest_sizes
+from faultline.analysis.discrepancy.show import document as told
+from faultline.analysis.discrepancy.show.extras import (
+    Extras,
+    bundle_told,
+    drifts_told,
+    experiment_told,
+    gauge_told,
+    section,
+)
+from faultline.analysis.discrepancy.show.sizes import sizes
+from faultline.analysis.discrepancy.show.verdicts import sentence_of
+from faultline.analysis.model import Model
 
 
 def origin_of(data: Data, without: Sequence[str] = ()) -> told.Origin:

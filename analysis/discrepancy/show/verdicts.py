@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from analysis.discrepancy.add.drift import MOVED
-from analysis.discrepancy.discover import REMAINDER, Kind
-from analysis.discrepancy.effects.library import EXPERIMENTS, UNPLANNED
-from analysis.discrepancy.show.document import Candidate, Document, Entry, Place
+from faultline.analysis.discrepancy.add.drift import MOVED
+from faultline.analysis.discrepancy.discover import REMAINDER, Kind
+from faultline.analysis.discrepancy.effects.library import EXPERIMENTS, UNPLANNED
+from faultline.analysis.discrepancy.show.document import Candidate, Document, Entry, Place
 
 MANY = 6
 """Names that a sentence lists."""

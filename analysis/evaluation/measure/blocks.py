@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.evaluation.story import Story
-from service.core.manifest import MODES
-from service.core.modes import EDGE
-from service.core.signals import Mask
+from faultline.analysis.evaluation.story import Story
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE
+from faultline.service.core.signals import Mask
 
 BLOCK_S = 60.0
 LEAST_TICKS = 10

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from analysis.evaluation.truth import Truth
+from faultline.analysis.evaluation.truth import Truth
 
 SIZES = 3
 """A fault recorded in more sizes than this is one case: a column for each would hold a recording each."""

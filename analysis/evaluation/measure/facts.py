@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from analysis.evaluation.given import Given
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.measure.blocks import Blocks, blocks
-from analysis.evaluation.measure.cases import Case, cases_of
-from analysis.evaluation.measure.metrics import Told, told
-from analysis.evaluation.story import Story
-from service.core.events import Event
-from service.core.manifest import MODES
-from service.core.signals import Mask
+from faultline.analysis.evaluation.given import Given
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.measure.blocks import Blocks, blocks
+from faultline.analysis.evaluation.measure.cases import Case, cases_of
+from faultline.analysis.evaluation.measure.metrics import Told, told
+from faultline.analysis.evaluation.story import Story
+from faultline.service.core.events import Event
+from faultline.service.core.manifest import MODES
+from faultline.service.core.signals import Mask
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

@@ -5,10 +5,10 @@ from statistics import mean, median
 
 import msgspec
 
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import Share, share
-from analysis.evaluation.measure.metrics import NOTHING, PAIR, Scores, Told, label, scores
-from analysis.evaluation.measure.weights import true_explanation
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.intervals import Share, share
+from faultline.analysis.evaluation.measure.metrics import NOTHING, PAIR, Scores, Told, label, scores
+from faultline.analysis.evaluation.measure.weights import true_explanation
 
 
 class Isolation(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analysis.evaluation.measure.blocks import Blocks, joined
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import Share, share
-from analysis.evaluation.measure.roc import area
-from analysis.evaluation.measure.signature import sensitive
-from service.core.manifest import Generator
-from service.core.signals import Mask
+from faultline.analysis.evaluation.measure.blocks import Blocks, joined
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.intervals import Share, share
+from faultline.analysis.evaluation.measure.roc import area
+from faultline.analysis.evaluation.measure.signature import sensitive
+from faultline.service.core.manifest import Generator
+from faultline.service.core.signals import Mask
 
 TOGETHER = "together"
 

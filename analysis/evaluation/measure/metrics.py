@@ -27,9 +27,9 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from analysis.evaluation.measure.weights import UNNAMED, Explanation, true_explanation, weights
-from service.core.events import Diagnosis, Event
-from service.core.signals import Mask
+from faultline.analysis.evaluation.measure.weights import UNNAMED, Explanation, true_explanation, weights
+from faultline.service.core.events import Diagnosis, Event
+from faultline.service.core.signals import Mask
 
 NOTHING = "nothing told"
 PAIR = "another pair"

@@ -11,11 +11,11 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from analysis.evaluation.measure.blocks import SCORED, joined
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import Share, share
-from analysis.evaluation.measure.roc import area
-from service.core.manifest import Generator
+from faultline.analysis.evaluation.measure.blocks import SCORED, joined
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.intervals import Share, share
+from faultline.analysis.evaluation.measure.roc import area
+from faultline.service.core.manifest import Generator
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):

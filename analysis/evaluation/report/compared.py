@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.report.traces import UNITS
-from analysis.evaluation.story import Story
-from service.core.modes import MAXIMUM
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.report.traces import UNITS
+from faultline.analysis.evaluation.story import Story
+from faultline.service.core.modes import MAXIMUM
 
 AROUND_S = 60.0
 COLOURS = ("#d55e00", "#009e73", "#cc79a7")

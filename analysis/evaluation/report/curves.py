@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from analysis.evaluation.measure.blocks import joined
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.roc import Array, curve
-from analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.measure.blocks import joined
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.roc import Array, curve
+from faultline.analysis.evaluation.report.document import Evaluation
 
 ACROSS = 5
 COLOURS = tuple(f"C{number}" for number in (0, 1, 2, 3, 4, 5, 6, 8, 9))

@@ -6,18 +6,18 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.measure.blocks import joined
-from analysis.evaluation.measure.equal import equal_groups
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.intervals import Rate, Share, rate, share
-from analysis.evaluation.measure.isolation import Isolation, isolations
-from analysis.evaluation.measure.methods import Method, methods
-from analysis.evaluation.measure.metrics import Scores, scores
-from analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
-from analysis.evaluation.measure.signature import Cell, cells
-from service.bundle import Bundle
-from service.core.manifest import MODES
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.measure.blocks import joined
+from faultline.analysis.evaluation.measure.equal import equal_groups
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.intervals import Rate, Share, rate, share
+from faultline.analysis.evaluation.measure.isolation import Isolation, isolations
+from faultline.analysis.evaluation.measure.methods import Method, methods
+from faultline.analysis.evaluation.measure.metrics import Scores, scores
+from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
+from faultline.analysis.evaluation.measure.signature import Cell, cells
+from faultline.service.bundle import Bundle
+from faultline.service.core.manifest import MODES
 
 SCHEMA: Final = "faultline.evaluation/1"
 SIMULATED = "simulated"

@@ -7,9 +7,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.evaluation.measure.facts import BINS, LARGEST, Facts
-from analysis.evaluation.measure.signature import sensitive
-from analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.measure.facts import BINS, LARGEST, Facts
+from faultline.analysis.evaluation.measure.signature import sensitive
+from faultline.analysis.evaluation.report.document import Evaluation
 
 ROWS, COLUMNS = 10, 10
 """Of a picture: what is more goes into another one."""

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-from analysis.evaluation.report import markup, tables
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.report.markup import folded, paragraph, section
-from analysis.evaluation.report.pictures import Picture
-from analysis.evaluation.report.wording import LIMITS, TERMS, hourly
-from analysis.evaluation.sentence import never
+from faultline.analysis.evaluation.report import markup, tables
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.report.markup import folded, paragraph, section
+from faultline.analysis.evaluation.report.pictures import Picture
+from faultline.analysis.evaluation.report.wording import LIMITS, TERMS, hourly
+from faultline.analysis.evaluation.sentence import never
 
 
 def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.report import compared, curves, histograms, traces
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.story import Story
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.report import compared, curves, histograms, traces
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.story import Story
 
 DPI = 100
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-from analysis.evaluation.measure.blocks import SCORED
-from analysis.evaluation.measure.isolation import columns
-from analysis.evaluation.measure.selection import Selection
-from analysis.evaluation.measure.signature import Cell
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.report.markup import Row, Td, table
-from analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
+from faultline.analysis.evaluation.measure.blocks import SCORED
+from faultline.analysis.evaluation.measure.isolation import columns
+from faultline.analysis.evaluation.measure.selection import Selection
+from faultline.analysis.evaluation.measure.signature import Cell
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.report.markup import Row, Td, table
+from faultline.analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
 
 
 def glance(e: Evaluation) -> str:

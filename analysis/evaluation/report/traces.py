@@ -5,13 +5,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.measure.signature import sensitive
-from analysis.evaluation.picture import told
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.story import Array, Story
-from service.core.manifest import MODES, kind_of
-from service.core.signals import Mask
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.signature import sensitive
+from faultline.analysis.evaluation.picture import told
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.story import Array, Story
+from faultline.service.core.manifest import MODES, kind_of
+from faultline.service.core.signals import Mask
 
 SHADES = {"idle": "#dcefe3", "maximum": "#fbe3cf", "edge": "#d3d6da"}
 RESIDUAL, ALARM, ONSET = "#1f4e79", "#c62828", "#222222"

@@ -1,6 +1,6 @@
 """Numbers in words, and what the report's terms mean."""
 
-from analysis.evaluation.measure.intervals import Rate, Share
+from faultline.analysis.evaluation.measure.intervals import Rate, Share
 
 NONE = "–"
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.evaluation.measure.facts import Facts
-from analysis.evaluation.report.document import Evaluation, evaluation
-from analysis.evaluation.report.page import page
-from analysis.evaluation.report.pictures import pictures
-from analysis.evaluation.story import Story
-from service.bundle import Bundle
-from service.core.errors import InputError
+from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.report.document import Evaluation, evaluation
+from faultline.analysis.evaluation.report.page import page
+from faultline.analysis.evaluation.report.pictures import pictures
+from faultline.analysis.evaluation.story import Story
+from faultline.service.bundle import Bundle
+from faultline.service.core.errors import InputError
 
 PAGE, DATA = "report.html", "report.json"
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from analysis.model import Model
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.diagnosability import isolability_of
-from analysis.structure.document import CAUSALITIES
-from analysis.structure.pictures import (
+from faultline.analysis.model import Model
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import isolability_of
+from faultline.analysis.structure.document import CAUSALITIES
+from faultline.analysis.structure.pictures import (
     draw_decomposition,
     draw_graph,
     draw_isolability,
@@ -16,8 +16,8 @@ from analysis.structure.pictures import (
     draw_signatures,
     save,
 )
-from analysis.structure.structure import Structure, structure_of
-from analysis.structure.supports import Test, find_tests
+from faultline.analysis.structure.structure import Structure, structure_of
+from faultline.analysis.structure.supports import Test, find_tests
 
 MANY_ROWS, MANY_GRAPHS = 120, 40
 

@@ -14,10 +14,10 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from analysis.structure.decomposition import Decomposition
-from analysis.structure.matching import bits
-from analysis.structure.pictures.grid import Grid, Group, grid
-from analysis.structure.pictures.style import (
+from faultline.analysis.structure.decomposition import Decomposition
+from faultline.analysis.structure.matching import bits
+from faultline.analysis.structure.pictures.grid import Grid, Group, grid
+from faultline.analysis.structure.pictures.style import (
     BLUE,
     GREEN,
     INK,
@@ -32,7 +32,7 @@ from analysis.structure.pictures.style import (
     text_width,
     tint,
 )
-from analysis.structure.structure import Structure
+from faultline.analysis.structure.structure import Structure
 
 Kind = Literal["under", "just", "over"]
 PARTS: dict[Kind, tuple[str, str]] = {"under": ("M-", PURPLE), "just": ("M0", GREEN), "over": ("M+", BLUE)}

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path
 
-from analysis.structure.pictures.layers import layers_of, place
-from analysis.structure.pictures.style import (
+from faultline.analysis.structure.pictures.layers import layers_of, place
+from faultline.analysis.structure.pictures.style import (
     BLUE,
     GREEN,
     GREY,
@@ -33,8 +33,8 @@ from analysis.structure.pictures.style import (
     text_width,
     tint,
 )
-from analysis.structure.structure import Structure
-from analysis.structure.supports import Test
+from faultline.analysis.structure.structure import Structure
+from faultline.analysis.structure.supports import Test
 
 Kind = Literal["known", "state", "variable", "loop", "derivative", "residual"]
 KINDS: dict[Kind, tuple[str, str]] = {

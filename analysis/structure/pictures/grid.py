@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.structure.pictures.style import BAND, INK, LINE, POINTS_PER_INCH, blank, text_width
+from faultline.analysis.structure.pictures.style import BAND, INK, LINE, POINTS_PER_INCH, blank, text_width
 
 SMALL, LARGE = 20, 100  # rows between which the cells shrink
 LARGE_CELL, SMALL_CELL = 0.27, 0.175  # [in]

@@ -8,8 +8,8 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from analysis.structure.pictures.grid import Grid, Group, grid
-from analysis.structure.pictures.style import BLUE, GREY, ORANGE, STYLE, box, finish, marker
+from faultline.analysis.structure.pictures.grid import Grid, Group, grid
+from faultline.analysis.structure.pictures.style import BLUE, GREY, ORANGE, STYLE, box, finish, marker
 
 Relation = Mapping[str, Sequence[str]]
 """For every fault the other faults that it is not isolable from."""

@@ -6,10 +6,10 @@ import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from analysis.structure.matching import bits
-from analysis.structure.pictures.grid import Group, grid
-from analysis.structure.pictures.style import BLUE, GREEN, ORANGE, STYLE, VERMILION, finish, marker
-from analysis.structure.structure import Structure
+from faultline.analysis.structure.matching import bits
+from faultline.analysis.structure.pictures.grid import Group, grid
+from faultline.analysis.structure.pictures.style import BLUE, GREEN, ORANGE, STYLE, VERMILION, finish, marker
+from faultline.analysis.structure.structure import Structure
 
 
 @mpl.rc_context(STYLE)

@@ -6,10 +6,10 @@ import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from analysis.structure.isolability import signature_matrix
-from analysis.structure.pictures.grid import Group, grid
-from analysis.structure.pictures.style import BLUE, GREY, SKY, STYLE, box, finish, marker, tint
-from analysis.structure.supports import Support, Test
+from faultline.analysis.structure.isolability import signature_matrix
+from faultline.analysis.structure.pictures.grid import Group, grid
+from faultline.analysis.structure.pictures.style import BLUE, GREY, SKY, STYLE, box, finish, marker, tint
+from faultline.analysis.structure.supports import Support, Test
 
 
 @mpl.rc_context(STYLE)

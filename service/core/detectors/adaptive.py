@@ -5,7 +5,7 @@ the threshold is dividing the residual by what moves it, which `service.core.det
 the threshold test itself. Without a sigma of its own (the equations') a generator has the plain threshold test.
 """
 
-from service.core.detectors.threshold import Threshold
+from faultline.service.core.detectors.threshold import Threshold
 
 
 class Adaptive(Threshold):

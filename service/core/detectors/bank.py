@@ -4,23 +4,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.detectors.adaptive import Adaptive
-from service.core.detectors.cusum import Cusum
-from service.core.detectors.low_pass import LowPass
-from service.core.detectors.protocol import Detector
-from service.core.detectors.spread import Spread
-from service.core.detectors.standard import Standard
-from service.core.detectors.threshold import Threshold
-from service.core.generators import Residuals
-from service.core.manifest import (
+from faultline.service.core.detectors.adaptive import Adaptive
+from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.low_pass import LowPass
+from faultline.service.core.detectors.protocol import Detector
+from faultline.service.core.detectors.spread import Spread
+from faultline.service.core.detectors.standard import Standard
+from faultline.service.core.detectors.threshold import Threshold
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
     LowPassDetector,
     SpreadDetector,
     ThresholdDetector,
 )
-from service.core.manifest import Detector as Settings
-from service.core.signals import Vector
+from faultline.service.core.manifest import Detector as Settings
+from faultline.service.core.signals import Vector
 
 FROZEN_TICKS = 1500  # 5 min
 

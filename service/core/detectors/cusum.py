@@ -6,7 +6,7 @@
 It alarms when the larger sum reaches J and stays so until that sum is back at zero. One side is one of the two sums.
 """
 
-from service.core.manifest import Side
+from faultline.service.core.manifest import Side
 
 
 class Cusum:

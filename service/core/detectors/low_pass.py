@@ -5,7 +5,7 @@
 The filtered residual is bounded by 2 J, so that a large fault that has ended is over as soon as a small one.
 """
 
-from service.core.detectors.threshold import Threshold
+from faultline.service.core.detectors.threshold import Threshold
 
 
 class LowPass(Threshold):

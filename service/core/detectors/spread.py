@@ -9,7 +9,7 @@ under a clogged pump filter (thesis ch. 7.4). What it sees is no deviation of th
 
 import math
 
-from service.core.detectors.threshold import Threshold
+from faultline.service.core.detectors.threshold import Threshold
 
 LARGEST = 9.0
 """A single difference counts as three spreads at most: the step between two modes is no variance."""

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.generators import Residuals
-from service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
-from service.core.signals import Vector
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
+from faultline.service.core.signals import Vector
 
 
 class Standard:

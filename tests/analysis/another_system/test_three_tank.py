@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import tanks
 
-from analysis.calibration.command import main as calibrate
-from analysis.export import main as export
-from analysis.model import load_model
-from analysis.tuning.command import main as tune
-from service.bundle import load_bundle, verify_golden
-from service.bundle_files import BundleError
-from service.core.errors import InputError
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.diagnose import main as diagnose
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.export import main as export
+from faultline.analysis.model import load_model
+from faultline.analysis.tuning.command import main as tune
+from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.bundle_files import BundleError
+from faultline.service.core.errors import InputError
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.diagnose import main as diagnose
 
 DURATION_S, ONSET_S = 480.0, 270.0
 LEAK = 5e-6  # m2: a hole of 3 mm

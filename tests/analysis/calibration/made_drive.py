@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.fit import Fit, fit
-from analysis.calibration.sections import Section, sections
-from analysis.model import Model, load_model
-from analysis.simulation import Drive, System, run, system_of
-from service.core.dbc import compile_dbc
-from service.logs import Frame
+from faultline.analysis.calibration.fit import Fit, fit
+from faultline.analysis.calibration.sections import Section, sections
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.simulation import Drive, System, run, system_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from made_drive import DELAY_S, UDS4, frames, freed, write_recording
 
-from analysis.calibration.command import main as calibrate
-from analysis.calibration.provenance import recordings_of, vehicle_of
-from analysis.model import dump_model, load_model
-from analysis.tuning.command import main as tune
-from analysis.tuning.file import load_tuning, model_digest
-from service.core.errors import InputError
-from service.core.manifest import MODES
-from service.logs import open_log
+from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
+from faultline.analysis.model import dump_model, load_model
+from faultline.analysis.tuning.command import main as tune
+from faultline.analysis.tuning.file import load_tuning, model_digest
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES
+from faultline.service.logs import open_log
 
 FREE = ("A_du", "A_ori")
 AREA = 0.8 * UDS4.parameters["A_du"].value

@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 from made_drive import calibrated
 
-from analysis.calibration.doubts import doubts
-from analysis.calibration.fit import Fit
-from analysis.calibration.validate import Agreement, Validation
+from faultline.analysis.calibration.doubts import doubts
+from faultline.analysis.calibration.fit import Fit
+from faultline.analysis.calibration.validate import Agreement, Validation
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import numpy.typing as npt
 import pytest
 from made_drive import DELAY_S, Case, Errors, calibrated, drawn, frames, freed, log_sections, silent
 
-from analysis.calibration.fit import fit
-from analysis.model import load_model
-from analysis.simulation import system_of
-from service.core.errors import InputError
+from faultline.analysis.calibration.fit import fit
+from faultline.analysis.model import load_model
+from faultline.analysis.simulation import system_of
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 UDS1 = load_model("uds1")
@@ -134,7 +134,7 @@ def test_a_model_that_runs_from_no_start_is_refused(monkeypatch: pytest.MonkeyPa
         raise InputError("uds4: no free run is found")
 
     case = calibrated("uds1", 0)
-    monkeypatch.setattr("analysis.calibration.problem.run", fails)
+    monkeypatch.setattr("faultline.analysis.calibration.problem.run", fails)
     with pytest.raises(InputError, match="no free run is found"):
         fit(case.system, case.sections, silent, 2)
 

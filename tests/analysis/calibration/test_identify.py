@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from made_drive import calibrated, freed
 
-from analysis.calibration.fit import Fit, fit
-from analysis.calibration.identify import QUANTILE, identify
-from analysis.simulation import system_of
+from faultline.analysis.calibration.fit import Fit, fit
+from faultline.analysis.calibration.identify import QUANTILE, identify
+from faultline.analysis.simulation import system_of
 
 SCALED = ("A_t", "A_du", "A_ori", "A_dos", "B_du")
 """Pressures tell the ratios of these to the flow."""

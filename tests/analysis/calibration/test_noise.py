@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from made_drive import DOSE, ECU_S, UDS4, UDS4_SYSTEM, frames, log_sections
 
-from analysis.calibration.noise import (
+from faultline.analysis.calibration.noise import (
     CELL_S,
     STEP_TIME_S,
     Spread,
@@ -19,9 +19,9 @@ from analysis.calibration.noise import (
     levels_of,
     stacked,
 )
-from analysis.calibration.sections import JUMP, Section, by_median
-from analysis.simulation import Trajectory, run
-from service.core.manifest import MODES
+from faultline.analysis.calibration.sections import JUMP, Section, by_median
+from faultline.analysis.simulation import Trajectory, run
+from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 SEEDS = range(5)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from analysis.calibration.report import _number, _times_floor
-from analysis.calibration.validate import Agreement
+from faultline.analysis.calibration.report import _number, _times_floor
+from faultline.analysis.calibration.validate import Agreement
 
 
 def agreement(rms: float, floor: float) -> Agreement:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_drive import DOSE, ECU, ECU_S, HOLD_S, LATE_S, SENSORS, SPEED, UDS4, UDS4_SYSTEM, Errors, frames, log_sections
 
-from analysis.calibration.sections import (
+from faultline.analysis.calibration.sections import (
     BLIND_S,
     GAP_S,
     LONGEST_S,
@@ -18,11 +18,11 @@ from analysis.calibration.sections import (
     fitting,
     is_command,
 )
-from analysis.calibration.sections import cut as divided
-from analysis.simulation import System
-from service.core.errors import InputError
-from service.core.manifest import MODES
-from service.logs import Frame
+from faultline.analysis.calibration.sections import cut as divided
+from faultline.analysis.simulation import System
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES
+from faultline.service.logs import Frame
 
 WARM_UP_S = UDS4.warm_up_s
 

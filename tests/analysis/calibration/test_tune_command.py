@@ -16,18 +16,18 @@ import numpy.typing as npt
 import pytest
 from made_drive import DBC, ECU, HOLD_S, UDS4, frames, freed, write_recording
 
-from analysis.export import main as export
-from analysis.model import Model, dump_model
-from analysis.tuning.adapt import LEAST_S
-from analysis.tuning.command import main as tune
-from analysis.tuning.file import Tuning, load_tuning
-from analysis.tuning.thresholds import MARGIN
-from service.bundle import load_bundle
-from service.bundles import main as show
-from service.core.errors import InputError
-from service.core.manifest import MODES, CusumDetector
-from service.core.modes import IDLE
-from service.logs import open_log
+from faultline.analysis.export import main as export
+from faultline.analysis.model import Model, dump_model
+from faultline.analysis.tuning.adapt import LEAST_S
+from faultline.analysis.tuning.command import main as tune
+from faultline.analysis.tuning.file import Tuning, load_tuning
+from faultline.analysis.tuning.thresholds import MARGIN
+from faultline.service.bundle import load_bundle
+from faultline.service.bundles import main as show
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import MODES, CusumDetector
+from faultline.service.core.modes import IDLE
+from faultline.service.logs import open_log
 
 Array = npt.NDArray[np.float64]
 

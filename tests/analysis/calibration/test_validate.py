@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from made_drive import DELAY_S, Errors, drawn, frames, log_sections
 
-from analysis.calibration.problem import Nuisance
-from analysis.calibration.validate import STEADY, Validation, validate
-from analysis.model import load_model
-from analysis.simulation import system_of
+from faultline.analysis.calibration.problem import Nuisance
+from faultline.analysis.calibration.validate import STEADY, Validation, validate
+from faultline.analysis.model import load_model
+from faultline.analysis.simulation import system_of
 
 UDS1 = load_model("uds1")
 SYSTEM = system_of(UDS1, UDS1.calibrated)

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.codegen import Program, c99_sources, class_name, python_source
-from analysis.graph.bank import build_bank
-from analysis.model import load_model
-from analysis.recordings.observe import observe, open_known
-from service.core.dbc import compile_dbc
+from faultline.analysis.codegen import Program, c99_sources, class_name, python_source
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import load_model
+from faultline.analysis.recordings.observe import observe, open_known
+from faultline.service.core.dbc import compile_dbc
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ import sympy as sp
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from analysis.codegen import computation_sequence, residual_program
-from analysis.codegen.identifiers import Names
-from analysis.codegen.loops import solve_component
-from analysis.model import load_model
-from analysis.model.expression import parse_expression
-from analysis.structure import mtes_sets, structure_of
-from service.core.errors import InputError
+from faultline.analysis.codegen import computation_sequence, residual_program
+from faultline.analysis.codegen.identifiers import Names
+from faultline.analysis.codegen.loops import solve_component
+from faultline.analysis.model import load_model
+from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.structure import mtes_sets, structure_of
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.codegen.command import main
-from analysis.model import file as model_file
-from service.core.errors import InputError
+from faultline.analysis.codegen.command import main
+from faultline.analysis.model import file as model_file
+from faultline.service.core.errors import InputError
 
 
 def test_every_test_that_can_be_run_is_written_in_both_languages(

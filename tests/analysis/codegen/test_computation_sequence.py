@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.codegen import Component, computation_sequence
-from analysis.model import Differential, load_model
-from analysis.structure import Structure, mso_sets, mtes_sets, structure_of
-from analysis.structure.causality import residual_causality
-from service.core.errors import InputError
+from faultline.analysis.codegen import Component, computation_sequence
+from faultline.analysis.model import Differential, load_model
+from faultline.analysis.structure import Structure, mso_sets, mtes_sets, structure_of
+from faultline.analysis.structure.causality import residual_causality
+from faultline.service.core.errors import InputError
 
 
 @st.composite

@@ -10,10 +10,10 @@ import pytest
 from generated import needs_compiler, run_c99, run_python
 from scipy.integrate import solve_ivp
 
-from analysis.codegen import ComputationSequence, computation_sequence, residual_program
-from analysis.model import Model
-from analysis.model.file import parse_model, shipped_models
-from analysis.structure import find_tests, mso_sets, structure_of
+from faultline.analysis.codegen import ComputationSequence, computation_sequence, residual_program
+from faultline.analysis.model import Model
+from faultline.analysis.model.file import parse_model, shipped_models
+from faultline.analysis.structure import find_tests, mso_sets, structure_of
 
 Array = npt.NDArray[np.float64]
 

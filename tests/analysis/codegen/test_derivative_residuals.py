@@ -5,10 +5,10 @@ import numpy.typing as npt
 import pytest
 from generated import golden_samples, run_python
 
-from analysis.codegen import computation_sequence, residual_program
-from analysis.graph.bank import PERIOD_S
-from analysis.model import Model, load_model
-from analysis.structure import mtes_sets, structure_of
+from faultline.analysis.codegen import computation_sequence, residual_program
+from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.structure import mtes_sets, structure_of
 
 Array = npt.NDArray[np.float64]
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from generated import golden_samples, needs_compiler, python_class, run_c99, run_python
 
-from analysis.codegen import Program, c99_sources, computation_sequence, python_source, residual_program
-from analysis.graph.bank import Bank, build_bank
-from analysis.model import Model, load_model
-from analysis.model.file import parse_model
-from analysis.structure import mso_sets, mtes_sets, structure_of
-from service.core.errors import InputError
+from faultline.analysis.codegen import Program, c99_sources, computation_sequence, python_source, residual_program
+from faultline.analysis.graph.bank import Bank, build_bank
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.model.file import parse_model
+from faultline.analysis.structure import mso_sets, mtes_sets, structure_of
+from faultline.service.core.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from functools import cache
 
 from made_study import LIBRARY, Inline, study
 
-from analysis.discrepancy.data import Data
-from analysis.discrepancy.discover import Discovery, discover
-from analysis.simulation import system_of
+from faultline.analysis.discrepancy.data import Data
+from faultline.analysis.discrepancy.discover import Discovery, discover
+from faultline.analysis.simulation import system_of
 
 ENTRIES = ("full_open_gain", "offset_p_du", "lag_p_du")
 GAIN = 0.15

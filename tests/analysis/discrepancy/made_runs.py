@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from analysis.calibration.noise import Whitening
-from analysis.calibration.problem import Problem
-from analysis.calibration.sections import Samples, Section
-from analysis.discrepancy.find.quantities import mode_of, quantities
-from analysis.model import Model
-from analysis.simulation import Drive, disturbance, run, system_of
+from faultline.analysis.calibration.noise import Whitening
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.sections import Samples, Section
+from faultline.analysis.discrepancy.find.quantities import mode_of, quantities
+from faultline.analysis.model import Model
+from faultline.analysis.simulation import Drive, disturbance, run, system_of
 
 Array = npt.NDArray[np.float64]
 Missing = Callable[[Mapping[str, Array]], Array]

@@ -7,10 +7,10 @@ from typing import Any
 
 from made_runs import dosing
 
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.discrepancy.name.attempt import Study
-from analysis.model import Model, load_model
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.discrepancy.name.attempt import Study
+from faultline.analysis.model import Model, load_model
 
 LIBRARY = load_library()
 UDS1 = load_model("uds1")

@@ -6,10 +6,10 @@ from functools import cache
 
 import pytest
 
-from analysis.calibration.provenance import recordings_of, vehicle_of
-from analysis.discrepancy.add.adopt import adopted, undone
-from analysis.discrepancy.effects.library import load_library
-from analysis.model import Model, ModelError, dump_model, load_model, parse_model
+from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
+from faultline.analysis.discrepancy.add.adopt import adopted, undone
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.model import Model, ModelError, dump_model, load_model, parse_model
 
 LIBRARY = load_library()
 FACTS: Mapping[str, object] = {

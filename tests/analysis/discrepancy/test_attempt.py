@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_study import study
 
-from analysis.discrepancy.name.attempt import Attempt, Begin, Judge, baseline_of
+from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Judge, baseline_of
 
 SIZE = 0.15
 ENTRIES = ("full_open_gain", "valve_opens_late", "stiff_hose")

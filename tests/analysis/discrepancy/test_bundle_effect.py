@@ -7,17 +7,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analysis.calibration.provenance import recordings_of
-from analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect, trial
-from analysis.model import Model, load_model
-from analysis.progress import Progress
-from service.core.errors import InputError
-from service.logs import open_log
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES
-from testbench.recording import record
-from testbench.request import Request
-from testbench.vehicles import vehicle
+from faultline.analysis.calibration.provenance import recordings_of
+from faultline.analysis.discrepancy.add.bundle_effect import BundleEffect, bundle_effect, trial
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.progress import Progress
+from faultline.service.core.errors import InputError
+from faultline.service.logs import open_log
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.vehicles import vehicle
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 GOLDEN_RUN = GOLDEN / "log", GOLDEN / "truth.toml"

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from made_study import LIBRARY, Inline, study
 
-from analysis.discrepancy.name.attempt import Attempt, Begin, Glance, Judge, Study, baseline_of
-from analysis.discrepancy.name.contest import LEAST, Outcome, contest
-from analysis.discrepancy.name.sensitivity import alike, chance, smallest_sizes
-from analysis.discrepancy.name.work import Crew, Order
+from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Glance, Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.contest import LEAST, Outcome, contest
+from faultline.analysis.discrepancy.name.sensitivity import alike, chance, smallest_sizes
+from faultline.analysis.discrepancy.name.work import Crew, Order
 
 ENTRIES = ("full_open_gain", "stiff_hose", "offset_p_du", "offset_p_ap", "lag_p_du")
 

@@ -18,16 +18,16 @@ from made_study import LIBRARY, UDS1, with_effects
 sys.path.append(str(Path(__file__).parents[1] / "calibration"))
 from made_drive import frames, freed, write_recording
 
-from analysis.discrepancy import command
-from analysis.discrepancy.add.held_out import Shown, shown
-from analysis.discrepancy.command import main
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.name.experiment import experiments
-from analysis.model import dump_model, load_model
-from analysis.structure.command import main as structure
-from service.core.errors import InputError
-from service.logs import open_log
+from faultline.analysis.discrepancy import command
+from faultline.analysis.discrepancy.add.held_out import Shown, shown
+from faultline.analysis.discrepancy.command import main
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.name.experiment import experiments
+from faultline.analysis.model import dump_model, load_model
+from faultline.analysis.structure.command import main as structure
+from faultline.service.core.errors import InputError
+from faultline.service.logs import open_log
 
 GAIN = 0.2
 ENTRIES = ("full_open_gain", "offset_p_du", "offset_p_ap")

@@ -11,26 +11,26 @@ import numpy as np
 import pytest
 from made_discovery import ENTRIES, GAIN, discovery
 
-from analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
-from analysis.discrepancy.add.drift import drifts
-from analysis.discrepancy.add.held_out import Shown, shown
-from analysis.discrepancy.add.structure_change import structure_change
-from analysis.discrepancy.discover import Discovery, Kind, verdict_of
-from analysis.discrepancy.effects.compiled import model_with
-from analysis.discrepancy.find.onset import Onset
-from analysis.discrepancy.name.experiment import Experiment, Plan
-from analysis.discrepancy.name.gauge import Gauge
-from analysis.discrepancy.show.abscissa import abscissa_of
-from analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
-from analysis.discrepancy.show.extras import Extras
-from analysis.discrepancy.show.page import page
-from analysis.discrepancy.show.report import write
-from analysis.discrepancy.show.sentences import MOST, sentences
-from analysis.discrepancy.show.sizes import readable, sizes
-from analysis.discrepancy.show.summary import summary
-from analysis.discrepancy.show.told import document_of
-from analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
+from faultline.analysis.discrepancy.add.drift import drifts
+from faultline.analysis.discrepancy.add.held_out import Shown, shown
+from faultline.analysis.discrepancy.add.structure_change import structure_change
+from faultline.analysis.discrepancy.discover import Discovery, Kind, verdict_of
+from faultline.analysis.discrepancy.effects.compiled import model_with
+from faultline.analysis.discrepancy.find.onset import Onset
+from faultline.analysis.discrepancy.name.experiment import Experiment, Plan
+from faultline.analysis.discrepancy.name.gauge import Gauge
+from faultline.analysis.discrepancy.show.abscissa import abscissa_of
+from faultline.analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
+from faultline.analysis.discrepancy.show.extras import Extras
+from faultline.analysis.discrepancy.show.page import page
+from faultline.analysis.discrepancy.show.report import write
+from faultline.analysis.discrepancy.show.sentences import MOST, sentences
+from faultline.analysis.discrepancy.show.sizes import readable, sizes
+from faultline.analysis.discrepancy.show.summary import summary
+from faultline.analysis.discrepancy.show.told import document_of
+from faultline.analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
+from faultline.service.core.errors import InputError
 
 ORIGIN = Origin(
     training=("t-1",), held_out=("v-1",), sources=("simulated by the rig",), vehicle="truck-1", missing=("too short",)

@@ -9,10 +9,10 @@ import pytest
 from made_study import study
 from scipy.stats import multivariate_normal
 
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from analysis.discrepancy.name.experiment import BEFORE_S, Plan, divergence, experiments, propose
-from analysis.model import load_model
-from testbench.cycles import DOSING_FROM, Segment, read_cycle
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.experiment import BEFORE_S, Plan, divergence, experiments, propose
+from faultline.analysis.model import load_model
+from faultline.testbench.cycles import DOSING_FROM, Segment, read_cycle
 
 RIVALS = ("full_open_gain", "valve_shuts_late")
 LONGEST_S = 120.0

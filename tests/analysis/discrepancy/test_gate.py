@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from made_study import study
 
-from analysis.calibration.problem import LAG_S
-from analysis.calibration.validate import STEADY, Agreement
-from analysis.discrepancy.add.gate import UNLIKELY, WORSE, adoption
-from analysis.discrepancy.add.held_out import Shown, shown
-from analysis.discrepancy.data import Data
-from analysis.discrepancy.discover import Discovery, Kind, Verdict
-from analysis.discrepancy.find.locate import Location
-from analysis.discrepancy.name.attempt import Judge, baseline_of
-from analysis.discrepancy.name.contest import Outcome, Place
-from analysis.simulation import system_of
+from faultline.analysis.calibration.problem import LAG_S
+from faultline.analysis.calibration.validate import STEADY, Agreement
+from faultline.analysis.discrepancy.add.gate import UNLIKELY, WORSE, adoption
+from faultline.analysis.discrepancy.add.held_out import Shown, shown
+from faultline.analysis.discrepancy.data import Data
+from faultline.analysis.discrepancy.discover import Discovery, Kind, Verdict
+from faultline.analysis.discrepancy.find.locate import Location
+from faultline.analysis.discrepancy.name.attempt import Judge, baseline_of
+from faultline.analysis.discrepancy.name.contest import Outcome, Place
+from faultline.analysis.simulation import system_of
 
 NOWHERE = Location((), (), (), (), (), {}, (), np.zeros(0))
 

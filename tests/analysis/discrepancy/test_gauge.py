@@ -5,9 +5,9 @@ import math
 import pytest
 from made_study import study
 
-from analysis.discrepancy.name import gauge as module
-from analysis.discrepancy.name.attempt import Attempt, Judge, Study, baseline_of
-from analysis.discrepancy.name.gauge import DECIDES, gauge, readings
+from faultline.analysis.discrepancy.name import gauge as module
+from faultline.analysis.discrepancy.name.attempt import Attempt, Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.gauge import DECIDES, gauge, readings
 
 SENSORS = ("offset_p_du", "offset_p_ap")
 OFFSET = 4e4

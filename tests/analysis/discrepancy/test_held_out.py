@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from made_discovery import discovery
 
-from analysis.calibration.validate import Agreement
-from analysis.discrepancy.add.held_out import Gap, Shown, shown
-from analysis.discrepancy.add.whiteness import whiteness
+from faultline.analysis.calibration.validate import Agreement
+from faultline.analysis.discrepancy.add.held_out import Gap, Shown, shown
+from faultline.analysis.discrepancy.add.whiteness import whiteness
 
 ONE = np.zeros(400, dtype=np.int64)
 NOISE = np.random.default_rng(3).normal(size=400)

@@ -9,11 +9,11 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "calibration"))
 from made_drive import Errors, frames, log_sections
 
-from analysis.calibration.sections import Section
-from analysis.discrepancy.discover import REMAINDER
-from analysis.discrepancy.name.attempt import Judge, Study, baseline_of
-from analysis.model import load_model
-from analysis.simulation import system_of
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.discrepancy.discover import REMAINDER
+from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_of
+from faultline.analysis.model import load_model
+from faultline.analysis.simulation import system_of
 
 UDS1 = load_model("uds1")
 SYSTEM = system_of(UDS1, UDS1.calibrated)

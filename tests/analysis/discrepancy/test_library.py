@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.discrepancy.effects.library import EXPERIMENTS, load_library
-from analysis.model import ModelError
+from faultline.analysis.discrepancy.effects.library import EXPERIMENTS, load_library
+from faultline.analysis.model import ModelError
 
 CREEPING_HOSE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "creeping_hose.toml"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from made_study import UDS1, study
 
-from analysis.calibration.problem import Problem
-from analysis.discrepancy.name.likelihood import BIN_S, Likelihood, bins_of, blocks, levels_of
-from analysis.simulation import system_of
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.discrepancy.name.likelihood import BIN_S, Likelihood, bins_of, blocks, levels_of
+from faultline.analysis.simulation import system_of
 
 STUDY = study((), {})
 [SECTION] = STUDY.training

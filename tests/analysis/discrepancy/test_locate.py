@@ -8,13 +8,13 @@ import pytest
 import sympy as sp
 from made_runs import DOSE, HOLD_S, Missing, dosing, tanks, weights
 
-from analysis.calibration.problem import Problem
-from analysis.discrepancy.find.classes import inseparable, splitting_sensors
-from analysis.discrepancy.find.latent import Latent, null_law, tail
-from analysis.discrepancy.find.locate import Location, locate
-from analysis.model import Model, Parameter, load_model
-from analysis.simulation import Drive, System, disturbance, run, system_of
-from service.core.errors import InputError
+from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.discrepancy.find.classes import inseparable, splitting_sensors
+from faultline.analysis.discrepancy.find.latent import Latent, null_law, tail
+from faultline.analysis.discrepancy.find.locate import Location, locate
+from faultline.analysis.model import Model, Parameter, load_model
+from faultline.analysis.simulation import Drive, System, disturbance, run, system_of
+from faultline.service.core.errors import InputError
 
 UDS4, TANKS = load_model("uds4"), load_model("three_tank")
 

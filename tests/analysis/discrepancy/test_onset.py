@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.discrepancy.find.locate import Location, Suspect
-from analysis.discrepancy.find.onset import Onset, onset
-from analysis.model import load_model
+from faultline.analysis.discrepancy.find.locate import Location, Suspect
+from faultline.analysis.discrepancy.find.onset import Onset, onset
+from faultline.analysis.model import load_model
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

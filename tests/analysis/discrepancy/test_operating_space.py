@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from made_runs import Missing, dosing, tanks, weights
 
-from analysis.discrepancy.find.disturbed import disturbed_runs
-from analysis.discrepancy.find.features import Operation
-from analysis.discrepancy.find.latent import Misfit
-from analysis.discrepancy.find.operating_space import Finding, finding_of
-from analysis.discrepancy.find.quantities import quantities
-from analysis.model import load_model
+from faultline.analysis.discrepancy.find.disturbed import disturbed_runs
+from faultline.analysis.discrepancy.find.features import Operation
+from faultline.analysis.discrepancy.find.latent import Misfit
+from faultline.analysis.discrepancy.find.operating_space import Finding, finding_of
+from faultline.analysis.discrepancy.find.quantities import quantities
+from faultline.analysis.model import load_model
 
 UDS4, TANKS = load_model("uds4"), load_model("three_tank")
 

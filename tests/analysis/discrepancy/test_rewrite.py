@@ -11,14 +11,14 @@ import numpy.typing as npt
 import pytest
 import sympy as sp
 
-from analysis.discrepancy.effects.effect import Effect
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import applicable, rewritten, substituted
-from analysis.graph.bank import build_bank
-from analysis.model import Model, ModelError, dump_model, load_model, parse_model
-from analysis.simulation import Drive, System, run, system_of
-from analysis.structure.command import main as structure
-from analysis.structure.lint import lint
+from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import applicable, rewritten, substituted
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import Model, ModelError, dump_model, load_model, parse_model
+from faultline.analysis.simulation import Drive, System, run, system_of
+from faultline.analysis.structure.command import main as structure
+from faultline.analysis.structure.lint import lint
 
 Array = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.discrepancy.name.search import descend
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.name.search import descend
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 FREE = np.array([[-np.inf], [np.inf]])

@@ -4,7 +4,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.discrepancy.name.sensitivity import Direction, alike, chance, remaining, smallest, smallest_sizes
+from faultline.analysis.discrepancy.name.sensitivity import (
+    Direction,
+    alike,
+    chance,
+    remaining,
+    smallest,
+    smallest_sizes,
+)
 
 Array = npt.NDArray[np.float64]
 M, BLOCK, ENOUGH = 800, 8, 10.0

@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.calibration.problem import unknowns_of
-from analysis.discrepancy.add.changed_tests import ChangedTest
-from analysis.discrepancy.add.structure_change import Diagnosed, StructureChange, structure_change
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.discrepancy.name.attempt import Attempt
-from analysis.model import Model, load_model
-from analysis.simulation import system_of
+from faultline.analysis.calibration.problem import unknowns_of
+from faultline.analysis.discrepancy.add.changed_tests import ChangedTest
+from faultline.analysis.discrepancy.add.structure_change import Diagnosed, StructureChange, structure_change
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.simulation import system_of
 
 UDS4 = load_model("uds4")
 NOTHING = Diagnosed((), (), (), ())

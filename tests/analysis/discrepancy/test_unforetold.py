@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from made_study import UDS1, study
 
-from analysis.calibration.sections import Section
-from analysis.discrepancy.find.locate import Location
-from analysis.discrepancy.find.onset import onset
-from analysis.discrepancy.name.attempt import Judge, Study, baseline_of
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.discrepancy.find.locate import Location
+from faultline.analysis.discrepancy.find.onset import onset
+from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_of
 
 ONSET_S = 90.0
 LEAK = 1e-7

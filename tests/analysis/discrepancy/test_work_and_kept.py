@@ -15,11 +15,11 @@ from distributed import LocalCluster
 from made_study import Inline, study
 from made_threads import threads
 
-from analysis.discrepancy.name import work
-from analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
-from analysis.discrepancy.name.kept import keep, kept
-from analysis.discrepancy.name.work import Crew, Order, workers
-from service.core.errors import InputError
+from faultline.analysis.discrepancy.name import work
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
+from faultline.analysis.discrepancy.name.kept import keep, kept
+from faultline.analysis.discrepancy.name.work import Crew, Order, workers
+from faultline.service.core.errors import InputError
 
 ENTRIES = ("full_open_gain", "offset_p_du")
 

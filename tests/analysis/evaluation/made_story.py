@@ -6,16 +6,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from analysis.evaluation.given import Given
-from analysis.evaluation.judge import judge
-from analysis.evaluation.measure.facts import Facts, facts
-from analysis.evaluation.story import Array, Story
-from analysis.evaluation.truth import TrueFault, Truth
-from service.bundle import Bundle, load_bundle
-from service.core.events import SCHEMA, Diagnosis, Event
-from service.core.modes import PARTIAL
-from service.core.signals import Mask
-from service.logs import load_recording
+from faultline.analysis.evaluation.given import Given
+from faultline.analysis.evaluation.judge import judge
+from faultline.analysis.evaluation.measure.facts import Facts, facts
+from faultline.analysis.evaluation.story import Array, Story
+from faultline.analysis.evaluation.truth import TrueFault, Truth
+from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.core.events import SCHEMA, Diagnosis, Event
+from faultline.service.core.modes import PARTIAL
+from faultline.service.core.signals import Mask
+from faultline.service.logs import load_recording
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 PERIOD_S = 0.2

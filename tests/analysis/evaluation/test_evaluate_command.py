@@ -11,16 +11,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.evaluation.command import main
-from analysis.evaluation.judge import judge
-from analysis.evaluation.story import Story, tell
-from analysis.evaluation.truth import load_truth
-from service.bundle import load_bundle
-from service.bundle_files import SEAL, seal
-from service.core.errors import InputError
-from service.core.events import encode
-from service.core.monitor import Monitor
-from service.logs import open_log
+from faultline.analysis.evaluation.command import main
+from faultline.analysis.evaluation.judge import judge
+from faultline.analysis.evaluation.story import Story, tell
+from faultline.analysis.evaluation.truth import load_truth
+from faultline.service.bundle import load_bundle
+from faultline.service.bundle_files import SEAL, seal
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import encode
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 LOG, BUNDLE, TRUTH, EVENTS = GOLDEN / "log", GOLDEN / "bundle", GOLDEN / "truth.toml", GOLDEN / "events.jsonl"

@@ -10,12 +10,12 @@ import msgspec
 import pytest
 from made_set import BUNDLE, Made, clogged, edited
 
-from analysis.evaluation.command import detailed, main
-from analysis.evaluation.given import check_reportable, given
-from analysis.evaluation.measure.cases import size_text
-from service.bundle import load_bundle
-from service.bundle_files import SEAL, seal
-from service.core.errors import InputError
+from faultline.analysis.evaluation.command import detailed, main
+from faultline.analysis.evaluation.given import check_reportable, given
+from faultline.analysis.evaluation.measure.cases import size_text
+from faultline.service.bundle import load_bundle
+from faultline.service.bundle_files import SEAL, seal
+from faultline.service.core.errors import InputError
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_the_same_recording_twice_is_refused(made: Made, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("part", ["calibrate", "train", "tune"])
 def test_what_the_bundle_was_made_from_is_refused_among_others(made: Made, tmp_path: Path, part: str) -> None:
-    from service.logs import open_log
+    from faultline.service.logs import open_log
 
     unseen, seen = made.recording("unseen", stop_s=20.0), made.recording("seen", stop_s=21.0)
 

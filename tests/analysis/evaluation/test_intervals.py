@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.stats import binom, poisson
 
-from analysis.evaluation.measure.intervals import rate, share
+from faultline.analysis.evaluation.measure.intervals import rate, share
 
 
 def test_a_share_has_the_published_interval() -> None:

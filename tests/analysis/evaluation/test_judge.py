@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import msgspec
 import pytest
 
-from analysis.evaluation import judge as judging
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.truth import TrueFault, Truth
-from service.core.events import SCHEMA, Diagnosis, Event, Transition
+from faultline.analysis.evaluation import judge as judging
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.truth import TrueFault, Truth
+from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition
 
 ORIGIN_S = 1.5
 ONSET_S = 70.0

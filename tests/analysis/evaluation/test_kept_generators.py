@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.evaluation.measure.selection import Reach, Selection, once, requirements, select
+from faultline.analysis.evaluation.measure.selection import Reach, Selection, once, requirements, select
 
 KNOWN = ("fA", "fB")
 NAMES = ("t1", "t2", "t3")

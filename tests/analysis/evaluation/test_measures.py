@@ -5,21 +5,21 @@ import numpy as np
 import pytest
 from made_story import GOLDEN, event, known, story
 
-from analysis.evaluation.measure.blocks import blocks, cut
-from analysis.evaluation.measure.cases import Case, cases_of
-from analysis.evaluation.measure.equal import equal_groups
-from analysis.evaluation.measure.facts import BINS, EDGES
-from analysis.evaluation.measure.methods import TOGETHER, methods
-from analysis.evaluation.measure.roc import area, curve
-from analysis.evaluation.measure.signature import cells, sensitive
-from analysis.evaluation.sentence import summary
-from analysis.evaluation.story import Array, Story, tell
-from analysis.evaluation.truth import TrueFault, Truth
-from service.bundle import load_bundle
-from service.core.manifest import MODES
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.core.monitor import Monitor
-from service.logs import open_log
+from faultline.analysis.evaluation.measure.blocks import blocks, cut
+from faultline.analysis.evaluation.measure.cases import Case, cases_of
+from faultline.analysis.evaluation.measure.equal import equal_groups
+from faultline.analysis.evaluation.measure.facts import BINS, EDGES
+from faultline.analysis.evaluation.measure.methods import TOGETHER, methods
+from faultline.analysis.evaluation.measure.roc import area, curve
+from faultline.analysis.evaluation.measure.signature import cells, sensitive
+from faultline.analysis.evaluation.sentence import summary
+from faultline.analysis.evaluation.story import Array, Story, tell
+from faultline.analysis.evaluation.truth import TrueFault, Truth
+from faultline.service.bundle import load_bundle
+from faultline.service.core.manifest import MODES
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import open_log
 
 MINUTE = 300
 """Ticks."""

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from made_story import event
 
-from analysis.evaluation.measure.isolation import columns
-from analysis.evaluation.measure.metrics import NOTHING, PAIR, Told, scores, standing, told
-from analysis.evaluation.measure.weights import UNKNOWN, UNNAMED, true_explanation, weights
-from service.core.events import Event
+from faultline.analysis.evaluation.measure.isolation import columns
+from faultline.analysis.evaluation.measure.metrics import NOTHING, PAIR, Told, scores, standing, told
+from faultline.analysis.evaluation.measure.weights import UNKNOWN, UNNAMED, true_explanation, weights
+from faultline.service.core.events import Event
 
 KNOWN = ("fA", "fB", "fC")
 

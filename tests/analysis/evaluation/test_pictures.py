@@ -6,12 +6,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from analysis.evaluation.judge import Verdict
-from analysis.evaluation.measure.cases import Case
-from analysis.evaluation.measure.facts import BINS, Facts
-from analysis.evaluation.picture import _title
-from analysis.evaluation.report.document import Evaluation
-from analysis.evaluation.report.histograms import NARROWEST, _grid
+from faultline.analysis.evaluation.judge import Verdict
+from faultline.analysis.evaluation.measure.cases import Case
+from faultline.analysis.evaluation.measure.facts import BINS, Facts
+from faultline.analysis.evaluation.picture import _title
+from faultline.analysis.evaluation.report.document import Evaluation
+from faultline.analysis.evaluation.report.histograms import NARROWEST, _grid
 
 
 @pytest.mark.parametrize("faults", [1, 2, 9])

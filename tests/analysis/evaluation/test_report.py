@@ -12,14 +12,14 @@ from made_set import BUNDLE, Made, clogged
 from made_story import bundle, event, known, story
 from matplotlib.patches import Rectangle
 
-from analysis.evaluation.command import main
-from analysis.evaluation.report import traces
-from analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
-from analysis.evaluation.report.markup import Td, table
-from analysis.evaluation.report.page import page
-from analysis.evaluation.report.pictures import pictures
-from service.core.errors import InputError
-from service.core.manifest import Detector, LowPassDetector
+from faultline.analysis.evaluation.command import main
+from faultline.analysis.evaluation.report import traces
+from faultline.analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
+from faultline.analysis.evaluation.report.markup import Td, table
+from faultline.analysis.evaluation.report.page import page
+from faultline.analysis.evaluation.report.pictures import pictures
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Detector, LowPassDetector
 
 
 @pytest.fixture(scope="module")

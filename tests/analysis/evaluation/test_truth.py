@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.evaluation.truth import TrueFault, load_truth
-from service.core.errors import InputError
+from faultline.analysis.evaluation.truth import TrueFault, load_truth
+from faultline.service.core.errors import InputError
 
 GOOD = """
 schema = 1

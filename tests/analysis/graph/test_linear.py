@@ -13,18 +13,18 @@ import numpy.typing as npt
 import pytest
 import sympy as sp
 
-from analysis.codegen import computation_sequence, python_source, residual_program
-from analysis.discrepancy.effects.library import load_library
-from analysis.discrepancy.effects.rewrite import rewritten
-from analysis.graph.bank import PERIOD_S, Bank, bank_of
-from analysis.graph.formula import write_formulas
-from analysis.graph.linear import expanded
-from analysis.graph.writer import Writer
-from analysis.model import Model, load_model, sgsqrt
-from analysis.simulation import Drive, run, system_of
-from analysis.structure import integral_tests
-from service.core.errors import InputError
-from service.core.generators import Graph
+from faultline.analysis.codegen import computation_sequence, python_source, residual_program
+from faultline.analysis.discrepancy.effects.library import load_library
+from faultline.analysis.discrepancy.effects.rewrite import rewritten
+from faultline.analysis.graph.bank import PERIOD_S, Bank, bank_of
+from faultline.analysis.graph.formula import write_formulas
+from faultline.analysis.graph.linear import expanded
+from faultline.analysis.graph.writer import Writer
+from faultline.analysis.model import Model, load_model, sgsqrt
+from faultline.analysis.simulation import Drive, run, system_of
+from faultline.analysis.structure import integral_tests
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

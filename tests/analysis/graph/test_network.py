@@ -4,13 +4,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.graph.bank import PERIOD_S, Bank, build_bank
-from analysis.graph.network import Evaluator, flow_network
-from analysis.graph.runnable import Runnable
-from analysis.model import Model, parse_model
-from analysis.structure import integral_tests
-from service.core.errors import InputError
-from service.core.generators import Graph
+from faultline.analysis.graph.bank import PERIOD_S, Bank, build_bank
+from faultline.analysis.graph.network import Evaluator, flow_network
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model, parse_model
+from faultline.analysis.structure import integral_tests
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

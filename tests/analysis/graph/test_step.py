@@ -7,10 +7,10 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import odeint
 
-from analysis.graph.bank import PERIOD_S, Bank, build_bank
-from analysis.graph.network import Values
-from analysis.model import load_model
-from service.core.generators import Graph
+from faultline.analysis.graph.bank import PERIOD_S, Bank, build_bank
+from faultline.analysis.graph.network import Values
+from faultline.analysis.model import load_model
+from faultline.service.core.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

@@ -5,9 +5,9 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from analysis.graph.writer import Writer
-from service.core.generators import Graph
-from service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
+from faultline.analysis.graph.writer import Writer
+from faultline.service.core.generators import Graph
+from faultline.service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
 
 
 def affine(*, gain: float = 2.0, repeated: int = 1) -> bytes:

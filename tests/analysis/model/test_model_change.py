@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from analysis.model import ModelError, dump_model, load_model, parse_model
+from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
 
 UDS4 = load_model("uds4")
 

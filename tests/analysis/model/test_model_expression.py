@@ -5,8 +5,8 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.model import ModelError, sgsqrt
-from analysis.model.expression import parse_expression
+from faultline.analysis.model import ModelError, sgsqrt
+from faultline.analysis.model.expression import parse_expression
 
 A, B = sp.symbols("a b")
 NAMES = ("a", "b")

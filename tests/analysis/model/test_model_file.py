@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import sympy as sp
 
-from analysis.model import ModelError, OperatingModes, dump_model, load_model, parse_model
+from faultline.analysis.model import ModelError, OperatingModes, dump_model, load_model, parse_model
 
 GOOD = """
 schema = 1

@@ -2,7 +2,7 @@
 
 import sympy as sp
 
-from analysis.model.slope import Sign, slope
+from faultline.analysis.model.slope import Sign, slope
 
 
 def test_the_slope_of_a_size_is_its_sign() -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from analysis.graph.bank import PERIOD_S, build_bank
-from analysis.model import dump_model, load_model, parse_model
-from analysis.model.file import shipped_models
-from analysis.structure import detectable, find_tests, integral_tests, isolability, mso_sets, structure_of
-from analysis.structure.command import main as structure
-from service.core.errors import InputError
-from service.core.generators import Graph
+from faultline.analysis.graph.bank import PERIOD_S, build_bank
+from faultline.analysis.model import dump_model, load_model, parse_model
+from faultline.analysis.model.file import shipped_models
+from faultline.analysis.structure import detectable, find_tests, integral_tests, isolability, mso_sets, structure_of
+from faultline.analysis.structure.command import main as structure
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Graph
 
 UDS1, UDS4, RC = load_model("uds1"), load_model("uds4"), load_model("rc")
 

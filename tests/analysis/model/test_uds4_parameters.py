@@ -3,8 +3,8 @@
 import pytest
 import sympy as sp
 
-from analysis.model import load_model
-from analysis.model.file import shipped_models
+from faultline.analysis.model import load_model
+from faultline.analysis.model.file import shipped_models
 
 UDS4 = load_model("uds4")
 VALUES = {name: p.value for name, p in UDS4.parameters.items()}

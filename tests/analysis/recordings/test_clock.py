@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.recordings.clock import Clock, ClockError, synchronise
-from analysis.recordings.steps import shared, steps
-from analysis.recordings.track import Track
-from service.core.signals import Vector
+from faultline.analysis.recordings.clock import Clock, ClockError, synchronise
+from faultline.analysis.recordings.steps import shared, steps
+from faultline.analysis.recordings.track import Track
+from faultline.service.core.signals import Vector
 
 FINE_S = 0.01
 

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from analysis.recordings.command import main
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.core.signals import Quality, Vector
-from service.logs import Log, load_recording, open_log
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES
-from testbench.recording import record
-from testbench.request import Request
-from testbench.vehicles import vehicle
+from faultline.analysis.recordings.command import main
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Quality, Vector
+from faultline.service.logs import Log, load_recording, open_log
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.vehicles import vehicle
 
 DBC = (Path(__file__).parents[3] / "dbc" / "uds.dbc").read_bytes()
 DATABASE = cantools.database.load_string(DBC.decode(), "dbc")

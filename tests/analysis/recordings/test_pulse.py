@@ -5,22 +5,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.graph.bank import Bank, build_bank
-from analysis.model import load_model
-from analysis.recordings.observe import observe
-from analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
-from analysis.recordings.pulse_input import _choice, choose_input
-from analysis.recordings.track import Track, tracks_of
-from service.core.dbc import compile_dbc
-from service.core.decode import DecodeTable
-from service.logs import Frame, open_log
-from testbench.bus import load_dbc
-from testbench.cycles import CYCLES
-from testbench.recording import record
-from testbench.request import Request
-from testbench.simulation import MARGIN
-from testbench.valve import FREQUENCY
-from testbench.vehicles import vehicle
+from faultline.analysis.graph.bank import Bank, build_bank
+from faultline.analysis.model import load_model
+from faultline.analysis.recordings.observe import observe
+from faultline.analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
+from faultline.analysis.recordings.pulse_input import _choice, choose_input
+from faultline.analysis.recordings.track import Track, tracks_of
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.decode import DecodeTable
+from faultline.service.logs import Frame, open_log
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.simulation import MARGIN
+from faultline.testbench.valve import FREQUENCY
+from faultline.testbench.vehicles import vehicle
 
 DURATION = 300.0
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.recordings.track import Track
-from analysis.recordings.uniform import PERIOD_S, uniform
+from faultline.analysis.recordings.track import Track
+from faultline.analysis.recordings.uniform import PERIOD_S, uniform
 
 
 def _sine(frequency: float, start: float = 0.0) -> Track:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
-from service.core.signals import Vector
+from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
+from faultline.service.core.signals import Vector
 
 T = np.arange(0.0, 60.0, 0.2)
 

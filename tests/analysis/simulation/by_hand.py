@@ -7,8 +7,8 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from analysis.model import Model
-from analysis.simulation.system import LAMINAR
+from faultline.analysis.model import Model
+from faultline.analysis.simulation.system import LAMINAR
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]

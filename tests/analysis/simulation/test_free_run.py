@@ -8,8 +8,8 @@ import numpy.typing as npt
 import pytest
 from by_hand import Rates, on_lines, solved, three_tank, uds1, uds1_flow, uds4, values_of
 
-from analysis.model import load_model
-from analysis.simulation import Drive, System, Trajectory, run, system_of
+from faultline.analysis.model import load_model
+from faultline.analysis.simulation import Drive, System, Trajectory, run, system_of
 
 Array = npt.NDArray[np.float64]
 ATMOSPHERE = 101325.0

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.simulation.instants import UndeterminedError, solved
+from faultline.analysis.simulation.instants import UndeterminedError, solved
 
 Array = npt.NDArray[np.float64]
 COUNT = 50

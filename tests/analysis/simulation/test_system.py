@@ -4,10 +4,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.model import Model, load_model
-from analysis.model.file import parse_model
-from analysis.simulation import Drive, Trajectory, run, system_of
-from service.core.errors import InputError
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.model.file import parse_model
+from faultline.analysis.simulation import Drive, Trajectory, run, system_of
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -21,10 +21,10 @@ from typing import Any
 
 from made_models import air_path, electric_motor, induction_motor, tank_chain, three_tank
 
-from analysis.model import load_model
-from analysis.structure import Structure, mso_sets, mtes_sets, structure_of
-from analysis.structure.causality import residual_causality
-from analysis.structure.diagnosability import Interpretation, isolability_of
+from faultline.analysis.model import load_model
+from faultline.analysis.structure import Structure, mso_sets, mtes_sets, structure_of
+from faultline.analysis.structure.causality import residual_causality
+from faultline.analysis.structure.diagnosability import Interpretation, isolability_of
 
 ROUNDS = 9
 SWEPT = 5  # MSO sets whose causality is asked for: FDT takes a third of a second for each of the largest model

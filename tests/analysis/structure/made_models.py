@@ -5,9 +5,9 @@ The equations are written down from the literature; only which variable is in wh
 
 from collections.abc import Mapping, Sequence
 
-from analysis.model import Differential
-from analysis.structure.matrix import structural_model
-from analysis.structure.structure import Structure
+from faultline.analysis.model import Differential
+from faultline.analysis.structure.matrix import structural_model
+from faultline.analysis.structure.structure import Structure
 
 
 def three_tank() -> Structure:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
-from analysis.model import load_model
-from analysis.structure import Structure, mso_sets, structure_of
-from analysis.structure.decomposition import Decomposition, dulmage_mendelsohn
-from analysis.structure.matrix import structural_model
+from faultline.analysis.model import load_model
+from faultline.analysis.structure import Structure, mso_sets, structure_of
+from faultline.analysis.structure.decomposition import Decomposition, dulmage_mendelsohn
+from faultline.analysis.structure.matrix import structural_model
 
 STEADY = settings(derandomize=True, deadline=None, max_examples=150)
 

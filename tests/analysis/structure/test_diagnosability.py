@@ -9,11 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.model import Differential, ModelError, load_model
-from analysis.structure import Structure, mso_sets, over_determined, structure_of
-from analysis.structure.causality import residual_causality
-from analysis.structure.diagnosability import Interpretation, OverDeterminedPart, detectability, isolability_of
-from analysis.structure.sensors import drop_sensors
+from faultline.analysis.model import Differential, ModelError, load_model
+from faultline.analysis.structure import Structure, mso_sets, over_determined, structure_of
+from faultline.analysis.structure.causality import residual_causality
+from faultline.analysis.structure.diagnosability import (
+    Interpretation,
+    OverDeterminedPart,
+    detectability,
+    isolability_of,
+)
+from faultline.analysis.structure.sensors import drop_sensors
 
 ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
 UDS4 = structure_of(load_model("uds4"))

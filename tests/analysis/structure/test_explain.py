@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from test_diagnosability import INTERPRETATIONS, capable, made, structures
 
-from analysis.model import ModelError, load_model
-from analysis.structure import Structure, mso_sets, structure_of
-from analysis.structure.diagnosability import Interpretation, detectability, isolability_of
-from analysis.structure.explain import why
-from analysis.structure.sensors import add_sensors, drop_sensors
+from faultline.analysis.model import ModelError, load_model
+from faultline.analysis.structure import Structure, mso_sets, structure_of
+from faultline.analysis.structure.diagnosability import Interpretation, detectability, isolability_of
+from faultline.analysis.structure.explain import why
+from faultline.analysis.structure.sensors import add_sensors, drop_sensors
 
 UDS4 = structure_of(load_model("uds4"))
 STEADY = settings(derandomize=True, deadline=None, max_examples=60)

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eig
 
-from analysis.model import Differential, load_model
-from analysis.structure import Structure, mso_sets, structure_of
-from analysis.structure.causality import integral_residuals
-from analysis.structure.index import differential_orders, low_index, observable
-from analysis.structure.matrix import structural_model
+from faultline.analysis.model import Differential, load_model
+from faultline.analysis.structure import Structure, mso_sets, structure_of
+from faultline.analysis.structure.causality import integral_residuals
+from faultline.analysis.structure.index import differential_orders, low_index, observable
+from faultline.analysis.structure.matrix import structural_model
 
 ORACLE: list[dict[str, Any]] = json.loads((Path(__file__).parent / "uds4_index_oracle.json").read_text())
 UDS4 = structure_of(load_model("uds4"))

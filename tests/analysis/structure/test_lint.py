@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.model import Differential, Model, load_model, parse_model
-from analysis.model.file import shipped_models
-from analysis.model.units import parse_unit
-from analysis.structure import over_determined
-from analysis.structure.lint import Finding, lint, lint_structure
-from analysis.structure.matrix import structural_model
+from faultline.analysis.model import Differential, Model, load_model, parse_model
+from faultline.analysis.model.file import shipped_models
+from faultline.analysis.model.units import parse_unit
+from faultline.analysis.structure import over_determined
+from faultline.analysis.structure.lint import Finding, lint, lint_structure
+from faultline.analysis.structure.matrix import structural_model
 
 MODEL = """
 schema = 1

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.model import Differential, ModelError, load_model
-from analysis.structure import Structure, mso_sets, mtes_sets, structure_of
-from analysis.structure.matrix import read_structure, structural_model
+from faultline.analysis.model import Differential, ModelError, load_model
+from faultline.analysis.structure import Structure, mso_sets, mtes_sets, structure_of
+from faultline.analysis.structure.matrix import read_structure, structural_model
 
 THREE_TANK = {
     "X": [

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
-from analysis.structure import generic, minimal
-from analysis.structure.matching import Matching, bits, mask_of
-from analysis.structure.minimal import minimal_sets
+from faultline.analysis.structure import generic, minimal
+from faultline.analysis.structure.matching import Matching, bits, mask_of
+from faultline.analysis.structure.minimal import minimal_sets
 
 STEADY = settings(derandomize=True, deadline=None, max_examples=120)
 

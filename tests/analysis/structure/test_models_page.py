@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.cli import main
+from faultline.service.cli import main
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "models.md").read_text()
 

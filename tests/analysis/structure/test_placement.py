@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_diagnosability import INTERPRETATIONS, made, structures
 
-from analysis.model import ModelError, load_model
-from analysis.structure import Structure, structure_of
-from analysis.structure.diagnosability import Interpretation, detectability, isolability_of
-from analysis.structure.placement import Goal, SensorSet, place_sensors
-from analysis.structure.sensors import add_sensors, drop_sensors
+from faultline.analysis.model import ModelError, load_model
+from faultline.analysis.structure import Structure, structure_of
+from faultline.analysis.structure.diagnosability import Interpretation, detectability, isolability_of
+from faultline.analysis.structure.placement import Goal, SensorSet, place_sensors
+from faultline.analysis.structure.sensors import add_sensors, drop_sensors
 
 BARE = drop_sensors(structure_of(load_model("uds4")), ["y_p_tp", "y_p_ap"])
 PRESSURES = ["p_tp", "p_bp", "p_ap", "p_du"]

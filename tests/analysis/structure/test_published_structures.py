@@ -3,8 +3,8 @@
 import pytest
 from made_models import air_path, electric_motor, induction_motor, tank_chain, three_tank
 
-from analysis.structure import Structure, mso_sets, mtes_sets, redundancy
-from analysis.structure.causality import integral_residuals
+from faultline.analysis.structure import Structure, mso_sets, mtes_sets, redundancy
+from faultline.analysis.structure.causality import integral_residuals
 
 
 @pytest.mark.parametrize(

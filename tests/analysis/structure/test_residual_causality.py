@@ -9,9 +9,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 from test_diagnosability import structures
 
-from analysis.model import Differential, load_model, parse_model
-from analysis.structure import Structure, Test, find_tests, integral_tests, mso_sets, structure_of
-from analysis.structure.causality import integral_residuals, residual_causality, solving_order
+from faultline.analysis.model import Differential, load_model, parse_model
+from faultline.analysis.structure import Structure, Test, find_tests, integral_tests, mso_sets, structure_of
+from faultline.analysis.structure.causality import integral_residuals, residual_causality, solving_order
 
 
 def random_structure(seed: int) -> Structure:

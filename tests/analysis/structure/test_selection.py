@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.model import ModelError, load_model
-from analysis.structure import find_tests, integral_tests, signature_matrix
-from analysis.structure.selection import kept, select_tests
+from faultline.analysis.model import ModelError, load_model
+from faultline.analysis.structure import find_tests, integral_tests, signature_matrix
+from faultline.analysis.structure.selection import kept, select_tests
 
 UDS4 = load_model("uds4")
 FAULTS = tuple(UDS4.faults)

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from analysis.model import Differential, ModelError, load_model
-from analysis.structure import Structure, mso_sets, mtes_sets, structure_of
-from analysis.structure.diagnosability import isolability_of
-from analysis.structure.sensors import add_sensors, drop_sensors, sensor_equations
+from faultline.analysis.model import Differential, ModelError, load_model
+from faultline.analysis.structure import Structure, mso_sets, mtes_sets, structure_of
+from faultline.analysis.structure.diagnosability import isolability_of
+from faultline.analysis.structure.sensors import add_sensors, drop_sensors, sensor_equations
 
 ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
 UDS4 = structure_of(load_model("uds4"))

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from analysis.graph.bank import build_bank
-from analysis.model import ModelError, load_model
-from analysis.structure import structure_of
-from analysis.structure.command import main
-from analysis.structure.lint import sound_model
-from service.core.errors import InputError
+from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.model import ModelError, load_model
+from faultline.analysis.structure import structure_of
+from faultline.analysis.structure.command import main
+from faultline.analysis.structure.lint import sound_model
+from faultline.service.core.errors import InputError
 
 NO_REDUNDANCY = """
 schema = 1

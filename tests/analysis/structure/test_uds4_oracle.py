@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from analysis.model import Model, load_model
-from analysis.structure import (
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.structure import (
     Test,
     arguments,
     detectable,
@@ -23,7 +23,7 @@ from analysis.structure import (
     signature_matrix,
     structure_of,
 )
-from analysis.structure.causality import residual_causality
+from faultline.analysis.structure.causality import residual_causality
 
 ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
 UDS4 = load_model("uds4")

@@ -6,17 +6,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.graph.bank import Bank, build_bank
-from analysis.graph.runnable import Runnable
-from analysis.model import Model, load_model
-from analysis.tuning.evidence import as_seen, gather
-from analysis.tuning.thresholds import Seen, tune_detectors
-from service.core.decision import CONFIRMED
-from service.core.explaining import TIE
-from service.core.hypotheses import Hypotheses, Look
-from service.core.manifest import MODES, Evidence
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.core.window import Window
+from faultline.analysis.graph.bank import Bank, build_bank
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model, load_model
+from faultline.analysis.tuning.evidence import as_seen, gather
+from faultline.analysis.tuning.thresholds import Seen, tune_detectors
+from faultline.service.core.decision import CONFIRMED
+from faultline.service.core.explaining import TIE
+from faultline.service.core.hypotheses import Hypotheses, Look
+from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.window import Window
 
 Array = npt.NDArray[np.float64]
 

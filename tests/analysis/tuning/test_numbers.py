@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import msgspec
 import pytest
 
-from analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
-from service.core.decode import DecodeTable
-from service.core.manifest import Input
-from service.core.signals import Quality
-from service.logs import Frame
+from faultline.analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals import Quality
+from faultline.service.logs import Frame
 
 
 class Said(DecodeTable):

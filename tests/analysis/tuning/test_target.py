@@ -11,20 +11,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.graph.runnable import Runnable
-from analysis.tuning.claim import claim, folds, rate_of, thresholds
-from analysis.tuning.claim import shifted as of_left_out
-from analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
-from analysis.tuning.plausible import doubts
-from analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
-from analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
-from analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
-from service.bundle import load_bundle
-from service.core.detectors.bank import DetectorBank
-from service.core.generators import Residuals
-from service.core.manifest import MODES, Detector, Evidence, kind_of
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.core.observer import Tick
+from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.tuning.claim import claim, folds, rate_of, thresholds
+from faultline.analysis.tuning.claim import shifted as of_left_out
+from faultline.analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
+from faultline.analysis.tuning.plausible import doubts
+from faultline.analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
+from faultline.analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
+from faultline.analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
+from faultline.service.bundle import load_bundle
+from faultline.service.core.detectors.bank import DetectorBank
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import MODES, Detector, Evidence, kind_of
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 

@@ -7,17 +7,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analysis.tuning.evidence import visits
-from analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J, described_by
-from analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen, standard
-from analysis.tuning.thresholds import tune_detectors as tune_all
-from service.core.detectors.cusum import Cusum
-from service.core.detectors.spread import Spread
-from service.core.errors import InputError
-from service.core.generators import Residuals
-from service.core.manifest import MODES, CusumDetector, kind_of
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.core.observer import Tick
+from faultline.analysis.tuning.evidence import visits
+from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J, described_by
+from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen, standard
+from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
+from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.spread import Spread
+from faultline.service.core.errors import InputError
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import MODES, CusumDetector, kind_of
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.observer import Tick
 
 Array = npt.NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from analysis.tuning.thresholds import MINIMUM_TICKS, Seen
-from analysis.tuning.vehicles import Drive, offsets
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
+from faultline.analysis.tuning.vehicles import Drive, offsets
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 OWN = (0, 1, 2, 3)
 

@@ -10,11 +10,11 @@ import can
 import j1939  # type: ignore[import-untyped]
 import pytest
 
-from service.bus.pythoncan import PythonCan
-from service.j1939.dm1 import Code
-from service.j1939.dtcs import Known
-from service.j1939.name import name_of
-from service.j1939.node import Node
+from faultline.service.bus.pythoncan import PythonCan
+from faultline.service.j1939.dm1 import Code
+from faultline.service.j1939.dtcs import Known
+from faultline.service.j1939.name import name_of
+from faultline.service.j1939.node import Node
 
 US, TOOL = 144, 0xF9
 NAME = name_of(identity_number=17, manufacturer_code=2, function=3, industry_group=1)

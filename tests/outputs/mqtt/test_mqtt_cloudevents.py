@@ -12,11 +12,11 @@ from cloudevents.core.v1.event import CloudEvent
 from hypothesis import given
 from hypothesis import strategies as some
 
-from service.core.events import SCHEMA, Diagnosis, Event, encode
-from service.core.health import SCHEMA as HEALTH
-from service.core.health import Health, Standing, encode_health
-from service.mqtt.cloudevent import CONTENT_TYPE, structured
-from service.mqtt.records import RecordError, read
+from faultline.service.core.events import SCHEMA, Diagnosis, Event, encode
+from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.health import Health, Standing, encode_health
+from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
+from faultline.service.mqtt.records import RecordError, read
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "events.jsonl"
 

@@ -11,7 +11,7 @@ from test_web_metrics import one, strictly
 from web_daemon import PASSED, FakeDaemon, fault
 from web_server import TOKEN, Serving, serving, until
 
-from service.web.limits import Limits
+from faultline.service.web.limits import Limits
 
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
 OTHER = {"Authorization": f"Bearer {'x' * 40}"}

@@ -9,10 +9,10 @@ import msgspec
 import pytest
 from web_daemon import record
 
-from service.web.asking import AwayError, Control
-from service.web.events import Hub, stream
-from service.web.metrics import Counts
-from service.web.ring import Ring, Told, told
+from faultline.service.web.asking import AwayError, Control
+from faultline.service.web.events import Hub, stream
+from faultline.service.web.metrics import Counts
+from faultline.service.web.ring import Ring, Told, told
 
 
 class Heard(Hub):

@@ -13,8 +13,8 @@ import pytest
 from web_daemon import FakeDaemon
 from web_server import COMMAND, PATIENCE_S, ROOT, TOKEN, Sse, serving, until
 
-from service.core.errors import InputError
-from service.web.command import main
+from faultline.service.core.errors import InputError
+from faultline.service.web.command import main
 
 PLACES = ("--control", "/nowhere/control.sock", "--events", "/nowhere/events.sock")
 
@@ -112,8 +112,9 @@ def test_an_installation_without_the_extra_says_so(missing: str) -> None:
 import sys
 from importlib.metadata import EntryPoint
 sys.modules[{missing!r}] = None
-from service.cli import dispatch
-sys.exit(dispatch(sys.argv[1:], {{"serve": EntryPoint("serve", "service.web.command:main", "faultline.commands")}}))
+from faultline.service.cli import dispatch
+command = EntryPoint("serve", "faultline.service.web.command:main", "faultline.commands")
+sys.exit(dispatch(sys.argv[1:], {{"serve": command}}))
 """
     arguments = ["serve", *PLACES, "--listen", "127.0.0.1:0"]
     ended = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
@@ -192,7 +193,7 @@ def watch():
     while "url" not in said: time.sleep(0.01)
     urllib.request.urlopen(said["url"] + "/v1/live/uds4").read()
 said = {}
-from service.web import command
+from faultline.service.web import command
 command._say = lambda text: said.setdefault("url", text.split()[2].rstrip(","))
 threading.Thread(target=watch, daemon=True).start()
 """
@@ -210,7 +211,7 @@ threading.Thread(target=watch, daemon=True).start()
 def _failing(change: str, arguments: tuple[str, ...]) -> str:
     """What a server says at its end that fails by this change."""
     code = f"""
-from service.web import events, live
+from faultline.service.web import events, live
 async def run(self): raise ZeroDivisionError("of the test")
 {change}
 {COMMAND}

@@ -12,9 +12,9 @@ from test_web_api import BEARER
 from web_daemon import FakeDaemon, fault
 from web_server import TOKEN, Serving, serving
 
-from service.web.app import table
-from service.web.document import document
-from service.web.routes import Routes
+from faultline.service.web.app import table
+from faultline.service.web.document import document
+from faultline.service.web.routes import Routes
 
 NOT_OURS = {
     "use_after_free",  # what was cleared may fail again, and numbers are the daemon's

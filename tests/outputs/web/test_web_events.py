@@ -12,9 +12,9 @@ from test_web_metrics import one, strictly
 from web_daemon import FakeDaemon
 from web_server import Serving, Sse, serving, until
 
-from service.web.asking import FRESH_S
-from service.web.limits import Limits
-from service.web.ring import SIZE
+from faultline.service.web.asking import FRESH_S
+from faultline.service.web.limits import Limits
+from faultline.service.web.ring import SIZE
 
 
 def arguments(daemon: FakeDaemon) -> tuple[str, ...]:

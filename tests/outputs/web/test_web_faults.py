@@ -7,12 +7,12 @@ import pytest
 from starlette.datastructures import QueryParams
 from web_daemon import FAILED, NAMES, PASSED, PENDING, fault, status
 
-from service.core.events import Diagnosis
-from service.core.faults import Status
-from service.web.answers import Frames, Meaning
-from service.web.faults import STATUS_KEYS, aggregated, detail_of, item_of, selected, value_of
-from service.web.problems import error_of
-from service.web.queries import filter_of, nothing_in, page_of, parts_of
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Status
+from faultline.service.web.answers import Frames, Meaning
+from faultline.service.web.faults import STATUS_KEYS, aggregated, detail_of, item_of, selected, value_of
+from faultline.service.web.problems import error_of
+from faultline.service.web.queries import filter_of, nothing_in, page_of, parts_of
 
 MEANINGS = {each.name: each for each in msgspec.convert(NAMES, list[Meaning])}
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import pytest
 from web_daemon import FAILED, PASSED, fault
 
-from service.web.answers import Bus, Condition, State, Store, System
-from service.web.metrics import Counts, Family, Sample, of_daemon, of_server, render
+from faultline.service.web.answers import Bus, Condition, State, Store, System
+from faultline.service.web.metrics import Counts, Family, Sample, of_daemon, of_server, render
 
 NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
 LABEL = re.compile(r'([a-zA-Z_][a-zA-Z0-9_]*)="((?:[^"\\\n]|\\["\\n])*)"(,|$)')

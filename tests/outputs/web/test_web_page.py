@@ -7,16 +7,16 @@ import msgspec
 from test_web_metrics import STATE, strictly
 from web_daemon import fault
 
-from service.web import settings
-from service.web.app import table
-from service.web.health import BLINDING
-from service.web.limits import Limits
-from service.web.metrics import Counts, of_daemon, of_server, render
-from service.web.problems import OF_DAEMON
-from service.web.queries import MOST
-from service.web.ring import SIZE
-from service.web.routes import Routes
-from service.web.tokens import CREDENTIAL, LEAST
+from faultline.service.web import settings
+from faultline.service.web.app import table
+from faultline.service.web.health import BLINDING
+from faultline.service.web.limits import Limits
+from faultline.service.web.metrics import Counts, of_daemon, of_server, render
+from faultline.service.web.problems import OF_DAEMON
+from faultline.service.web.queries import MOST
+from faultline.service.web.ring import SIZE
+from faultline.service.web.routes import Routes
+from faultline.service.web.tokens import CREDENTIAL, LEAST
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "http.md").read_text()

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from service.core.errors import InputError
-from service.web.limits import host_of, hosts_of
-from service.web.settings import Settings, Tcp, Unix, checked, load_settings
-from service.web.tokens import Tokens, bearer, find_tokens, load_tokens
+from faultline.service.core.errors import InputError
+from faultline.service.web.limits import host_of, hosts_of
+from faultline.service.web.settings import Settings, Tcp, Unix, checked, load_settings
+from faultline.service.web.tokens import Tokens, bearer, find_tokens, load_tokens
 
 
 class TestHosts:
@@ -49,7 +49,7 @@ class TestSettings:
         )
 
     def test_the_example_in_the_module_is_taken(self, tmp_path: Path) -> None:
-        from service.web import settings
+        from faultline.service.web import settings
 
         text = (settings.__doc__ or "").partition("\n\n")[2]
         assert load_settings(self.write(tmp_path, text)).listen == Tcp("127.0.0.1", 8080)

@@ -4,12 +4,12 @@ import msgspec
 import pytest
 from web_daemon import record
 
-from service.web.answers import Condition, State
-from service.web.asking import AwayError, GarbledError, Pace, RefusedError, understood
-from service.web.health import BLINDING, away, health_of, is_well
-from service.web.problems import error_of
-from service.web.ring import Ring, told
-from service.web.waiting import LONGEST_S, backoff
+from faultline.service.web.answers import Condition, State
+from faultline.service.web.asking import AwayError, GarbledError, Pace, RefusedError, understood
+from faultline.service.web.health import BLINDING, away, health_of, is_well
+from faultline.service.web.problems import error_of
+from faultline.service.web.ring import Ring, told
+from faultline.service.web.waiting import LONGEST_S, backoff
 
 
 class TestHealth:

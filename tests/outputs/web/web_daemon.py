@@ -13,11 +13,11 @@ from typing import Any
 
 import msgspec
 
-from service.core.events import Diagnosis
-from service.core.faults import Cleared, Dtc, Fault, FaultRecord, Seen, Status
-from service.core.health import Health
-from service.outputs.socket import EventSocket
-from service.store.file import Record
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import Cleared, Dtc, Fault, FaultRecord, Seen, Status
+from faultline.service.core.health import Health
+from faultline.service.outputs.socket import EventSocket
+from faultline.service.store.file import Record
 
 Json = dict[str, Any]
 

@@ -14,20 +14,20 @@ from typing import NamedTuple, TypeVar
 
 import httpx
 
-from service.web.limits import Limits
+from faultline.service.web.limits import Limits
 
 ROOT = Path(__file__).parents[3]
 T = TypeVar("T")
 TOKEN = "t" * 40
 PATIENCE_S = 30.0  # for what comes at once on a machine that is not busy
 
-COMMAND = "import sys; from service.web.command import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "import sys; from faultline.service.web.command import main; sys.exit(main(sys.argv[1:]))"
 SHORT = """
 import sys
 from pathlib import Path
-from service.web import server
-from service.web.command import main
-from service.web.limits import Limits
+from faultline.service.web import server
+from faultline.service.web.command import main
+from faultline.service.web.limits import Limits
 original = server.serve
 server.serve = lambda *given: original(*given, limits=Limits(**{limits!r}))
 sys.exit(main(sys.argv[1:]))

@@ -9,18 +9,18 @@ import pytest
 from made_bundle import GOLDEN, copied, edit
 from ports import multicast
 
-from service.bundle import load_bundle
-from service.bundle_files import Trust
-from service.bus import Bus, open_bus
-from service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig
-from service.core.alike import decide_alike
-from service.core.errors import InputError
-from service.core.events import Event
-from service.core.manifest import Manifest
-from service.logs import Frame, open_log
-from service.refused import Loader
-from service.reload import Reload
-from service.watched import Line, watched
+from faultline.service.bundle import load_bundle
+from faultline.service.bundle_files import Trust
+from faultline.service.bus import Bus, open_bus
+from faultline.service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig
+from faultline.service.core.alike import decide_alike
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Event
+from faultline.service.core.manifest import Manifest
+from faultline.service.logs import Frame, open_log
+from faultline.service.refused import Loader
+from faultline.service.reload import Reload
+from faultline.service.watched import Line, watched
 
 CONFIG = """source = "truck"
 [[bus]]

@@ -10,11 +10,11 @@ from cryptography.hazmat.primitives.serialization import BestAvailableEncryption
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.bundle import load_bundle
-from service.bundle_files import BundleError
-from service.bundles import main
-from service.core.errors import InputError
-from service.signing import (
+from faultline.service.bundle import load_bundle
+from faultline.service.bundle_files import BundleError
+from faultline.service.bundles import main
+from faultline.service.core.errors import InputError
+from faultline.service.signing import (
     SignatureError,
     Signed,
     load_keys,

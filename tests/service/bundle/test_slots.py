@@ -11,14 +11,14 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from made_bundle import edit, put
 
-from service import slots as module
-from service.bundle_files import BundleError, whole
-from service.bundles import main
-from service.core.errors import InputError
-from service.refused import Loader
-from service.signing import SignatureError, Signed, public_of, sign
-from service.slots import CURRENT, SlotError, Slots, spare
-from service.trial import trial
+from faultline.service import slots as module
+from faultline.service.bundle_files import BundleError, whole
+from faultline.service.bundles import main
+from faultline.service.core.errors import InputError
+from faultline.service.refused import Loader
+from faultline.service.signing import SignatureError, Signed, public_of, sign
+from faultline.service.slots import CURRENT, SlotError, Slots, spare
+from faultline.service.trial import trial
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

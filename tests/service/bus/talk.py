@@ -13,8 +13,8 @@ from contextlib import closing
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from service.bus import open_bus
-from service.logs import Frame
+from faultline.service.bus import open_bus
+from faultline.service.logs import Frame
 
 CALL = Frame(0.0, 0x18FF103D, True, b"abcdefgh")
 ANSWER = Frame(0.0, 0x123, False, b"yes")

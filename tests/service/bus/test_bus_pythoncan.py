@@ -6,9 +6,9 @@ from typing import Any
 import can
 import pytest
 
-from service.bus import BusError, open_bus
-from service.bus.pythoncan import LONGEST_RETRY_S, PythonCan
-from service.logs import Frame
+from faultline.service.bus import BusError, open_bus
+from faultline.service.bus.pythoncan import LONGEST_RETRY_S, PythonCan
+from faultline.service.logs import Frame
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.bus import BusError, open_bus, socketcan, socketcan_available
-from service.bus.base import BATCH, Counts
-from service.bus.interface import Interface, interface
-from service.bus.reader import unpack
-from service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
-from service.core.decode import Wanted
-from service.logs import Frame
+from faultline.service.bus import BusError, open_bus, socketcan, socketcan_available
+from faultline.service.bus.base import BATCH, Counts
+from faultline.service.bus.interface import Interface, interface
+from faultline.service.bus.reader import unpack
+from faultline.service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
+from faultline.service.core.decode import Wanted
+from faultline.service.logs import Frame
 
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 VIRTUAL, REAL = Interface(3, True, True, True), Interface(3, True, True, False)
@@ -468,7 +468,7 @@ def test_an_interface_without_a_device_or_can_fd_is_a_serial_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mtu: str, device: bool, virtual: bool
 ) -> None:
     """What processes of this machine send is taken for the vehicle's on a virtual interface only."""
-    monkeypatch.setattr("service.bus.interface.SYS", tmp_path)
+    monkeypatch.setattr("faultline.service.bus.interface.SYS", tmp_path)
     folder = tmp_path / "can0"
     folder.mkdir()
     for name, text in (("ifindex", "3"), ("type", "280"), ("flags", "0x41"), ("mtu", mtu)):

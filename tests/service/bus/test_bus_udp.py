@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ports import free_port
 
-from service.bus import BusError, open_bus
-from service.bus.udp import IP_MULTICAST_ALL, UdpMulticast, pack, unpack
-from service.logs import Frame
+from faultline.service.bus import BusError, open_bus
+from faultline.service.bus.udp import IP_MULTICAST_ALL, UdpMulticast, pack, unpack
+from faultline.service.logs import Frame
 
 GROUP = "239.74.163.2"
 TALK = str(Path(__file__).with_name("talk.py"))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.bus.reader import _RECVMMSG, CLASSIC, FD, ROOM, OneByOne, Reader, Together, reader_of
+from faultline.service.bus.reader import _RECVMMSG, CLASSIC, FD, ROOM, OneByOne, Reader, Together, reader_of
 
 Pair = tuple[socket.socket, socket.socket]
 SO_TIMESTAMPNS = 35

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from service import cli
-from service.cli import GROUP, dispatch, overview
+from faultline.service import cli
+from faultline.service.cli import GROUP, dispatch, overview
 
 ROOT = Path(__file__).parents[3]
 
@@ -20,7 +20,7 @@ COMMAND = '''"""{line}
 More.
 """
 
-from service.core.errors import InputError
+from faultline.service.core.errors import InputError
 
 
 def main(argv: list[str]) -> int:
@@ -57,9 +57,10 @@ def test_runs_the_command_with_the_rest_of_the_arguments(package: Path, capsys: 
 
 def test_help_lists_every_command_without_importing_any(capsys: pytest.CaptureFixture[str]) -> None:
     script = (
-        "import sys; from tests_commands import commands; from service.cli import dispatch\n"
+        "import sys; from tests_commands import commands; from faultline.service.cli import dispatch\n"
         "code = dispatch(['--help'], commands)\n"
-        "heavy = {'numpy', 'can', 'cantools', 'scipy', 'analysis', 'testbench', 'msgspec'} & set(sys.modules)\n"
+        "heavy = {'numpy', 'can', 'cantools', 'scipy', 'msgspec', 'faultline.analysis', 'faultline.testbench'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)"
     )
     rows = {name: entry.value for name, entry in _declared().items()}
@@ -77,18 +78,18 @@ def test_help_lists_every_command_without_importing_any(capsys: pytest.CaptureFi
 
 
 def test_the_line_in_the_help_is_the_docstrings_first() -> None:
-    import service.watch
+    from faultline.service import watch
 
-    assert (service.watch.__doc__ or "").partition("\n")[0] in overview(_declared())
+    assert (watch.__doc__ or "").partition("\n")[0] in overview(_declared())
 
 
 def test_a_command_left_out_of_the_installation_is_said_so(package: Path) -> None:
-    text = overview({"gone": EntryPoint("gone", "service.gone.nowhere:main", GROUP)})
+    text = overview({"gone": EntryPoint("gone", "faultline.service.gone.nowhere:main", GROUP)})
     assert "gone        (not part of this installation)" in text
 
 
 def test_a_packages_docstring_serves_too() -> None:
-    assert "Logs and recordings" in overview({"logs": EntryPoint("logs", "service.logs:main", GROUP)})
+    assert "Logs and recordings" in overview({"logs": EntryPoint("logs", "faultline.service.logs:main", GROUP)})
 
 
 def test_no_command_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +124,7 @@ def test_a_missing_extra_is_named(
     commands = _command(package, "fit", "raise ModuleNotFoundError(name='scipy.signal')")
     assert dispatch(["fit"], commands) == 2
     assert "needs scipy.signal; pip install 'faultline-diagnosis[design]'" in capsys.readouterr().err
-    commands = _command(package, "rigged", "raise ModuleNotFoundError(name='testbench')")
+    commands = _command(package, "rigged", "raise ModuleNotFoundError(name='faultline.testbench')")
     assert dispatch(["rigged"], commands) == 2
     assert "this installation of faultline is without it" in capsys.readouterr().err
 
@@ -179,7 +180,7 @@ def _run(package: Path, body: str, redirection: str, *, unbuffered: bool) -> sub
     """A process of its own, as what the interpreter does at its end counts."""
     _command(package, "talk", body)
     script = (
-        "import sys; from importlib.metadata import EntryPoint; from service.cli import dispatch\n"
+        "import sys; from importlib.metadata import EntryPoint; from faultline.service.cli import dispatch\n"
         "sys.exit(dispatch(sys.argv[1:], {'talk': EntryPoint('talk', 'fakecommands.talk:main', 'g')}))"
     )
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}", "PYTHONUNBUFFERED": "1" * unbuffered}
@@ -221,7 +222,7 @@ def test_a_closed_pipe_ends_quietly(package: Path) -> None:
     commands = _command(package, "talk", "[print(k) for k in range(100_000)]; return 0")
     value = commands["talk"].value
     script = (
-        "import sys; from importlib.metadata import EntryPoint; from service.cli import dispatch\n"
+        "import sys; from importlib.metadata import EntryPoint; from faultline.service.cli import dispatch\n"
         f"sys.exit(dispatch(['talk'], {{'talk': EntryPoint('talk', {value!r}, 'g')}}))"
     )
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}"}

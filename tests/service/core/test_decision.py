@@ -6,14 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.bundle import load_bundle
-from service.core.decision import HEALED_TICKS, LINGER_TICKS, RANKING_PERIOD, UNSEEN_TICKS, VAIN_TICKS, Decision
-from service.core.detectors.bank import FROZEN_TICKS
-from service.core.explaining import SUREST
-from service.core.generators import Residuals
-from service.core.manifest import CusumDetector
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from service.core.signals import Vector
+from faultline.service.bundle import load_bundle
+from faultline.service.core.decision import (
+    HEALED_TICKS,
+    LINGER_TICKS,
+    RANKING_PERIOD,
+    UNSEEN_TICKS,
+    VAIN_TICKS,
+    Decision,
+)
+from faultline.service.core.detectors.bank import FROZEN_TICKS
+from faultline.service.core.explaining import SUREST
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import CusumDetector
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals import Vector
 
 MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
 EVIDENCE = MANIFEST.evidence

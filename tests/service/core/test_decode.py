@@ -9,12 +9,12 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.dbc import compile_dbc
-from service.core.decode import Wanted
-from service.core.errors import InputError
-from service.core.signals import Quality, j1939_quality
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.decode import Wanted
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals import Quality, j1939_quality
 
-DBC = resources.files("dbc").joinpath("uds.dbc").read_text()
+DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
 UNITS = {"y_p_tp": "Pa", "y_p_ap": "Pa", "y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}
 EFF = 0x8000_0000
 ECU, SENSORS = 0x18FF103D, 0x18FF20F9
@@ -354,7 +354,7 @@ def test_a_signal_in_two_messages_is_refused() -> None:
 
 def test_a_dbc_with_another_source_address_is_told_which_senders_there_are() -> None:
     """0xFE, the null address, is what vendors' DBCs of J1939 have."""
-    ours = resources.files("dbc").joinpath("uds.dbc").read_text()
+    ours = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
     table = compile_dbc(ours.replace(str(0x98FF103D), str(0x98FF10FE)), {"y_p_du": "Pa"}, "vendors.dbc")
     assert table.strangers() == []
     for address in (0x3D, 0x3D, 0x21):

@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.detectors.adaptive import Adaptive
-from service.core.detectors.bank import FROZEN_TICKS, DetectorBank, detector
-from service.core.detectors.cusum import Cusum
-from service.core.detectors.low_pass import LowPass
-from service.core.detectors.protocol import Detector
-from service.core.detectors.spread import Spread
-from service.core.detectors.standard import Standard
-from service.core.detectors.threshold import Threshold
-from service.core.generators import Residuals
-from service.core.manifest import (
+from faultline.service.core.detectors.adaptive import Adaptive
+from faultline.service.core.detectors.bank import FROZEN_TICKS, DetectorBank, detector
+from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.low_pass import LowPass
+from faultline.service.core.detectors.protocol import Detector
+from faultline.service.core.detectors.spread import Spread
+from faultline.service.core.detectors.standard import Standard
+from faultline.service.core.detectors.threshold import Threshold
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import (
     MODES,
     AdaptiveDetector,
     CusumDetector,
@@ -28,7 +28,7 @@ from service.core.manifest import (
     SpreadDetector,
     ThresholdDetector,
 )
-from service.core.manifest import Detector as Settings
+from faultline.service.core.manifest import Detector as Settings
 
 Array = npt.NDArray[np.float64]
 

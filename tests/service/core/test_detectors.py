@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.detectors.bank import detector
-from service.core.detectors.cusum import Cusum
-from service.core.detectors.threshold import Threshold
-from service.core.manifest import MODES as MODE_NAMES
-from service.core.manifest import CusumDetector, Input, Modes, Side
-from service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
+from faultline.service.core.detectors.bank import detector
+from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.threshold import Threshold
+from faultline.service.core.manifest import MODES as MODE_NAMES
+from faultline.service.core.manifest import CusumDetector, Input, Modes, Side
+from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
 
 @given(st.lists(st.floats(-5, 5), max_size=200), st.floats(0.1, 2), st.floats(1, 50))

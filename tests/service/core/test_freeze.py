@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.bundle import load_bundle
-from service.core.events import SCHEMA, Event
-from service.core.freeze import Recorder, Sample
-from service.core.signals import Quality
+from faultline.service.bundle import load_bundle
+from faultline.service.core.events import SCHEMA, Event
+from faultline.service.core.freeze import Recorder, Sample
+from faultline.service.core.signals import Quality
 
 MANIFEST = load_bundle(Path(__file__).resolve().parents[2] / "golden" / "bundle").manifest
 NZ, T = len(MANIFEST.inputs), len(MANIFEST.generators)

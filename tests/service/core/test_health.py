@@ -5,9 +5,9 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from service.core.dbc import compile_dbc
-from service.core.decode import DecodeTable
-from service.core.health import (
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.decode import DecodeTable
+from faultline.service.core.health import (
     CLEARED_S,
     RAISED_S,
     SCHEMA,
@@ -19,9 +19,9 @@ from service.core.health import (
     decode_health,
     encode_health,
 )
-from service.core.manifest import Input
-from service.core.signals import Quality
-from service.core.traffic import EXPECTED_S, WINDOW_S, Traffic
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals import Quality
+from faultline.service.core.traffic import EXPECTED_S, WINDOW_S, Traffic
 
 DOWN, LOST = Condition("bus-down", "can0"), Condition("frames-lost", "can0")
 
@@ -65,7 +65,7 @@ def test_a_record_is_a_line_and_reads_back() -> None:
     assert decode_health(line) == health
 
 
-DBC = resources.files("dbc").joinpath("uds.dbc").read_text()
+DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
 ECU, BROADCAST = 0x18FF103D, 0x0CF0233D
 SIGNALS = {"y_p_du": "Pa", "def_doser_pressure": "Pa"}
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.core.decision import CONFIRMED
-from service.core.explaining import ranked
-from service.core.hypotheses import Hypotheses, Look, confined
-from service.core.isolation import UNKNOWN, diagnoses
-from service.core.manifest import Evidence, Hypothesis
-from service.core.modes import EDGE
-from service.core.straying import MINIMUM_TICKS, Means
-from service.core.window import PART_TICKS, Window
+from faultline.service.core.decision import CONFIRMED
+from faultline.service.core.explaining import ranked
+from faultline.service.core.hypotheses import Hypotheses, Look, confined
+from faultline.service.core.isolation import UNKNOWN, diagnoses
+from faultline.service.core.manifest import Evidence, Hypothesis
+from faultline.service.core.modes import EDGE
+from faultline.service.core.straying import MINIMUM_TICKS, Means
+from faultline.service.core.window import PART_TICKS, Window
 
 FAULTS = ["fA", "fB", "fC", "fD"]
 CONFLICTS = st.lists(st.frozensets(st.sampled_from(FAULTS), min_size=1), max_size=6)

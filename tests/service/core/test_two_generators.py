@@ -5,10 +5,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from service.bundle import load_bundle
-from service.core.decision import Decision
-from service.core.generators import Residuals
-from service.core.manifest import Manifest
+from faultline.service.bundle import load_bundle
+from faultline.service.core.decision import Decision
+from faultline.service.core.generators import Residuals
+from faultline.service.core.manifest import Manifest
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.clocks import Clocks, Moved
+from faultline.service.clocks import Clocks, Moved
 
 
 class Kernel:

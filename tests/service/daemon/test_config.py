@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.config import load_config
-from service.strict import LARGEST, ConfigError
+from faultline.service.config import load_config
+from faultline.service.strict import LARGEST, ConfigError
 
 GOOD = """\
 source = "truck-17"

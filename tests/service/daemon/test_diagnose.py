@@ -8,15 +8,15 @@ from pathlib import Path
 import can
 import pytest
 
-from service import diagnose
-from service.bundle import load_bundle
-from service.bundle_files import SEAL, seal
-from service.cli import main
-from service.core.dbc import compile_dbc
-from service.core.errors import InputError
-from service.core.events import Event, decode, encode
-from service.core.monitor import Monitor
-from service.logs import Frame, open_log
+from faultline.service import diagnose
+from faultline.service.bundle import load_bundle
+from faultline.service.bundle_files import SEAL, seal
+from faultline.service.cli import main
+from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import Event, decode, encode
+from faultline.service.core.monitor import Monitor
+from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 BUNDLE, LOG = GOLDEN / "bundle", GOLDEN / "log"

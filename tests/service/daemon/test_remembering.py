@@ -14,26 +14,26 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from service import faults as command
-from service.answers import Answerer
-from service.asking import Control, ControlError
-from service.bundle import load_bundle
-from service.bus import Bus
-from service.bus.base import Counts
-from service.cli import main
-from service.core.errors import InputError
-from service.core.faults import Fault, decode_cleared, decode_record
-from service.core.frame import Frame
-from service.core.health import Condition
-from service.core.memory import FaultMemory, News, Rules
-from service.logs import Frame as CanFrame
-from service.logs import open_log
-from service.outputs.control import ControlSocket
-from service.remembering import FAILED_S, Remembering
-from service.scribe import Scribe
-from service.store.file import Record, StoreFile
-from service.store.journal import Journal
-from service.watched import Line, watched
+from faultline.service import faults as command
+from faultline.service.answers import Answerer
+from faultline.service.asking import Control, ControlError
+from faultline.service.bundle import load_bundle
+from faultline.service.bus import Bus
+from faultline.service.bus.base import Counts
+from faultline.service.cli import main
+from faultline.service.core.errors import InputError
+from faultline.service.core.faults import Fault, decode_cleared, decode_record
+from faultline.service.core.frame import Frame
+from faultline.service.core.health import Condition
+from faultline.service.core.memory import FaultMemory, News, Rules
+from faultline.service.logs import Frame as CanFrame
+from faultline.service.logs import open_log
+from faultline.service.outputs.control import ControlSocket
+from faultline.service.remembering import FAILED_S, Remembering
+from faultline.service.scribe import Scribe
+from faultline.service.store.file import Record, StoreFile
+from faultline.service.store.journal import Journal
+from faultline.service.watched import Line, watched
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 FRAMES = [CanFrame(t, n, extended, data) for t, n, extended, data in open_log(GOLDEN / "log").relative()]
@@ -472,7 +472,9 @@ def test_erasing_that_the_disk_does_not_take_is_said(served: Served, monkeypatch
 
 def test_only_who_may_can_erase(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getuid", lambda: 4711)
-    monkeypatch.setattr("service.outputs.control._asker", lambda *_: SimpleNamespace(user="mallory", may_clear=False))
+    monkeypatch.setattr(
+        "faultline.service.outputs.control._asker", lambda *_: SimpleNamespace(user="mallory", may_clear=False)
+    )
     with Control(served.path) as control, pytest.raises(ControlError, match="mallory may not erase faults") as refused:
         control.ask("clear", number=1)
     assert refused.value.code == "not-allowed"

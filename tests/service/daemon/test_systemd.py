@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.systemd import Heartbeat, Notifier, Supervisor
+from faultline.service.systemd import Heartbeat, Notifier, Supervisor
 
 
 class Manager:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from service.config import load_config
-from service.core.errors import InputError
-from service.install import OUTPUTS, main
-from service.j1939.config import load_config as load_j1939
-from service.mqtt.config import load_config as load_mqtt
+from faultline.service.config import load_config
+from faultline.service.core.errors import InputError
+from faultline.service.install import OUTPUTS, main
+from faultline.service.j1939.config import load_config as load_j1939
+from faultline.service.mqtt.config import load_config as load_mqtt
 
 WORDS = ["--prefix", "/opt/faultline", "--base", "/usr"]
 BUNDLE_UNIT = "etc/systemd/system/faultline-bundle@.service"

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from itertools import count, pairwise
 from math import inf
 
-from service.j1939.dm1 import Code
-from service.j1939.dtcs import Known
-from service.j1939.frames import ACKNOWLEDGEMENT, DM1, TP_CM, TP_DT, Heard, Message, parse
-from service.j1939.name import name_of
-from service.j1939.node import Node
-from service.logs import Frame
+from faultline.service.j1939.dm1 import Code
+from faultline.service.j1939.dtcs import Known
+from faultline.service.j1939.frames import ACKNOWLEDGEMENT, DM1, TP_CM, TP_DT, Heard, Message, parse
+from faultline.service.j1939.name import name_of
+from faultline.service.j1939.node import Node
+from faultline.service.logs import Frame
 
 FRAME_S = 0.0005
 """A frame of 131 bits on a bus of 250 kbit/s."""

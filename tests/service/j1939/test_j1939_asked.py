@@ -5,8 +5,8 @@ import random
 import pytest
 from j1939_bench import TOOL, US, Bench, Reader, answers, apart, at_work, begins, codes, dm1s, name, request
 
-from service.j1939.dm1 import decode, encode
-from service.j1939.frames import (
+from faultline.service.j1939.dm1 import decode, encode
+from faultline.service.j1939.frames import (
     ACKNOWLEDGEMENT,
     DM1,
     DM2,
@@ -18,9 +18,9 @@ from service.j1939.frames import (
     Message,
     parse,
 )
-from service.j1939.node import Node
-from service.j1939.outbox import CONNECTIONS
-from service.logs import Frame
+from faultline.service.j1939.node import Node
+from faultline.service.j1939.outbox import CONNECTIONS
+from faultline.service.logs import Frame
 
 
 @pytest.mark.parametrize("to", [GLOBAL, US])

@@ -5,9 +5,9 @@ import random
 import pytest
 from j1939_bench import Bench, claim, codes, name, request
 
-from service.j1939.claim import VIOLATED_S, WAIT_S
-from service.j1939.frames import ADDRESS_CLAIMED, DM1, GLOBAL, NULL
-from service.j1939.node import Node
+from faultline.service.j1939.claim import VIOLATED_S, WAIT_S
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, GLOBAL, NULL
+from faultline.service.j1939.node import Node
 
 LOW, HIGH = name(1), name(2)
 TOOL = 0xF9

@@ -14,10 +14,10 @@ from j1939_bench import Reader, apart, request
 from j1939_service import FakeService, fault
 from ports import multicast
 
-from service.bus import Bus, open_bus
-from service.j1939.dm1 import decode
-from service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
-from service.logs import Frame
+from faultline.service.bus import Bus, open_bus
+from faultline.service.j1939.dm1 import decode
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
+from faultline.service.logs import Frame
 
 US, TOOL = 144, 0xF9
 KEEP_S = 3.0
@@ -30,10 +30,11 @@ TRIES = 8
 RUN = f"""
 import sys
 from importlib.metadata import EntryPoint
-from service.cli import dispatch
-from service.j1939 import memory
+from faultline.service.cli import dispatch
+from faultline.service.j1939 import memory
 memory.KEEP_S = {KEEP_S}
-sys.exit(dispatch(sys.argv[1:], {{"j1939": EntryPoint("j1939", "service.j1939.command:main", "faultline.commands")}}))
+command = EntryPoint("j1939", "faultline.service.j1939.command:main", "faultline.commands")
+sys.exit(dispatch(sys.argv[1:], {{"j1939": command}}))
 """
 
 CONFIG = """

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from service.cli import dispatch
-from service.j1939.config import load_config
-from service.strict import ConfigError
+from faultline.service.cli import dispatch
+from faultline.service.j1939.config import load_config
+from faultline.service.strict import ConfigError
 
 GOOD = """\
 [j1939]
@@ -129,7 +129,7 @@ def test_bytes_that_are_no_text_and_a_file_that_is_not_there_are_told(tmp_path: 
 
 def test_the_command_refuses_to_send_unless_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, GOOD.replace("transmit = true\n", ""))
-    commands = {"j1939": EntryPoint("j1939", "service.j1939.command:main", "faultline.commands")}
+    commands = {"j1939": EntryPoint("j1939", "faultline.service.j1939.command:main", "faultline.commands")}
     assert dispatch(["j1939", "--config", str(path)], commands) == 2
     told = capsys.readouterr().err
     assert told == (

@@ -3,8 +3,8 @@
 import pytest
 from j1939_service import fault
 
-from service.j1939.dm1 import MOST, Code
-from service.j1939.dtcs import Known, known, left_out, unsent
+from faultline.service.j1939.dm1 import MOST, Code
+from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 
 
 def test_no_fault_is_no_code_and_no_lamp() -> None:

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from service.j1939.frames import GLOBAL, REQUEST, TP_CM, Heard, Message, identifier, parse
-from service.j1939.name import FIELDS, delay_s, is_arbitrary, name_of
-from service.logs import Frame
+from faultline.service.j1939.frames import GLOBAL, REQUEST, TP_CM, Heard, Message, identifier, parse
+from faultline.service.j1939.name import FIELDS, delay_s, is_arbitrary, name_of
+from faultline.service.logs import Frame
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from j1939_service import FakeService, fault
 
-from service.j1939.dm1 import Code
-from service.j1939.dtcs import Known
-from service.j1939.lines import LARGEST, RETRY_S, Lines
-from service.j1939.memory import ASK_BLIND_S, ASK_S, KEEP_S, OLDEST_S, PATIENCE_S, Memory
+from faultline.service.j1939.dm1 import Code
+from faultline.service.j1939.dtcs import Known
+from faultline.service.j1939.lines import LARGEST, RETRY_S, Lines
+from faultline.service.j1939.memory import ASK_BLIND_S, ASK_S, KEEP_S, OLDEST_S, PATIENCE_S, Memory
 
 PUMP = fault(1, (4374, 0))
 NONE = Known((), (), amber=False)

@@ -5,13 +5,13 @@ import random
 import pytest
 from j1939_bench import US, Bench, apart, at_work, codes, dm1s, name
 
-from service.j1939.echo import PATIENCE_S
-from service.j1939.frames import (
+from faultline.service.j1939.echo import PATIENCE_S
+from faultline.service.j1939.frames import (
     ADDRESS_CLAIMED,
     Message,
 )
-from service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node
-from service.logs import Frame
+from faultline.service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node
+from faultline.service.logs import Frame
 
 
 def status(node: Node) -> str:

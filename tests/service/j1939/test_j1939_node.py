@@ -5,15 +5,15 @@ import random
 import pytest
 from j1939_bench import TOOL, US, answers, apart, at_work, begins, codes, dm1s, name, request
 
-from service.j1939.dm1 import Code, decode, encode
-from service.j1939.dtcs import Known
-from service.j1939.frames import (
+from faultline.service.j1939.dm1 import Code, decode, encode
+from faultline.service.j1939.dtcs import Known
+from faultline.service.j1939.frames import (
     ADDRESS_CLAIMED,
     DM1,
     DM2,
     GLOBAL,
 )
-from service.j1939.node import Node
+from faultline.service.j1939.node import Node
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 32])

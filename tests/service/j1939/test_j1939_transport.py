@@ -2,8 +2,18 @@
 
 import pytest
 
-from service.j1939.frames import TP_CM, TP_DT, Message
-from service.j1939.transport import GAP_S, LONGEST_S, PACE_S, RETRIES, T3_S, T4_S, Broadcast, Connection, Parts
+from faultline.service.j1939.frames import TP_CM, TP_DT, Message
+from faultline.service.j1939.transport import (
+    GAP_S,
+    LONGEST_S,
+    PACE_S,
+    RETRIES,
+    T3_S,
+    T4_S,
+    Broadcast,
+    Connection,
+    Parts,
+)
 
 PGN, US = 0xFECB, 0xF9
 TR_S = 0.2

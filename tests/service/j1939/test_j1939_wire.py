@@ -11,17 +11,17 @@ import pytest
 from j1939_bench import codes, name
 from ports import multicast
 
-from service.bus import BusError
-from service.bus.interface import Interface
-from service.core.decode import Wanted
-from service.j1939 import wire as module
-from service.j1939.frames import ADDRESS_CLAIMED, DM1, Message
-from service.j1939.loop import Loop
-from service.j1939.memory import Memory
-from service.j1939.node import Node
-from service.j1939.wire import Wire, has_echo, wanted
-from service.logs import Frame
-from service.systemd import Notifier
+from faultline.service.bus import BusError
+from faultline.service.bus.interface import Interface
+from faultline.service.core.decode import Wanted
+from faultline.service.j1939 import wire as module
+from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, Message
+from faultline.service.j1939.loop import Loop
+from faultline.service.j1939.memory import Memory
+from faultline.service.j1939.node import Node
+from faultline.service.j1939.wire import Wire, has_echo, wanted
+from faultline.service.logs import Frame
+from faultline.service.systemd import Notifier
 
 VIRTUAL, REAL = Interface(3, True, True, True), Interface(3, True, True, False)
 CLAIM = Message(ADDRESS_CLAIMED, bytes(range(8))).frame(144, 0.0)

@@ -5,7 +5,7 @@ from pathlib import Path
 import can
 import pytest
 
-from service.logs import Frame, LogError, open_log, read_log
+from faultline.service.logs import Frame, LogError, open_log, read_log
 
 START = 1_767_225_600.0
 FRAMES = [

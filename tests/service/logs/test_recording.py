@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.logs import LogError, load_recording, open_log
+from faultline.service.logs import LogError, load_recording, open_log
 
 DBC = 'VERSION "1"\n'
 LOG = "(100.000000) can0 18FF103D#0011223344556677\n(101.500000) can0 123#00\n"

@@ -8,13 +8,13 @@ import threading
 import time
 from pathlib import Path
 
-import service
+import faultline
 
 PROGRAM = """
 import sys
 from importlib.metadata import EntryPoint
-from service.cli import dispatch
-command = EntryPoint("mqtt", "service.mqtt.command:main", "faultline.commands")
+from faultline.service.cli import dispatch
+command = EntryPoint("mqtt", "faultline.service.mqtt.command:main", "faultline.commands")
 sys.exit(dispatch(["mqtt", *sys.argv[1:]], {"mqtt": command}))
 """
 
@@ -24,10 +24,10 @@ WARNINGS = "error,ignore::ResourceWarning"
 QUICK = """
 import ctypes
 ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG: a test that fails leaves nothing running
-import service.mqtt.bridge, service.mqtt.broker, service.mqtt.sender
-service.mqtt.broker.RETRY_S = service.mqtt.sender.RETRY_S = 0.1, 6.0
-service.mqtt.bridge.ASKED_S = 0.1, 1.0
-service.mqtt.bridge.LEAVING_S = 2.0
+from faultline.service.mqtt import bridge, broker, sender
+broker.RETRY_S = sender.RETRY_S = 0.1, 6.0
+bridge.ASKED_S = 0.1, 1.0
+bridge.LEAVING_S = 2.0
 """
 """Tries come ten times as fast; how long they wait is a matter of `patience`, which has tests of its own."""
 
@@ -54,7 +54,7 @@ class Process:
     """
 
     def __init__(self, config: Path, before: str = "", largest_file: int | None = None, **environment: str) -> None:
-        root = str(Path(str(service.__file__)).parents[1])
+        root = str(Path(str(faultline.__file__)).parents[1])
         if largest_file is not None:
             before += (
                 f"\nimport resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, {largest_file}))\n"

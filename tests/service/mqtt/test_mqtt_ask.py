@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from service.core.errors import InputError
-from service.mqtt import ask
-from service.mqtt.ask import AskError, ask_faults, ask_state
-from service.mqtt.broker_words import failed, lost
-from service.mqtt.stream import LONGEST, Stream, StreamError
+from faultline.service.core.errors import InputError
+from faultline.service.mqtt import ask
+from faultline.service.mqtt.ask import AskError, ask_faults, ask_state
+from faultline.service.mqtt.broker_words import failed, lost
+from faultline.service.mqtt.stream import LONGEST, Stream, StreamError
 
 Serve = Callable[[socket.socket], None]
 

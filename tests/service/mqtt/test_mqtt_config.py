@@ -10,10 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from service.core.errors import InputError
-from service.mqtt import config as module
-from service.mqtt.access import context, password
-from service.mqtt.config import KEYS, ConfigError, MqttConfig, TlsConfig, load_config
+from faultline.service.core.errors import InputError
+from faultline.service.mqtt import config as module
+from faultline.service.mqtt.access import context, password
+from faultline.service.mqtt.config import KEYS, ConfigError, MqttConfig, TlsConfig, load_config
 
 GOOD = """\
 [mqtt]
@@ -200,7 +200,7 @@ def test_certificates_that_are_none_are_refused(tmp_path: Path, content: bytes |
 def test_the_process_needs_no_numerical_library() -> None:
     """Some 30 MB instead of 60: it stands beside the daemon in the same memory."""
     heavy = ["numpy", "onnxruntime", "cantools", "can", "cryptography", "sqlite3"]
-    code = f"import sys, service.mqtt.command; print([name for name in {heavy} if name in sys.modules])"
+    code = f"import sys, faultline.service.mqtt.command; print([name for name in {heavy} if name in sys.modules])"
     root = str(Path(module.__file__).parents[2])
     environment = {**os.environ, "PYTHONPATH": root}
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)

@@ -8,8 +8,8 @@ from paho.mqtt.client import Client
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
-from service.mqtt import link as module
-from service.mqtt.link import Link
+from faultline.service.mqtt import link as module
+from faultline.service.mqtt.link import Link
 
 
 def test_what_tls_has_read_already_is_taken_at_once() -> None:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from service.mqtt.outbox import WINDOW, Outbox, Passed, Publication
-from service.mqtt.records import Record
+from faultline.service.mqtt.outbox import WINDOW, Outbox, Passed, Publication
+from faultline.service.mqtt.records import Record
 
 
 def record(seq: int, size: int = 10) -> Record:

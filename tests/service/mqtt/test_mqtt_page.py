@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from service.mqtt import answers, broker, cursor, outbox, patience, progress
-from service.mqtt.cloudevent import CONTENT_TYPE, DIGITS
-from service.mqtt.daemon import RETRY_S
-from service.mqtt.topics import LEVEL
+from faultline.service.mqtt import answers, broker, cursor, outbox, patience, progress
+from faultline.service.mqtt.cloudevent import CONTENT_TYPE, DIGITS
+from faultline.service.mqtt.daemon import RETRY_S
+from faultline.service.mqtt.topics import LEVEL
 
 PAGE = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text()
 

@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from service.mqtt import answers
-from service.mqtt.answers import PATIENCE_S, Answers, Verdict, name_of
-from service.mqtt.cloudevent import structured
-from service.mqtt.naming import Naming
-from service.mqtt.patience import SAID, SAID_S, Backoff, Said
-from service.mqtt.records import RecordError, read
-from service.mqtt.topics import LEVEL, TopicError, Topics, level, levels
+from faultline.service.mqtt import answers
+from faultline.service.mqtt.answers import PATIENCE_S, Answers, Verdict, name_of
+from faultline.service.mqtt.cloudevent import structured
+from faultline.service.mqtt.naming import Naming
+from faultline.service.mqtt.patience import SAID, SAID_S, Backoff, Said
+from faultline.service.mqtt.records import RecordError, read
+from faultline.service.mqtt.topics import LEVEL, TopicError, Topics, level, levels
 
 BAD_NAMES = ["a/b", "+", "#", "a+b", "a#", "a\0b", "a\nb", "", "../x", "$SYS", "Lkw-ü", "a b", "-a", "\ud800", "\x7f"]
 

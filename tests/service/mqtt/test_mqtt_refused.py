@@ -10,7 +10,7 @@ from mqtt_daemon import FakeDaemon
 from mqtt_fake_broker import Answer, FakeBroker, Published
 from mqtt_process import Process, write_config
 
-from service.mqtt.outbox import IN_FLIGHT
+from faultline.service.mqtt.outbox import IN_FLIGHT
 
 daemon, fake = mqtt_fixtures.daemon, mqtt_fixtures.fake
 

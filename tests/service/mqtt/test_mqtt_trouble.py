@@ -14,7 +14,7 @@ from mqtt_fake_broker import FakeBroker
 from mqtt_mosquitto import Mosquitto, Subscriber
 from mqtt_process import Process, wait_until, write_config
 
-from service.mqtt.outbox import IN_FLIGHT, WINDOW
+from faultline.service.mqtt.outbox import IN_FLIGHT, WINDOW
 
 daemon, broker = mqtt_fixtures.daemon, mqtt_fixtures.broker
 backend, process = mqtt_fixtures.backend, mqtt_fixtures.process
@@ -208,6 +208,6 @@ def test_steps_of_the_wall_clock_have_no_influence(
 
 
 def test_no_part_of_it_reads_the_wall_clock() -> None:
-    folder = Path(str(sys.modules["service.mqtt.outbox"].__file__)).parent
+    folder = Path(str(sys.modules["faultline.service.mqtt.outbox"].__file__)).parent
     used = [each.name for each in folder.glob("*.py") if "time.time" in each.read_text() or "now()" in each.read_text()]
     assert used == []

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from service.outputs import control, lines
-from service.outputs.control import Asker, ControlSocket, Live, Question
+from faultline.service.outputs import control, lines
+from faultline.service.outputs.control import Asker, ControlSocket, Live, Question
 
 
 class Answers:

@@ -6,15 +6,15 @@ from typing import get_args
 
 import msgspec
 
-from service.core.events import SCHEMA, Diagnosis, Event, Transition
-from service.core.faults import CLEARED, Change, Fault
-from service.core.faults import SCHEMA as FAULT
-from service.core.frame import SCHEMA as FRAME
-from service.core.frame import Excerpt, Frame, Input, Verdict
-from service.core.health import CLEARED_S, MEANINGS, RAISED_S
-from service.core.health import SCHEMA as HEALTH
-from service.outputs.socket import RING
-from service.store.file import KEPT
+from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition
+from faultline.service.core.faults import CLEARED, Change, Fault
+from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.frame import SCHEMA as FRAME
+from faultline.service.core.frame import Excerpt, Frame, Input, Verdict
+from faultline.service.core.health import CLEARED_S, MEANINGS, RAISED_S
+from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.outputs.socket import RING
+from faultline.service.store.file import KEPT
 
 PAGE = (Path(__file__).parents[3] / "docs" / "events.md").read_text()
 

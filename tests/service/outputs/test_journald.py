@@ -7,10 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from service.core.events import Diagnosis
-from service.core.faults import CLEARED, SCHEMA, Change, Cleared, Dtc, Fault, FaultRecord, Seen, Status, encode_record
-from service.outputs.journald import MESSAGES, MOST, WITHIN_S, Journald
-from service.store.file import Record
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.faults import (
+    CLEARED,
+    SCHEMA,
+    Change,
+    Cleared,
+    Dtc,
+    Fault,
+    FaultRecord,
+    Seen,
+    Status,
+    encode_record,
+)
+from faultline.service.outputs.journald import MESSAGES, MOST, WITHIN_S, Journald
+from faultline.service.store.file import Record
 
 PAGE = (Path(__file__).parents[3] / "docs" / "service.md").read_text()
 

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from service.core.errors import InputError
-from service.core.events import SCHEMA, Event, decode, encode
-from service.outputs import lines
-from service.outputs import socket as module
-from service.outputs.socket import EventSocket, Read
-from service.store.file import Record
-from service.store.journal import Page
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import SCHEMA, Event, decode, encode
+from faultline.service.outputs import lines
+from faultline.service.outputs import socket as module
+from faultline.service.outputs.socket import EventSocket, Read
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Page
 
 
 def event(seq: int) -> Event:

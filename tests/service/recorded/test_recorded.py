@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from service.asking import Control, ControlError
-from service.bundle import load_bundle
-from service.core.errors import InputError
-from service.logs import open_log
-from service.recorded.command import served
-from service.recorded.service import MOST_TICKS, Recording, Serving
+from faultline.service.asking import Control, ControlError
+from faultline.service.bundle import load_bundle
+from faultline.service.core.errors import InputError
+from faultline.service.logs import open_log
+from faultline.service.recorded.command import served
+from faultline.service.recorded.service import MOST_TICKS, Recording, Serving
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 EVENTS = [json.loads(line) for line in (GOLDEN / "events.jsonl").read_text().splitlines()]

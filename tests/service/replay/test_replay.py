@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from service import replay
-from service.bus import BusError
-from service.core.errors import InputError
-from service.logs import Frame
-from service.replay import Told, main, play
+from faultline.service import replay
+from faultline.service.bus import BusError
+from faultline.service.core.errors import InputError
+from faultline.service.logs import Frame
+from faultline.service.replay import Told, main, play
 
 
 class Clock:

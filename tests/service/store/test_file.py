@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.store import file as module
-from service.store.file import Record, StoreError, StoreFile
+from faultline.service.store import file as module
+from faultline.service.store.file import Record, StoreError, StoreFile
 
 
 @pytest.fixture
@@ -222,7 +222,7 @@ def test_short_runs_keep_no_more_than_long_ones(path: Path, monkeypatch: pytest.
 WRITER = """
 import os, sys
 from pathlib import Path
-from service.store.file import Record, StoreFile
+from faultline.service.store.file import Record, StoreFile
 store = StoreFile(Path(sys.argv[1]))
 seq = store.last
 while True:

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from service.store import file as store_file
-from service.store import journal as module
-from service.store.file import Record, StoreFile
-from service.store.journal import Journal
+from faultline.service.store import file as store_file
+from faultline.service.store import journal as module
+from faultline.service.store.file import Record, StoreFile
+from faultline.service.store.journal import Journal
 
 
 def records(first: int, last: int) -> list[Record]:

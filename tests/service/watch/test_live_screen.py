@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 from watched_service import FAULTY, WatchedService
 
-import service
+import faultline
 
-ROOT = Path(str(service.__file__)).parents[1]
-RUN = "import sys; from service.watch import main; sys.exit(main(sys.argv[1:]))"
+ROOT = Path(str(faultline.__file__)).parents[1]
+RUN = "import sys; from faultline.service.watch import main; sys.exit(main(sys.argv[1:]))"
 ENTER, LEAVE = b"\x1b[?1049h", b"\x1b[?7h\x1b[?25h\x1b[?1049l"
 BEGIN, END = b"\x1b[?2026h\x1b[H", b"\x1b[?2026l"
 PATIENCE_S = 30.0

@@ -7,10 +7,10 @@ import msgspec
 import pytest
 from watched_service import FAULTY, STATE, SYSTEM, TICK
 
-from service.watching.lines import Look
-from service.watching.screen import screen
-from service.watching.seen import Seen, State, System, Tick
-from service.watching.table import bar
+from faultline.service.watching.lines import Look
+from faultline.service.watching.screen import screen
+from faultline.service.watching.seen import Seen, State, System, Tick
+from faultline.service.watching.table import bar
 
 SIZES = [(80, 24), (40, 20), (200, 60), (20, 5), (1, 1)]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from service.bundle import load_bundle
-from service.core.errors import InputError
-from service.core.events import SCHEMA, Diagnosis, Event, encode
-from service.core.manifest import Equation, Fault
-from service.watch import describe, main, meanings
+from faultline.service.bundle import load_bundle
+from faultline.service.core.errors import InputError
+from faultline.service.core.events import SCHEMA, Diagnosis, Event, encode
+from faultline.service.core.manifest import Equation, Fault
+from faultline.service.watch import describe, main, meanings
 
 QUIET = Event(
     schema=SCHEMA,

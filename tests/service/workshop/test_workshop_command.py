@@ -14,10 +14,10 @@ import msgspec
 import pytest
 from workshop_service import BUNDLE, FILTER, SYSTEM, WHOLE, Service, line, remembered, visits
 
-from service.core.errors import InputError
-from service.workshop import command
-from service.workshop.result import SCHEMA, Result
-from service.workshop.screen import SHOW
+from faultline.service.core.errors import InputError
+from faultline.service.workshop import command
+from faultline.service.workshop.result import SCHEMA, Result
+from faultline.service.workshop.screen import SHOW
 
 HOSTILE = '<script>alert("1")</script>&\'\x1b[2J'
 THERE: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "suspected": True}
@@ -204,7 +204,7 @@ def test_times_that_make_no_sense_are_refused(tmp_path: Path, text: str) -> None
 
 def begun(tmp_path: Path, **how: Any) -> "subprocess.Popen[bytes]":
     arguments = ["workshop", "--control", str(tmp_path / "c"), "--report", str(tmp_path / "r.html")]
-    main = f"import sys; from service.cli import main; sys.exit(main({arguments!r}))"
+    main = f"import sys; from faultline.service.cli import main; sys.exit(main({arguments!r}))"
     environment = {**os.environ, "TERM": "xterm"}
     environment.pop("NO_COLOR", None)
     return subprocess.Popen([sys.executable, "-c", main], env=environment, **how)

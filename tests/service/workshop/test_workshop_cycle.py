@@ -10,15 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from workshop_service import FILTER, PUMP, ROUND, UDS, WHOLE, line, remembered, visits
 
-from service.core.faults import Fault
-from service.core.health import Standing
-from service.workshop.answers import Tick
-from service.workshop.cycle import Cycle
-from service.workshop.plan import Step, plan
-from service.workshop.progress import Progress
-from service.workshop.trace import MOST, Trace
-from service.workshop.verdict import Seen, Verdict, judge
-from service.workshop.words import order
+from faultline.service.core.faults import Fault
+from faultline.service.core.health import Standing
+from faultline.service.workshop.answers import Tick
+from faultline.service.workshop.cycle import Cycle
+from faultline.service.workshop.plan import Step, plan
+from faultline.service.workshop.progress import Progress
+from faultline.service.workshop.trace import MOST, Trace
+from faultline.service.workshop.verdict import Seen, Verdict, judge
+from faultline.service.workshop.words import order
 
 NOTHING = Seen([], [])
 PERIOD = 0.2

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from service.workshop.command import CODES
-from service.workshop.plan import HOLD_S, PATIENCE_S, REQUIRED, VISITS
-from service.workshop.result import SCHEMA, Result
-from service.workshop.verdict import ENDS, Verdict
+from faultline.service.workshop.command import CODES
+from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, REQUIRED, VISITS
+from faultline.service.workshop.result import SCHEMA, Result
+from faultline.service.workshop.verdict import ENDS, Verdict
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "workshop.md"
 

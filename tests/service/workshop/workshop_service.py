@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 
-from service.core.faults import Status
-from service.workshop.answers import System, Tick
+from faultline.service.core.faults import Status
+from faultline.service.workshop.answers import System, Tick
 
 BUNDLE = "ab" * 32
 SYSTEM: dict[str, Any] = {

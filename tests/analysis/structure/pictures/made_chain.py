@@ -1,9 +1,9 @@
 """A tank chain of any length as a structure, for pictures of small and large models, and a test of it."""
 
-from analysis.model import Differential
-from analysis.structure import Structure, Test
-from analysis.structure.causality import solving_order
-from analysis.structure.sensors import drop_sensors
+from faultline.analysis.model import Differential
+from faultline.analysis.structure import Structure, Test
+from faultline.analysis.structure.causality import solving_order
+from faultline.analysis.structure.sensors import drop_sensors
 
 
 def tank_chain(tanks: int) -> Structure:

@@ -9,12 +9,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.path import Path
 
-from analysis.model import Differential, load_model
-from analysis.structure import Structure, Test, find_tests, signature_matrix, structure_of
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.diagnosability import isolability_of
-from analysis.structure.pictures import draw_decomposition, draw_graph, draw_isolability, draw_model, draw_signatures
-from analysis.structure.pictures.layers import crossings, layers_of, place
+from faultline.analysis.model import Differential, load_model
+from faultline.analysis.structure import Structure, Test, find_tests, signature_matrix, structure_of
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import isolability_of
+from faultline.analysis.structure.pictures import (
+    draw_decomposition,
+    draw_graph,
+    draw_isolability,
+    draw_model,
+    draw_signatures,
+)
+from faultline.analysis.structure.pictures.layers import crossings, layers_of, place
 
 UDS4 = structure_of(load_model("uds4"))
 TESTS = find_tests(load_model("uds4"))

@@ -12,11 +12,11 @@ from looked_at import cut_off, overlapping, texts
 from made_chain import predicting, tank_chain
 from matplotlib.figure import Figure
 
-from analysis.model import load_model
-from analysis.structure import Structure, Test, find_tests, structure_of
-from analysis.structure.decomposition import dulmage_mendelsohn
-from analysis.structure.diagnosability import Interpretation, isolability_of
-from analysis.structure.pictures import (
+from faultline.analysis.model import load_model
+from faultline.analysis.structure import Structure, Test, find_tests, structure_of
+from faultline.analysis.structure.decomposition import dulmage_mendelsohn
+from faultline.analysis.structure.diagnosability import Interpretation, isolability_of
+from faultline.analysis.structure.pictures import (
     draw_decomposition,
     draw_graph,
     draw_isolability,
@@ -89,9 +89,9 @@ def test_the_same_picture_has_the_same_bytes(name: str, tmp_path: Path) -> None:
 def test_the_bytes_do_not_depend_on_the_hash_seed_of_the_process(tmp_path: Path) -> None:
     """networkx returns sets in places: the order of the nodes must not come from them."""
     program = (
-        "import sys; from pathlib import Path; from analysis.model import load_model; "
-        "from analysis.structure import integral_tests, structure_of; "
-        "from analysis.structure.pictures import draw_graph, save; m = load_model('uds4'); "
+        "import sys; from pathlib import Path; from faultline.analysis.model import load_model; "
+        "from faultline.analysis.structure import integral_tests, structure_of; "
+        "from faultline.analysis.structure.pictures import draw_graph, save; m = load_model('uds4'); "
         "save(draw_graph(structure_of(m), integral_tests(m)[-1], 'uds4'), Path(sys.argv[1]), 'graph')"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "1"}  # here it is a random one
