@@ -6,7 +6,7 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
-from faultline.analysis.evaluation.measure.blocks import BLOCK_S
+from faultline.analysis.evaluation.blocks import BLOCK_S
 from faultline.analysis.evaluation.truth import Truth, find_truth
 from faultline.analysis.recordings.observe import open_known, samples_of
 from faultline.service.bundle import Bundle

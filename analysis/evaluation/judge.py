@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import msgspec
 
-from faultline.analysis.evaluation.measure.weights import UNNAMED, true_explanation
 from faultline.analysis.evaluation.truth import Truth
+from faultline.analysis.evaluation.weights import UNNAMED, true_explanation
 from faultline.service.core.events import Event
 
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from faultline.analysis.evaluation.blocks import Blocks, blocks
 from faultline.analysis.evaluation.given import Given
 from faultline.analysis.evaluation.judge import Verdict
-from faultline.analysis.evaluation.measure.blocks import Blocks, blocks
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.metrics import Told, told
 from faultline.analysis.evaluation.story import Story

@@ -8,7 +8,7 @@ import msgspec
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.intervals import Share, share
 from faultline.analysis.evaluation.measure.metrics import NOTHING, PAIR, Scores, Told, label, scores
-from faultline.analysis.evaluation.measure.weights import true_explanation
+from faultline.analysis.evaluation.weights import true_explanation
 
 
 class Isolation(msgspec.Struct, frozen=True, kw_only=True):

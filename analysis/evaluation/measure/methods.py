@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.evaluation.measure.blocks import Blocks, joined
+from faultline.analysis.evaluation.blocks import Blocks, joined
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.intervals import Share, share
 from faultline.analysis.evaluation.measure.roc import area

@@ -27,7 +27,7 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from faultline.analysis.evaluation.measure.weights import UNNAMED, Explanation, true_explanation, weights
+from faultline.analysis.evaluation.weights import UNNAMED, Explanation, true_explanation, weights
 from faultline.service.core.events import Diagnosis, Event
 from faultline.service.core.signals import Mask
 

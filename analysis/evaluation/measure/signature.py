@@ -11,7 +11,7 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from faultline.analysis.evaluation.measure.blocks import SCORED, joined
+from faultline.analysis.evaluation.blocks import SCORED, joined
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.intervals import Share, share
 from faultline.analysis.evaluation.measure.roc import area

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from faultline.analysis.evaluation.measure.blocks import joined
+from faultline.analysis.evaluation.blocks import joined
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.roc import Array, curve
 from faultline.analysis.evaluation.report.document import Evaluation

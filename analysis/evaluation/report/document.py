@@ -6,8 +6,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from faultline.analysis.evaluation.blocks import joined
 from faultline.analysis.evaluation.judge import Verdict
-from faultline.analysis.evaluation.measure.blocks import joined
 from faultline.analysis.evaluation.measure.equal import equal_groups
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.intervals import Rate, Share, rate, share

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from faultline.analysis.evaluation.measure.blocks import SCORED
+from faultline.analysis.evaluation.blocks import SCORED
 from faultline.analysis.evaluation.measure.isolation import columns
 from faultline.analysis.evaluation.measure.selection import Selection
 from faultline.analysis.evaluation.measure.signature import Cell

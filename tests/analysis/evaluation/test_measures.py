@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from made_story import GOLDEN, event, known, story
 
-from faultline.analysis.evaluation.measure.blocks import blocks, cut
+from faultline.analysis.evaluation.blocks import blocks, cut
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.equal import equal_groups
 from faultline.analysis.evaluation.measure.facts import BINS, EDGES
