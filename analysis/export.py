@@ -18,6 +18,7 @@ from faultline.analysis.model import dump_model
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
+from faultline.options import Parser
 from faultline.service.bundle import Bundle, Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from faultline.service.core.consistency import FILE_NAME
@@ -31,7 +32,7 @@ EXAMPLE = """example:
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline export", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="the calibrated model file")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from faultline.options import Parser
 from faultline.service.bundle import Bundle, load_bundle, verify_golden
 from faultline.service.bundle_files import MANIFEST, Trust
 from faultline.service.core.errors import InputError
@@ -31,7 +32,7 @@ The password of an encrypted key is asked for, or taken from the environment's F
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline bundle", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     actions = parser.add_subparsers(dest="action", required=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.service.bundle import Bundle
 from faultline.service.bundle_files import Trust
 from faultline.service.bus import open_bus
@@ -98,7 +99,7 @@ def _say(text: str) -> None:
 
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     """The options, and the configuration: the one in a file, or what the options of a trial make."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline run", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument

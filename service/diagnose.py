@@ -5,6 +5,7 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.service.bundle import Bundle, load_bundle, verify_golden
 from faultline.service.core.decision import Decision
 from faultline.service.core.errors import InputError
@@ -29,7 +30,7 @@ def main(argv: list[str]) -> int:
         InputError: no fault was found, but the log is damaged, or some test could never tell, or the log ends in a
             suspicion, so that "no fault" would be a guess.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a log file")

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from faultline.options import Parser
 from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
 from faultline.service.core.events import Diagnosis
@@ -27,7 +28,7 @@ PAGE = 500
 
 def main(argv: list[str]) -> int:
     """Runs the command; `list` returns 1 where a fault is there now, `clear` where it could not be kept."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline faults", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="list|show|export|clear")

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
+from faultline.options import Parser
 from faultline.service.core.errors import InputError
 
 EXAMPLE = """example, on the vehicle as root, or with --root while its image is made:
@@ -47,7 +48,7 @@ class File(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline install", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.options import Parser
 from faultline.service.bus import open_bus
 from faultline.service.logs import Frame, open_log
 
@@ -29,7 +30,7 @@ class Played(msgspec.Struct):
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline replay", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")

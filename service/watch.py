@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.core.events import Diagnosis, Event, decode, schema_of
 from faultline.service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
@@ -60,7 +61,7 @@ CHANGES: dict[Change, str] = {
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline watch", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--socket", type=Path, required=True, help="where `faultline run` serves its events")

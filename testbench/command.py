@@ -11,6 +11,7 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import Progress
 
+from faultline.options import Parser
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.can_logger import FORMATS
 from faultline.testbench.cycles import CYCLES
@@ -47,7 +48,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="faultline rig",
         description=__doc__,
         epilog=EXAMPLES,

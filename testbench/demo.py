@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.testbench.promise import RECORDINGS, Recording, Verdict, problems, sentence
 
 EXAMPLE = """example:
@@ -39,7 +40,7 @@ class DemoError(Exception):
 
 def main(argv: list[str]) -> int:
     """Runs the demo; returns 0 where everything was isolated as promised, 1 where not."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline demo", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(

@@ -10,6 +10,7 @@ from faultline.analysis.graph.bank import inputs_of
 from faultline.analysis.graph.networks import Networks, save_networks
 from faultline.analysis.model import Model
 from faultline.analysis.structure.lint import sound_model
+from faultline.options import Parser
 from faultline.service.core.errors import InputError, writing
 from faultline.service.core.manifest import Generator
 from faultline.training.bank import HELD, networks_of
@@ -32,7 +33,7 @@ then give `--networks networks` to `faultline tune` and `faultline export`.
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline train", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="a model file, or the name of one that comes with faultline; its equations only")

@@ -20,6 +20,7 @@ from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import system_of
 from faultline.analysis.structure.lint import sound_model
+from faultline.options import Parser
 from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError, writing
 from faultline.service.logs import Log
@@ -31,7 +32,7 @@ EXAMPLE = """example:
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline calibrate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="a model file, or the name of a shipped model")

@@ -10,6 +10,7 @@ from faultline.analysis.codegen.python import python_source
 from faultline.analysis.codegen.sequence import ComputationSequence, Form, computation_sequence
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
+from faultline.options import Parser
 from faultline.service.core.errors import InputError, writing
 
 PERIOD_S = 0.2
@@ -24,7 +25,7 @@ Files, classes and functions begin with the names of model, test and residual: u
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline code", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="a model file, or the name of a shipped model")

@@ -33,6 +33,7 @@ from faultline.analysis.discrepancy.show.told import document_of, origin_of
 from faultline.analysis.model import Model, dump_model
 from faultline.analysis.progress import Progress
 from faultline.analysis.structure.lint import sound_model
+from faultline.options import Parser
 from faultline.service.core.errors import InputError
 
 EXAMPLE = """examples:
@@ -57,7 +58,7 @@ SEARCHES = ("apply", "held_out", "library", "without", "tune", "evaluate", "trut
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline discover", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument

@@ -18,6 +18,7 @@ from faultline.analysis.evaluation.sentence import sentence, summary
 from faultline.analysis.evaluation.story import Story, tell
 from faultline.analysis.places import check_folder
 from faultline.analysis.progress import Progress
+from faultline.options import Parser
 from faultline.service.bundle import Bundle, load_bundle
 from faultline.service.core.errors import InputError, writing
 from faultline.service.core.events import Event
@@ -69,7 +70,7 @@ def main(argv: list[str]) -> int:
 
 
 def _options(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline evaluate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument

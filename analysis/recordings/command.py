@@ -11,6 +11,7 @@ import msgspec
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.ingest import ingest
 from faultline.analysis.recordings.report import sentences
+from faultline.options import Parser
 from faultline.service.core.errors import InputError
 
 EXAMPLE = """example:
@@ -24,7 +25,7 @@ AMBIENT_HPA = 500.0, 1100.0
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline ingest", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("recording", type=Path, help="folder of the bench recording")

@@ -17,6 +17,7 @@ from faultline.analysis.structure.report import report
 from faultline.analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
 from faultline.analysis.structure.supports import find_tests
+from faultline.options import Parser
 from faultline.service.core.errors import InputError, writing
 
 EXAMPLE = """examples:
@@ -33,7 +34,7 @@ it is wrong: its units contradict each other, or a name is unknown.
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline structure", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="a model file, a structural model (.json), or the name of a shipped model")

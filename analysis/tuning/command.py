@@ -29,6 +29,7 @@ from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule
 from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
+from faultline.options import Parser
 from faultline.service.core.errors import InputError, writing
 from faultline.service.core.manifest import Evidence, brief
 
@@ -68,7 +69,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline tune", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("model", help="the calibrated model file")

@@ -5,6 +5,7 @@ import sys
 from contextlib import closing, suppress
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.service.j1939.config import load_config
 from faultline.service.j1939.loop import Loop
 from faultline.service.j1939.memory import Memory
@@ -19,7 +20,7 @@ EXAMPLE = """example:
 
 def main(argv: list[str]) -> int:
     """Runs the node until SIGTERM or SIGINT; returns its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline j1939", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--config", type=Path, required=True, help="the configuration (TOML), which must allow sending")

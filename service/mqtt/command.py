@@ -7,6 +7,7 @@ import time
 from contextlib import closing, suppress
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.service.distribution import installed_version
 from faultline.service.mqtt import config as format_of_the_file
 from faultline.service.mqtt.access import context, password
@@ -25,7 +26,7 @@ EXAMPLE = """example:
 def main(argv: list[str]) -> int:
     """Runs until SIGTERM or SIGINT; returns the exit code."""
     layout = (format_of_the_file.__doc__ or "").partition("\n\n")[2]
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline mqtt",
         description=__doc__,
         epilog=f"{EXAMPLE}the file:\n\n{layout}",

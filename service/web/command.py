@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from faultline.options import Parser
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
 
@@ -74,7 +75,7 @@ def _open(where: str) -> None:
 
 
 def _asked(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline serve", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument

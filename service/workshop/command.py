@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from faultline.options import Parser
 from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
 from faultline.service.core.health import MEANINGS
@@ -80,7 +81,7 @@ def main(argv: list[str]) -> int:
 
 
 def _options(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "faultline workshop",
         description=(__doc__ or "").partition("\n")[0],
         epilog=EXAMPLE,
