@@ -2,12 +2,25 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
+from costs import Costs
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Shells start jobs in the background, and nohup, with SIGINT ignored, and so would all that tests start.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Adds `--costs FILE`."""
+    parser.addoption("--costs", type=Path, help="append the CPU seconds of each test to this file, one JSON line each")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measures each test; the processes of pytest-xdist measure, and the one that directs them writes."""
+    file = None if hasattr(config, "workerinput") else config.getoption("--costs")
+    config.pluginmanager.register(Costs(file and file.absolute()))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
