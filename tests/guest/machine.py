@@ -22,7 +22,7 @@ PYTHON = Path("/opt/python")
 """Where the guest sees this Python: a service that sees no home could not run one that is in a home."""
 PREFIX = Path("/opt/faultline")
 """Where the guest sees the vehicle's environment."""
-PACKAGES = ("service", "analysis", "training", "testbench", "dbc")
+PACKAGES = ("src", "service", "analysis", "training", "testbench", "dbc")
 
 
 GOLDEN = ROOT / "tests" / "golden"
@@ -131,7 +131,8 @@ def _make(folder: Path, *, fresh: bool) -> None:
         for name in ("pyproject.toml", "README.md"):
             shutil.copy(ROOT / name, sources)
         for name in PACKAGES:
-            shutil.copytree(ROOT / name, Path(sources) / name, ignore=shutil.ignore_patterns("__pycache__"))
+            ignored = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(ROOT / name, Path(sources) / name, symlinks=True, ignore=ignored)
         pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
         _must([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", sources, sources])
         (wheel,) = Path(sources).glob("*.whl")
