@@ -1,5 +1,7 @@
 # `make demo` and `make test` are all a newcomer needs; each sets up what it needs in .venv.
 PYTHON ?= python3
+# Where nothing may be kept, each process of the tests compiles every file and rewrites every assertion again: 15 s each.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
