@@ -7,30 +7,34 @@ VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
 	endurance mutation compose alarms clients power screenshots)
-.PHONY: demo test lint bench clean $(CAMPAIGNS)
-test $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
+.PHONY: demo test check lint bench clean $(CAMPAIGNS)
+test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
 demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
 
-# One process more than there are cores: one test mostly waits, for two minutes. Those of the service run with the
-# vehicle's libraries alone. What must not share the machine comes after, by itself.
+# A file's tests stay in one process, as they share what is made for them, and the costliest file begins first. Those of
+# the service run with the vehicle's libraries alone, in more processes than there are cores, as they mostly wait. What
+# must not share the machine comes after, by itself.
 WORKERS ?= 3
-TOGETHER := -m "not alone and not long" -n $(WORKERS) --dist worksteal --durations 20 --durations-min 8
+WAITING ?= 6
+TOGETHER := -m "not alone and not long" --dist loadfile --no-loadscope-reorder --durations 20 --durations-min 8
 test: lint .venv-vehicle/.done  ## everything that CI checks
 	@bash tests/broker.sh
 	@bash tests/browser.sh
-	@rm -f .pytest_cache/v/cache/lastfailed
-	@$(BIN)/python -m pytest $(TOGETHER) --ignore tests/service || $(BIN)/python tests/again.py $$? $(BIN)/python
-	@rm -f .pytest_cache/v/cache/lastfailed
-	@$(VEHICLE)/python -m pytest $(TOGETHER) tests/service || $(BIN)/python tests/again.py $$? $(VEHICLE)/python
+	@$(BIN)/python -m pytest $(TOGETHER) -n $(WORKERS) --ignore tests/service
+	@$(VEHICLE)/python -m pytest $(TOGETHER) -n $(WAITING) tests/service
 	@$(BIN)/python -m pytest -m alone
+
+ALL ?=
+check: .venv/.test  ## what the changes since its last success reach, in a minute; ALL=1: all but slow tests, in three
+	@$(BIN)/python tests/check.py $(if $(ALL),--all)
 
 lint: .venv/.test
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check --quiet
 	@$(BIN)/mypy
-	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/lint-imports
 
 bench: .venv/.test .venv-peer/.done  ## cost of a tick and of structural analysis, paired with what it is compared to
 	@$(BIN)/python -m tests.bench

@@ -1,13 +1,16 @@
 """CPU time of each test: of its process and of the child processes that it waited for, set-up and teardown included.
 
 A fixture that several tests share is counted to the first of them. `--costs FILE` adds one line of JSON for each test;
-`python tests/costs.py NAME FILE [NAME FILE ...]` prints a table of such files by folder.
+`python tests/costs.py table NAME FILE [NAME FILE ...]` prints a table of such files by folder, and
+`python tests/costs.py keep FILE ...` writes tests/costs.json, by which the costliest tests begin first and `make check`
+leaves out those that cost more than `SLOW_S`.
 """
 
 import json
 import resource
 import sys
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
 from typing import cast
 
@@ -15,6 +18,10 @@ import pytest
 
 START = pytest.StashKey[float]()
 PROPERTY = "cpu_s"
+SLOW_S = 0.5
+"""CPU time from which on a test is left to `make test`."""
+OTHERS = "all others"
+KEPT = Path(__file__).with_name("costs.json")
 
 
 class Costs:
@@ -76,5 +83,43 @@ def table(runs: dict[str, Path]) -> str:
     return "\n".join(rows)
 
 
+def keep(files: list[Path]) -> None:
+    """Write `KEPT`: for each test file the CPU time [s] of its slow tests by name, and of all others together."""
+    kept: dict[str, dict[str, float]] = {}
+    for line in (line for file in files for line in file.read_text().splitlines()):
+        row = json.loads(line)
+        path, _, name = row["test"].partition("::")
+        of = kept.setdefault(path, {OTHERS: 0.0})
+        key = name if row[PROPERTY] > SLOW_S else OTHERS
+        of[key] = round(of.get(key, 0.0) + row[PROPERTY], 2)
+    KEPT.write_text(json.dumps(kept, indent=0, sort_keys=True) + "\n")
+
+
+@cache
+def kept() -> dict[str, dict[str, float]]:
+    """Return what `keep` wrote."""
+    read: dict[str, dict[str, float]] = json.loads(KEPT.read_text())
+    return read
+
+
+def of_file(path: str) -> float:
+    """Return the CPU time of the tests of a file that are not slow, in seconds; 0 where it is not known."""
+    return kept().get(path, {}).get(OTHERS, 0.0)
+
+
+def total_of_file(path: str) -> float:
+    """Return the CPU time of all tests of a file in seconds; 0 where it is not known."""
+    return sum(kept().get(path, {}).values())
+
+
+def of_test(path: str, name: str) -> float:
+    """Return the CPU time of a slow test in seconds; 0 for the others."""
+    return kept().get(path, {}).get(name, 0.0)
+
+
 if __name__ == "__main__":
-    print(table(dict(zip(sys.argv[1::2], map(Path, sys.argv[2::2]), strict=True))))
+    what, *given = sys.argv[1:]
+    if what == "keep":
+        keep([Path(file) for file in given])
+    else:
+        print(table(dict(zip(given[::2], map(Path, given[1::2]), strict=True))))

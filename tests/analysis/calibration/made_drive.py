@@ -4,12 +4,12 @@ import dataclasses
 import hashlib
 import struct
 from collections.abc import Collection, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from once import once
 
 from faultline.analysis.calibration.fit import Fit, fit
 from faultline.analysis.calibration.sections import Section, sections
@@ -166,7 +166,7 @@ class Case(NamedTuple):
 DELAY_S = 0.1
 
 
-@cache
+@once
 def calibrated(name: str, seed: int, starts: int = 1) -> Case:
     """A shipped model calibrated on a vehicle of its own kind, whose commands act `DELAY_S` late."""
     model = load_model(name)

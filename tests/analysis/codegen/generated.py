@@ -3,13 +3,13 @@
 import shutil
 import subprocess
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from once import once
 
 from faultline.analysis.codegen import Program, c99_sources, class_name, python_source
 from faultline.analysis.graph.bank import build_bank
@@ -24,7 +24,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler `cc` on this machine")
 
 
-@cache
+@once
 def golden_samples() -> tuple[tuple[str, ...], Array]:
     """The signals of uds4 (nz,) and the samples (600, nz) of the golden log: filter fA_du clogs at 70 s."""
     bank = build_bank(load_model("uds4"))

@@ -1,9 +1,9 @@
 """A discovery of made runs, small enough for a test: one effect hidden, three entries looked for."""
 
 import dataclasses
-from functools import cache
 
 from made_study import LIBRARY, Inline, study
+from once import once
 
 from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery, discover
@@ -13,7 +13,7 @@ ENTRIES = ("full_open_gain", "offset_p_du", "lag_p_du")
 GAIN = 0.15
 
 
-@cache
+@once
 def discovery(gain: float = GAIN, own: str | None = None) -> Discovery:
     """Of a valve that passes so much more when it is held open; the entry `own` is of a user's file."""
     made = study(ENTRIES, {"full_open_gain": gain} if gain else {})
