@@ -47,14 +47,14 @@ import msgspec
 from msgspec import Meta
 
 from faultline.service.core.memory import Rules
-from faultline.service.strict import ConfigError, Name, Part, Path_, Read, read
+from faultline.service.strict import ConfigError, ControlSocket, EventsSocket, Name, Part, Path_, Read, read
 
 
 class BusConfig(Part, frozen=True):
     """A bus; its interface need not be there yet."""
 
     name: Name
-    interface: str
+    interface: Annotated[str, Meta(description="socketcan:NAME, or udp_multicast:GROUP:PORT")]
     believe_local: bool = False
 
 
@@ -62,13 +62,13 @@ class BundleConfig(Part, frozen=True):
     """A bundle's folder, or a link to it, and the bus that its frames are on."""
 
     path: Path_
-    bus: Name
+    bus: Annotated[Name, Meta(description="the name of a [[bus]]")]
 
 
 class TrustConfig(Part, frozen=True):
     """Whose bundles are taken."""
 
-    keys: Path_ | None = None
+    keys: Annotated[Path_, Meta(description="the folder of the trusted public keys")] | None = None
     signatures: Annotated[int, Meta(ge=1, le=16)] = 1
     allow_unsigned: bool = False
 
@@ -76,19 +76,19 @@ class TrustConfig(Part, frozen=True):
 class EventsConfig(Part, frozen=True):
     """Where subscribers connect."""
 
-    socket: Path_
+    socket: EventsSocket
 
 
 class StoreConfig(Part, frozen=True):
     """Where events are kept."""
 
-    path: Path_
+    path: Annotated[Path_, Meta(description="a file that we may write, as /var/lib/faultline/events.sqlite")]
 
 
 class ControlConfig(Part, frozen=True):
     """Where other processes ask, and the users that may erase faults besides root and our own."""
 
-    socket: Path_
+    socket: ControlSocket
     clear: tuple[Name, ...] = ()
 
 

@@ -1,14 +1,19 @@
-"""Strict configuration files: TOML into a struct; what is unknown or makes no sense is an error that names the line."""
+"""Strict reading of configuration files: TOML into a struct.
 
+An unknown key, a missing one or a value that is not accepted is an error that names file, line and key, and says what
+to give: the description (`Meta`) of the field.
+"""
+
+import difflib
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Generic, NamedTuple, TypeVar
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, inspect
 
 from faultline.service.core.errors import InputError
 
@@ -16,9 +21,12 @@ T = TypeVar("T", bound=msgspec.Struct)
 Step = str | int
 """To a part of a file: a key, or the number of an item."""
 
-Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.-]*\Z", max_length=80)]
+LETTERS = "letters, digits, _ . and -, a letter or digit first, 80 at most"
+Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.-]*\Z", max_length=80, description=LETTERS)]
 """It stands in ids and topics: nothing that means something there."""
-Path_ = Annotated[str, Meta(pattern=r"\A/[^\x00]*\Z", max_length=1000)]
+Path_ = Annotated[str, Meta(pattern=r"\A/[^\x00]*\Z", max_length=1000, description="a whole path, from / on")]
+EventsSocket = Annotated[Path_, Meta(description="the daemon's events socket, as /run/faultline/events.sock")]
+ControlSocket = Annotated[Path_, Meta(description="the daemon's control socket, as /run/faultline/control.sock")]
 
 LARGEST = 256 * 1024  # bytes of a file that somebody wrote
 
@@ -29,9 +37,6 @@ class ConfigError(InputError):
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Common strictness: every field by name, none unknown."""
-
-
-Explain = Callable[[str, list[Step]], tuple[str, list[Step]]]
 
 
 class Read(NamedTuple, Generic[T]):
@@ -46,8 +51,8 @@ class Read(NamedTuple, Generic[T]):
         return _error(self.path, self.text, steps, message)
 
 
-def read(path: Path, kind: type[T], explain: Explain = lambda message, steps: (message, steps)) -> Read[T]:
-    """The file at `path` as a struct; `explain` may say more about what makes no sense, and where.
+def read(path: Path, kind: type[T]) -> Read[T]:
+    """Read the file at `path` as a struct.
 
     Raises:
         ConfigError: it cannot be read, is no TOML, or is none of that kind.
@@ -66,12 +71,65 @@ def read(path: Path, kind: type[T], explain: Explain = lambda message, steps: (m
     try:
         return Read(msgspec.convert(tree, kind), path, text)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at `")
-        steps = [int(number) if number else key for key, number in re.findall(r"\.([\w-]+)|\[(\d+)\]", where)]
-        if (unknown := re.search(r"unknown field `(.*)`", message)) is not None:
-            steps.append(unknown.group(1))
-        message, steps = explain(message, steps)
-        raise _error(path, text, steps, message) from error
+        raise _error(path, text, *_explained(error, kind)) from error
+
+
+def _explained(error: msgspec.ValidationError, kind: type[T]) -> tuple[list[Step], str]:
+    """Return where the error is, and what is wrong with what to give instead."""
+    message, _, where = str(error).partition(" - at `")
+    steps = [int(number) if number else key for key, number in re.findall(r"\.([^.[`]+)|\[(\d+)\]", where)]
+    if (unknown := re.search(r"unknown field `(.*)`", message, re.DOTALL)) is not None:
+        keys = _field(kind, steps).keys
+        near = difflib.get_close_matches(unknown[1], keys, n=1)
+        hint = f" (did you mean `{near[0]}`?)" if near else ""
+        return [*steps, unknown[1]], f"there is no such key{hint}; those are {', '.join(keys)}"
+    if (missing := re.search(r"missing required field `(.*)`", message)) is not None:
+        return steps, f"`{missing[1]}` is missing; give {_field(kind, [*steps, missing[1]]).asked}"
+    asked = _field(kind, steps).asked
+    message = "this text is not accepted" if asked and "matching regex" in message else message
+    return steps, f"{message}; give {asked}" if asked else message
+
+
+class _Field(NamedTuple):
+    """A part of a struct: its type, and what it asks for."""
+
+    type: inspect.Type
+    asked: str = ""
+
+    @property
+    def keys(self) -> list[str]:
+        """Return the keys of a table; none of anything else."""
+        return [each.name for each in self.type.fields] if isinstance(self.type, inspect.StructType) else []
+
+
+def _field(kind: type[T], steps: Sequence[Step]) -> _Field:
+    """Return the part of `kind` that `steps` lead to; an item asks for what its list asks for."""
+    found, table = _Field(inspect.type_info(kind)), ""
+    for step in steps:
+        if isinstance(found.type, inspect.StructType):
+            table = f"{table}.{step}".removeprefix(".")
+            [inner] = (each.type for each in found.type.fields if each.name == step)
+            found = _described(inner, table, "")
+        elif isinstance(found.type, (inspect.ListType, inspect.VarTupleType)):
+            found = _described(found.type.item_type, table, found.asked)
+    return found
+
+
+def _described(given: inspect.Type, table: str, asked: str) -> _Field:
+    """Return a type without its description and `None`, with what it asks for: a table by its header."""
+    while isinstance(given, (inspect.Metadata, inspect.UnionType)):
+        if isinstance(given, inspect.Metadata):
+            asked = (given.extra_json_schema or {}).get("description", asked)
+            given = given.type
+        else:
+            given = next(each for each in given.types if not isinstance(each, inspect.NoneType))
+    if isinstance(given, inspect.StructType):
+        asked = asked or f"the table [{table}]"
+    elif isinstance(given, inspect.ListType) and isinstance(given.item_type, inspect.StructType):
+        asked = f"a table [[{table}]]"
+    elif isinstance(given, inspect.BoolType):
+        asked = asked or "true or false"
+    return _Field(given, asked)
 
 
 def line_of(text: str, steps: Sequence[Step]) -> int:
@@ -100,4 +158,5 @@ def line_of(text: str, steps: Sequence[Step]) -> int:
 
 def _error(path: Path, text: str, steps: Sequence[Step], message: str) -> ConfigError:
     name = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps).removeprefix(".")
-    return ConfigError(f"{path}:{line_of(text, steps)}: {name + ': ' if name else ''}{message}")
+    said = f"{name + ': ' if name else ''}{message}"
+    return ConfigError(f"{path}:{line_of(text, steps)}: {''.join(c if c.isprintable() else '?' for c in said)}")

@@ -23,17 +23,24 @@ from msgspec import Meta
 
 from faultline.service.j1939.claim import CONTENDED
 from faultline.service.j1939.name import name_of
-from faultline.service.strict import Part, Path_, Read, Step, read
+from faultline.service.strict import ControlSocket, EventsSocket, Part, Read, read
 
-INTERFACE = r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z"
+Interface = Annotated[
+    str,
+    Meta(
+        pattern=r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z",
+        description="socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials",
+    ),
+]
+Address = Annotated[int, Meta(ge=0, le=253, description="addresses from 0 to 253, the preferred one first")]
 
 
 class NameConfig(Part, frozen=True):
     """The fields of the NAME, in the widths that they have there."""
 
-    identity_number: Annotated[int, Meta(ge=0, le=0x1F_FFFF)]
-    manufacturer_code: Annotated[int, Meta(ge=0, le=0x7FF)]
-    function: Annotated[int, Meta(ge=0, le=0xFF)]
+    identity_number: Annotated[int, Meta(ge=0, le=0x1F_FFFF, description="the number of this device, no other one's")]
+    manufacturer_code: Annotated[int, Meta(ge=0, le=0x7FF, description="the code assigned by SAE, 0 to 2047")]
+    function: Annotated[int, Meta(ge=0, le=0xFF, description="what the device is for, of SAE's list, 0 to 255")]
     ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0
     function_instance: Annotated[int, Meta(ge=0, le=31)] = 0
     vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0
@@ -50,10 +57,10 @@ class NameConfig(Part, frozen=True):
 class J1939Config(Part, frozen=True):
     """The table `[j1939]`."""
 
-    interface: Annotated[str, Meta(pattern=INTERFACE)]
-    control: Path_
-    events: Path_
-    addresses: Annotated[list[Annotated[int, Meta(ge=0, le=253)]], Meta(min_length=1, max_length=120)]
+    interface: Interface
+    control: ControlSocket
+    events: EventsSocket
+    addresses: Annotated[list[Address], Meta(min_length=1, max_length=120, description="the addresses to claim")]
     name: NameConfig
     transmit: bool = False
 
@@ -69,15 +76,9 @@ def load_config(path: Path) -> J1939Config:
         ConfigError: it cannot be read, is no TOML, says what makes no sense, or that nothing may be transmitted; the
             message names the line.
     """
-    file = read(path, _File, _explained)
+    file = read(path, _File)
     _check(file)
     return file.said.j1939
-
-
-def _explained(message: str, steps: list[Step]) -> tuple[str, list[Step]]:
-    if steps == ["j1939", "interface"]:
-        message = "give socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials"
-    return message, steps
 
 
 def _check(file: Read[_File]) -> None:

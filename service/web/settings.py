@@ -10,11 +10,13 @@ listen = "127.0.0.1:8080"                      # or unix:/run/faultline-web/http
 import ipaddress
 import re
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
 from faultline.service.core.errors import InputError
-from faultline.service.strict import Part, Path_, read
+from faultline.service.strict import ControlSocket, EventsSocket, Part, Path_, read
 from faultline.service.web.limits import hosts_of
 
 LISTEN = "127.0.0.1:8080"
@@ -23,10 +25,10 @@ LISTEN = "127.0.0.1:8080"
 class _File(Part, frozen=True):
     """The whole file."""
 
-    control: Path_
-    events: Path_
-    listen: str = LISTEN
-    token_file: Path_ | None = None
+    control: ControlSocket
+    events: EventsSocket
+    listen: Annotated[str, Meta(description=f"{LISTEN}, or unix:PATH")] = LISTEN
+    token_file: Annotated[Path_, Meta(description="the file of tokens, one a line")] | None = None
     allow_remote: bool = False
 
 

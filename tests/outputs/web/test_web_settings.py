@@ -59,10 +59,14 @@ class TestSettings:
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [
-            ("listen =", "lisen =", r":3: lisen: .*unknown field `lisen`"),
-            ('"/c"', '"c"', r":1: control: Expected `str` matching"),
-            ('control = "/c"\n', "", r":1: .*missing required field `control`"),
-            ('"[::1]:8080"', "8080", r":3: listen: Expected `str`"),
+            (
+                "listen =",
+                "lisen =",
+                r":3: lisen: there is no such key \(did you mean `listen`\?\); those are control, events",
+            ),
+            ('"/c"', '"c"', r":1: control: this text is not accepted; give the daemon's control socket, as /"),
+            ('control = "/c"\n', "", r":1: `control` is missing; give the daemon's control socket, as /"),
+            ('"[::1]:8080"', "8080", r":3: listen: Expected `str`, got `int`; give 127.0.0.1:8080, or unix:PATH"),
             ('"[::1]:8080"', '"0.0.0.0:80"', r":3: listen: 0.0.0.0:80 can be reached .*allow_remote = true"),
             ('"[::1]:8080"', '"vehicle:80"', r":3: listen: 'vehicle:80' is no address"),
             ('"[::1]:8080"', '"127.0.0.1:99999"', r":3: listen: .*no port above"),

@@ -13,7 +13,8 @@ import pytest
 from faultline.service.core.errors import InputError
 from faultline.service.mqtt import config as module
 from faultline.service.mqtt.access import context, password
-from faultline.service.mqtt.config import KEYS, ConfigError, MqttConfig, TlsConfig, load_config
+from faultline.service.mqtt.config import MqttConfig, TlsConfig, load_config
+from faultline.service.strict import LARGEST, ConfigError
 
 GOOD = """\
 [mqtt]
@@ -52,11 +53,18 @@ def test_the_example_is_taken_as_it_is(tmp_path: Path) -> None:
 
 def test_the_example_names_every_key(tmp_path: Path) -> None:
     fields = [one.name for table in (MqttConfig, TlsConfig) for one in msgspec.structs.fields(table)]
-    assert sorted(KEYS) == sorted([*fields, "mqtt"])
     named = re.findall(r"^(?:# )?(\w+) = ", module.__doc__ or "", re.MULTILINE)
     assert sorted(named) == sorted(set(fields) - {"tls"})
     page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text()
     assert [key for key in fields if f"`{key}`" not in page] == []
+
+
+@pytest.mark.parametrize("key", [*MqttConfig.__struct_fields__, *(f"tls.{key}" for key in TlsConfig.__struct_fields__)])
+def test_every_key_says_what_to_give(tmp_path: Path, key: str) -> None:
+    lines = {name: f'{name} = "/x"' for name in ("events", "control", "cursor")}
+    lines |= {"host": 'host = "localhost"', key: f"{key} = []"}
+    with pytest.raises(ConfigError, match=rf": mqtt\.{re.escape(key)}: Expected .*, got `array`; give \w.*"):
+        loaded(tmp_path, "\n".join(["[mqtt]", *lines.values()]))
 
 
 @pytest.mark.parametrize(("tls", "port"), [("", 1883), ("[mqtt.tls]\n", 8883)])
@@ -77,6 +85,11 @@ def edited(line: str, new: str) -> str:
     ("line", "new", "said"),
     [
         ("", "insecure = true", r"6: mqtt.insecure: there is no such key; those are host, events, control,"),
+        (
+            "events",
+            'event = "/e"',
+            r"3: mqtt.event: there is no such key \(did you mean `events`\?\); those are host, ",
+        ),
         ("ca", "insecure = true", r"7: mqtt.tls.insecure: there is no such key; those are ca, certificate, key"),
         ("[mqtt]", "[other]", r"1: other: there is no such key; those are mqtt"),
         ("host", "", r"1: mqtt: `host` is missing; give the broker's name or address"),
@@ -135,7 +148,7 @@ def test_what_is_no_toml_is_refused(tmp_path: Path, content: bytes) -> None:
 def test_a_file_that_is_not_there_or_endless_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read: No such file or directory; give another --config"):
         load_config(tmp_path / "none")
-    (tmp_path / "big").write_bytes(b"#" * (module.LARGEST + 1))
+    (tmp_path / "big").write_bytes(b"#" * (LARGEST + 1))
     with pytest.raises(ConfigError, match="more than 256 KiB"):
         load_config(tmp_path / "big")
 
