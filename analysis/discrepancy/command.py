@@ -35,6 +35,7 @@ from faultline.analysis.progress import Progress
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
+from faultline.service.pages import check_engine
 
 EXAMPLE = """examples:
   faultline discover uds4 logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
@@ -113,6 +114,7 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
 
 
 def _discover(options: argparse.Namespace) -> int:
+    check_engine()
     model, library = sound_model(options.model), _library(options.library, options.without)
     _not_over(options.model, options.out)
     _room(options.out)

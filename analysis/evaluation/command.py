@@ -22,6 +22,7 @@ from faultline.options import Parser
 from faultline.service.bundle import Bundle, load_bundle
 from faultline.service.core.errors import InputError, writing
 from faultline.service.core.events import Event
+from faultline.service.pages import check_engine
 
 EXAMPLE = """example:
   faultline evaluate out/demo/bundle out/demo/logs/validation-7-fA_t \\
@@ -99,6 +100,8 @@ def _options(argv: list[str]) -> argparse.Namespace:
     for name in ("picture", "events"):
         if getattr(options, name) and len(options.recording) > 1:
             raise InputError(f"--{name}: of one recording, here are {len(options.recording)}; give one, or --report")
+    if options.report:
+        check_engine()
     return options
 
 

@@ -18,6 +18,7 @@ from faultline.options import Parser
 from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
 from faultline.service.core.health import MEANINGS
+from faultline.service.pages import NoEngineError, check_engine
 from faultline.service.workshop.answers import Memory, State, System, Tick, read
 from faultline.service.workshop.cycle import Cycle, End
 from faultline.service.workshop.hindrance import REMEDIES
@@ -59,22 +60,22 @@ def main(argv: list[str]) -> int:
     options = _options(argv)
     begun = _begin(options.control, options.system)
     now = _now()
-    path = options.report or _default(begun, now)
-    _check(path, replace=options.force)
+    path, report = _report(options, begun, now)
     out = sys.stderr if options.json else sys.stdout
-    for line in _said_before(begun, path):
+    for line in _said_before(begun, report):
         print(printable(line), file=out, flush=True)
     cycle = Cycle(begun.system, plan(options.hold, VISITS), options.patience)
     end = _observe(cycle, options.control, _screen(options))
     frame = Frame(state=begun.state, before=begun.memory.faults, begun=now, note=options.note)
     seen, end = _at_the_end(options.control, begun, end)
-    found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=str(path))
+    found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=path and str(path))
     if options.json:  # first: a disk that is full takes no verdict away
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
         sys.stdout.flush()
     else:
-        print("\n".join(printable(line) for line in _said(found)), flush=True)
-    _write(path, page(found, begun.system, cycle.trace.samples), replace=options.force)
+        print("\n".join(printable(line) for line in [*_said(found), f"report: {report}"]), flush=True)
+    if path is not None:
+        _write(path, page(found, begun.system, cycle.trace.samples), replace=options.force)
     if end == "interrupted":
         raise KeyboardInterrupt
     return CODES[found.verdict.kind]
@@ -126,13 +127,30 @@ def _begin(path: Path, name: str | None) -> Begun:
         return Begun(state, system, read(control.ask("faults"), Memory))
 
 
-def _said_before(begun: Begun, path: Path) -> list[str]:
+def _report(options: argparse.Namespace, begun: Begun, now: str) -> tuple[Path | None, str]:
+    """Return where the report will be written, and that in words: nowhere where its engine is not installed.
+
+    Raises:
+        InputError: it could not be written there, or is asked for and cannot be made.
+    """
+    try:
+        check_engine()
+    except NoEngineError as error:
+        if options.report is not None:
+            raise
+        return None, f"none, {error}"
+    path = options.report or _default(begun, now)
+    _check(path, replace=options.force)
+    return path, str(path)
+
+
+def _said_before(begun: Begun, report: str) -> list[str]:
     state, system = begun.state, begun.system
     remembered = sum(each.system == system.name for each in begun.memory.faults)
     return [
         f"{state.source}: {system.name}, {len(system.tests)} tests, bundle {system.bundle[:12]}",
         *(f"first: {each.of} {MEANINGS[each.kind]}: {REMEDIES[each.kind]}" for each in state.conditions),
-        f"remembered faults: {remembered}; the report will be {path}; Ctrl-C ends the test early",
+        f"remembered faults: {remembered}; report: {report}; Ctrl-C ends the test early",
     ]
 
 
@@ -190,8 +208,7 @@ def _said(found: Result) -> list[str]:
         *(f"   {candidate_line(each)}" for each in verdict.candidates),
         *(f"   {reason}" for reason in verdict.reasons),
         *(f"   told apart by: {separation_line(each)}" for each in verdict.separating),
-        *([f"remembered from before: {len(history)}, see the report"] if history else []),
-        f"report: {found.report}",
+        *([f"remembered from before: {len(history)}{', see the report' if found.report else ''}"] if history else []),
     ]
 
 

@@ -26,6 +26,7 @@ PLANTS = {
     "the store in the analysis": ("analysis/places.py", "from faultline.service.store.file import StoreFile"),
     "torch in the analysis": ("analysis/places.py", "import torch"),
     "the store in a gateway": ("service/web/health.py", "from faultline.service.store.file import StoreFile"),
+    "the template engine beside the pages": ("service/workshop/svg.py", "import jinja2"),
     "a module in no layer": ("service/newcomer.py", ""),
 }
 

@@ -1,5 +1,6 @@
 """The shape of the project: what the wheel holds, who may import whom, what the folders are."""
 
+import os
 import re
 import subprocess
 import sys
@@ -47,6 +48,26 @@ def test_the_wheel_holds_faultline_alone_and_all_of_it(wheel: Path) -> None:
     product = {f"faultline/{name}" for name in tracked.stdout.split() if not name.endswith(".md")}
     own = {f"faultline/{path.name}" for path in (ROOT / "src/faultline").iterdir() if path.is_file()}
     assert names == product | own
+
+
+def test_the_templates_in_the_wheel_are_whole(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    code = """
+from pathlib import Path
+from faultline.service import pages
+found = sorted(Path(pages.__file__).parents[2].rglob("*.j2"))
+for template in found:
+    pages._environment(template.parent).get_template(template.name)
+(Path("x.html.j2")).write_text('{% extends "base.html.j2" %}')
+assert "prefers-color-scheme" in pages.render(Path("x.html.j2"), title="t")
+print(*(template.name for template in found))
+"""
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    tracked = subprocess.run(["git", "ls-files", "*.j2"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert sorted(done.stdout.split()) == sorted(Path(name).name for name in tracked.stdout.split())
 
 
 def test_every_text_that_says_what_to_install_names_our_distribution() -> None:

@@ -7,14 +7,14 @@ from faultline.analysis.evaluation.measure.isolation import columns
 from faultline.analysis.evaluation.measure.selection import Selection
 from faultline.analysis.evaluation.measure.signature import Cell
 from faultline.analysis.evaluation.report.document import Evaluation
-from faultline.analysis.evaluation.report.markup import Row, Td, table
 from faultline.analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
+from faultline.service.pages import Row, Table, Td
 
 
-def glance(e: Evaluation) -> str:
+def glance(e: Evaluation) -> Table:
     """The benchmarks' figures."""
     s = e.told.scores
-    rows: list[Row] = [
+    rows = [
         ["true detection rate (TDR)", percent(s.tdr)],
         ["false alarm rate (FAR)", percent(s.far)],
         ["fault isolation accuracy (FIA)", number(s.fia)],
@@ -22,10 +22,10 @@ def glance(e: Evaluation) -> str:
         ["false isolation rate", percent(s.false_isolation)],
         ["false alarms told", f"{e.told.false_alarms.events} ({hourly(e.told.false_alarms)})"],
     ]
-    return table("Figures of the DX 2025 challenge and of DAMADICS over all recordings.", ["figure", "value"], rows)
+    return Table(["figure", "value"], rows, "Figures of the DX 2025 challenge and of DAMADICS over all recordings.")
 
 
-def recordings(e: Evaluation) -> str:
+def recordings(e: Evaluation) -> Table:
     """Each with its verdict."""
     rows: list[Row] = []
     for one in e.recordings:
@@ -33,26 +33,24 @@ def recordings(e: Evaluation) -> str:
         rows.append(
             [
                 one.id,
-                Td(one.case, text=True),
+                one.case,
                 f"{one.fault_free_hours + one.faulty_hours:.2f}",
                 str(v.false_alarms),
                 seconds(v.delay_s),
                 seconds(one.detection_s),
                 seconds(one.isolation_s),
-                Td(", ".join(v.first) or NONE, text=True),
-                Td(", ".join(name for name in v.isolated if name not in v.first) or NONE, text=True),
-                Td(", ".join(v.blind) or NONE, text=True),
+                ", ".join(v.first) or NONE,
+                ", ".join(name for name in v.isolated if name not in v.first) or NONE,
+                ", ".join(v.blind) or NONE,
             ]
         )
     head = ["recording", "truth", "hours", "false alarms", "delay", "detection time", "isolation time"]
     caption = "What was told at the end of each recording; delay: from the onset to the first diagnosis that is new."
-    return table(caption, [*head, "rank 1", "further", "could never tell"], rows)
+    return Table([*head, "rank 1", "further", "could never tell"], rows, caption, text=(1, 7, 8, 9))
 
 
-def confusion(e: Evaluation) -> str:
+def confusion(e: Evaluation) -> Table:
     """True case against the explanations of rank 1."""
-    if not e.isolation:
-        return ""
     names = columns(e.isolation, [*e.faults])
     rows: list[Row] = [
         [
@@ -65,23 +63,21 @@ def confusion(e: Evaluation) -> str:
         "Rows: what was there; columns: what was told at the end, as the mean probability given to it (shared equally "
         "by the diagnoses of rank 1 where none is told). Framed: the true diagnosis."
     )
-    return table(caption, ["truth", *names], rows)
+    return Table(["truth", *names], rows, caption)
 
 
 def _weight(weight: float, true: bool) -> Td:
-    return Td(f"{weight:.2f}" if weight else "", tint=weight, marked=true)
+    return Td(f"{weight:.2f}" if weight else "", tint=weight, framed=true)
 
 
-def faults(e: Evaluation) -> str:
+def faults(e: Evaluation) -> Table:
     """Which component each fault is of."""
-    rows: list[Row] = [[name, Td(words, text=True)] for name, words in e.faults.items()]
-    return table("Faults that the bundle knows, with their components.", ["fault", "component"], rows)
+    rows = [[name, words] for name, words in e.faults.items()]
+    return Table(["fault", "component"], rows, "Faults that the bundle knows, with their components.", text=(1,))
 
 
-def isolation(e: Evaluation) -> str:
+def isolation(e: Evaluation) -> Table:
     """Detection, rank, probability and size of the diagnosis by case."""
-    if not e.isolation:
-        return ""
     rows: list[Row] = [
         [
             row.case,
@@ -102,14 +98,14 @@ def isolation(e: Evaluation) -> str:
     caption = (
         "By fault. Rank, p and size (number of diagnoses) are those at the end of each recording; p where it is told."
     )
-    return table(caption, [*head, "FIA", "true isolation", "false isolation"], rows)
+    return Table([*head, "FIA", "true isolation", "false isolation"], rows, caption)
 
 
 def _listed(values: Sequence[object]) -> str:
     return ", ".join(map(str, values)) or NONE
 
 
-def fault_free(e: Evaluation) -> str:
+def fault_free(e: Evaluation) -> Table:
     """False alarms of each generator."""
     rows: list[Row] = [
         [
@@ -128,7 +124,7 @@ def fault_free(e: Evaluation) -> str:
         "tenth, in every recording."
     )
     head = ["generator", "predicts", "residual, RMS", "alarms", "blocks with an alarm", "cannot tell", "same signal as"]
-    return table(caption, head, rows)
+    return Table(head, rows, caption)
 
 
 def _physical(rms: float | None, unit: str) -> str:
@@ -137,7 +133,7 @@ def _physical(rms: float | None, unit: str) -> str:
     return f"{rms / 100.0:.1f} mbar" if unit == "Pa" else f"{rms:.3g} {unit}"
 
 
-def signature(e: Evaluation) -> str:
+def signature(e: Evaluation) -> Table:
     """Probability of alarm."""
     caption = (
         "Share of the blocks in which a generator alarms, with its 95 % interval; n: blocks in which it could tell. "
@@ -147,7 +143,7 @@ def signature(e: Evaluation) -> str:
     free = {test.generator: test.blocks for test in e.tests}
 
     def cell(c: Cell) -> Td:
-        return Td(percent(c.alarm.p), between(c.alarm), tint=c.alarm.p or 0.0, marked=bool(c.sensitive))
+        return Td(percent(c.alarm.p), between(c.alarm), tint=c.alarm.p or 0.0, framed=bool(c.sensitive))
 
     return _grid(
         e,
@@ -157,7 +153,7 @@ def signature(e: Evaluation) -> str:
     )
 
 
-def delays(e: Evaluation) -> str:
+def delays(e: Evaluation) -> Table:
     """From the onset to the first alarm."""
     caption = (
         "Median delay from the onset to the first alarm that began after it; below, in how many recordings there was "
@@ -167,25 +163,25 @@ def delays(e: Evaluation) -> str:
 
     def cell(c: Cell) -> Td:
         stood = f", {c.standing} stood" if c.standing else ""
-        return Td(seconds(c.median_delay_s), f"{len(c.delays_s)} of {c.recordings}{stood}", marked=bool(c.sensitive))
+        return Td(seconds(c.median_delay_s), f"{len(c.delays_s)} of {c.recordings}{stood}", framed=bool(c.sensitive))
 
     return _grid(e, caption, cell)
 
 
-def blind(e: Evaluation) -> str:
+def blind(e: Evaluation) -> Table:
     """Share of *cannot tell*."""
     caption = "Share of the time with the fault in which a generator cannot tell: silence there is no peace."
     free = {test.generator: test.cannot_tell for test in e.tests}
 
     def cell(c: Cell) -> Td:
-        return Td(percent(c.cannot_tell), tint=c.cannot_tell or 0.0, marked=bool(c.sensitive))
+        return Td(percent(c.cannot_tell), tint=c.cannot_tell or 0.0, framed=bool(c.sensitive))
 
     return _grid(e, caption, cell, ("fault-free", lambda name: Td(percent(free[name]), tint=free[name])))
 
 
 def _grid(
     e: Evaluation, caption: str, of: Callable[[Cell], Td], first: tuple[str, Callable[[str], Td]] | None = None
-) -> str:
+) -> Table:
     """Generators down, cases across, with another column `first` if wanted."""
     cases = [*dict.fromkeys(cell.case for cell in e.cells)]
     found = {(cell.generator, cell.case): cell for cell in e.cells}
@@ -193,10 +189,10 @@ def _grid(
         [test.generator, *([first[1](test.generator)] if first else []), *(of(found[test.generator, c]) for c in cases)]
         for test in e.tests
     ]
-    return table(caption, ["generator", *([first[0]] if first else []), *cases], rows)
+    return Table(["generator", *([first[0]] if first else []), *cases], rows, caption)
 
 
-def by_mode(e: Evaluation) -> str:
+def by_mode(e: Evaluation) -> Table:
     """Area under the curve by operating mode, over the cases that a generator is sensitive to."""
     rows: list[Row] = []
     for test in e.tests:
@@ -211,10 +207,10 @@ def by_mode(e: Evaluation) -> str:
         "Area under the curve by operating mode: mean over the faults (by size) that the test is sensitive to by "
         "structure, and the least of them. Each is in report.json."
     )
-    return table(caption, ["generator", *SCORED], rows)
+    return Table(["generator", *SCORED], rows, caption)
 
 
-def areas(e: Evaluation) -> str:
+def areas(e: Evaluation) -> Table:
     """Area under the curve of each generator and fault, over all modes but the edge."""
     caption = (
         "Area under the curve over all modes but the edge. Framed: sensitive by structure; others should be at 0.5."
@@ -222,12 +218,17 @@ def areas(e: Evaluation) -> str:
 
     def cell(c: Cell) -> Td:
         area = c.auc[SCORED[0]]
-        return Td(number(area), tint=max(2.0 * (area or 0.5) - 1.0, 0.0), marked=bool(c.sensitive))
+        return Td(number(area), tint=max(2.0 * (area or 0.5) - 1.0, 0.0), framed=bool(c.sensitive))
 
     return _grid(e, caption, cell)
 
 
-def methods(e: Evaluation) -> str:
+def several(e: Evaluation) -> bool:
+    """Return whether some test has more than one generator."""
+    return len({test.test for test in e.tests}) < len(e.tests)
+
+
+def methods(e: Evaluation) -> Table:
     """Equations beside networks."""
     units = {test.generator: test.unit for test in e.tests}
     rows: list[Row] = [
@@ -247,16 +248,16 @@ def methods(e: Evaluation) -> str:
         "Generators of the same test. Blocks with an alarm: without a fault, with faults that the test is sensitive "
         "to, with faults that it decouples. Together: either alarms. Networks raise suspicion and are no conflicts."
     )
-    return table(caption, [*head, "cannot tell"], rows)
+    return Table([*head, "cannot tell"], rows, caption)
 
 
-def requirements(s: Selection) -> str:
+def requirements(s: Selection) -> Table:
     """What the generators to keep must do."""
-    rows: list[Row] = [
+    rows = [
         [
             f"{r.case}: {'detected' if r.other is None else f'isolated from {r.other}'}",
-            Td(", ".join(r.met_by), text=True),
+            ", ".join(r.met_by),
         ]
         for r in s.requirements
     ]
-    return table("Each needs one generator of its row.", ["requirement", "met by"], rows)
+    return Table(["requirement", "met by"], rows, "Each needs one generator of its row.", text=(1,))

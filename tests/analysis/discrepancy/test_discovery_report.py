@@ -204,8 +204,8 @@ def test_an_unnamed_effect_is_not_called_by_the_nearest_name(document: Document)
     d = as_kind(document, "unnamed")
     assert "full_open_gain" not in d.verdict.sentence
     assert any(line.startswith("  nearest, and not its name: full_open_gain") for line in sentences(d))
-    assert "class=chosen" in page(document, {})
-    assert "class=chosen" not in page(d, {})
+    assert '<tr class="chosen">' in page(document, {})
+    assert '<tr class="chosen">' not in page(d, {})
 
 
 def test_what_is_left_in_the_held_out_recordings_has_a_place_too() -> None:
@@ -282,8 +282,14 @@ def test_the_page_needs_nothing_else_and_escapes_what_it_is_told(
     assert not re.search(r"https?://|<script|<link", html)
     assert "prefers-color-scheme:dark" in html
     assert 'name="viewport"' in html
-    sly = msgspec.structs.replace(document, origin=msgspec.structs.replace(ORIGIN, vehicle="<b>x"))
-    assert "<b>x" not in page(sly, {})
+    sly = "<script>x</script>"
+    hostile = msgspec.structs.replace(
+        document, model=sly, origin=msgspec.structs.replace(ORIGIN, vehicle=sly, sources=(sly,)), refused=(f"`{sly}`",)
+    )
+    text = page(hostile, {})
+    assert "<script" not in text
+    assert text.count("&lt;script&gt;x&lt;/script&gt;") >= 5
+    assert "<code>&lt;script&gt;x&lt;/script&gt;</code>" in text
 
 
 def test_pictures_show_what_the_effect_depends_on(written: Mapping[str, bytes], document: Document) -> None:

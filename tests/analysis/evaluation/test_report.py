@@ -15,7 +15,6 @@ from matplotlib.patches import Rectangle
 from faultline.analysis.evaluation.command import main
 from faultline.analysis.evaluation.report import traces
 from faultline.analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
-from faultline.analysis.evaluation.report.markup import Td, table
 from faultline.analysis.evaluation.report.page import page
 from faultline.analysis.evaluation.report.pictures import pictures
 from faultline.service.core.errors import InputError
@@ -220,15 +219,12 @@ def test_traces_say_what_tests_what_is_not_drawn_and_what_was_told() -> None:
     assert {bar.get_x() for bar in bars} == {140.0}
 
 
-def test_what_a_cell_holds_is_text_and_no_markup() -> None:
-    made = table("a < b", ["<i>"], [["x & y"], [Td("h")]])
-    assert "<caption>a &lt; b</caption>" in made
-    assert '<th scope="row">x &amp; y</th>' in made
-    assert '<th scope="col">&lt;i&gt;</th>' in made
-
-
-def test_cells_are_tinted_marked_and_have_small_words() -> None:
-    [row] = ElementTree.fromstring(table("c", ["a", "b"], [["r", Td("w", "s", 2.0, marked=True)]])).iter("tbody")  # noqa: S314
-    cell = row[0][1]
-    assert (cell.get("class"), cell.get("style")) == ("marked", "background:rgba(213,94,0,0.45)")
-    assert (cell.text, cell.findtext("small")) == ("w", "s")
+def test_hostile_names_are_text_and_no_markup(data: Evaluation) -> None:
+    sly = "<script>alert('1')</script>&"
+    one, *rest = data.recordings
+    recordings = [msgspec.structs.replace(one, id=sly, vehicle=sly), *rest]
+    made = msgspec.structs.replace(data, bundle=sly, recordings=recordings, faults={sly: sly})
+    tree = ElementTree.fromstring(page(made, {}).partition("\n")[2])  # noqa: S314
+    assert not [*tree.iter("script")]
+    texts = {*tree.itertext()}
+    assert {sly, f"What bundle {sly} tells, against the truth", f"Evaluation of bundle {sly}"} <= texts

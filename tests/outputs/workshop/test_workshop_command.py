@@ -12,12 +12,14 @@ from typing import Any
 
 import msgspec
 import pytest
-from workshop_service import BUNDLE, FILTER, SYSTEM, WHOLE, Service, line, remembered, visits
 
 from faultline.service.core.errors import InputError
 from faultline.service.workshop import command
 from faultline.service.workshop.result import SCHEMA, Result
 from faultline.service.workshop.screen import SHOW
+
+sys.path.append(str(Path(__file__).parents[2] / "service" / "workshop"))
+from workshop_service import BUNDLE, FILTER, SYSTEM, WHOLE, Service, line, remembered, visits
 
 HOSTILE = '<script>alert("1")</script>&\'\x1b[2J'
 THERE: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "suspected": True}
