@@ -1,42 +1,4 @@
-"""The service's configuration: a TOML file, strict, whose errors name the line.
-
-source = "truck-17"                                  # the vehicle's name in events; default: the host's
-
-[[bus]]
-name = "powertrain"
-interface = "socketcan:can0"                         # or udp_multicast:GROUP:PORT
-# believe_local = true                               # take what processes of this machine send, for trials
-
-[[bundle]]                                           # as often as there are bundles
-path = "/var/lib/faultline/bundles/uds"
-bus = "powertrain"
-
-[trust]
-keys = "/etc/faultline/keys"                         # public keys *.pub of those who may sign bundles
-# signatures = 2                                     # by so many different ones of them; default: 1
-# allow_unsigned = true                              # instead, for trials
-
-[events]
-socket = "/run/faultline/events.sock"
-
-[store]                                              # without it events are told and not kept
-path = "/var/lib/faultline/events.sqlite"
-
-[control]                                            # where other processes ask (docs/control.md)
-socket = "/run/faultline/control.sock"
-# clear = ["faultline-web"]                          # users that may erase faults, besides root
-
-# [memory]                                           # how faults are remembered; these are the defaults
-# confirm_trips = 1                                  # operation cycles in a row that confirm a fault
-# heal_cycles = 3                                    # cycles without it after which it is warned of no longer
-# age_cycles = 40                                    # and those after which it is erased
-# entries = 64                                       # so many faults; then what matters least is displaced
-# failed_after_s = 0                                 # a diagnosis counts once it has been told for so long
-# passed_after_s = 0
-# disabled = "freeze"                                # or "reset": that count, while tests cannot tell
-# quiet_s = 60                                       # so long in each mode that showed it, and it is gone
-# frame_s = 10                                       # freeze frames reach so far before and after
-"""
+"""The service's configuration: a TOML file, strict; `service/vehicle/faultline.toml` has all its keys."""
 
 import socket
 from collections import Counter

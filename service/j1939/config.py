@@ -1,19 +1,4 @@
-"""The configuration of `faultline j1939`: a TOML file, strict, whose errors name the line.
-
-[j1939]
-interface = "socketcan:can0"                       # or udp_multicast:GROUP:PORT, for trials
-control = "/run/faultline/control.sock"            # where the service is asked
-events = "/run/faultline/events.sock"              # where it tells that something has changed
-addresses = [144, 145]                             # the preferred one first
-transmit = true                                    # without it nothing is sent
-
-[j1939.name]                                       # SAE J1939-81
-identity_number = 1                                # of this device, no other one's
-manufacturer_code = 0                              # assigned by SAE
-function = 0                                       # what the device is for, of SAE's list
-# ecu_instance, function_instance, vehicle_system, vehicle_system_instance, industry_group = 0
-# arbitrary_address_capable = true                 # may take the other addresses; needed where there are any
-"""
+"""The configuration of `faultline j1939`: a TOML file, strict; `service/vehicle/j1939.toml` has all its keys."""
 
 from pathlib import Path
 from typing import Annotated

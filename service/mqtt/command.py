@@ -5,11 +5,11 @@ import signal
 import sys
 import time
 from contextlib import closing, suppress
+from importlib import resources
 from pathlib import Path
 
 from faultline.options import Parser
 from faultline.service.distribution import installed_version
-from faultline.service.mqtt import config as format_of_the_file
 from faultline.service.mqtt.access import context, password
 from faultline.service.mqtt.bridge import Bridge
 from faultline.service.mqtt.config import load_config
@@ -25,7 +25,7 @@ EXAMPLE = """example:
 
 def main(argv: list[str]) -> int:
     """Runs until SIGTERM or SIGINT; returns the exit code."""
-    layout = (format_of_the_file.__doc__ or "").partition("\n\n")[2]
+    layout = resources.files("faultline.service").joinpath("vehicle", "mqtt.toml").read_text()
     parser = Parser(
         "faultline mqtt",
         description=__doc__,

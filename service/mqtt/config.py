@@ -1,25 +1,4 @@
-"""The configuration of `faultline mqtt`: a TOML file of its own, strict, whose errors name the line.
-
-[mqtt]
-host = "broker.example"
-port = 8883                                  # default: 8883 with [mqtt.tls], else 1883
-prefix = "faultline"                         # topics are PREFIX/VEHICLE/...; may have several levels
-# vehicle = "truck-17"                       # default: what the daemon calls itself
-user = "truck-17"
-password_file = "mqtt-password"              # a file (/...), or the name of a systemd credential; never the password
-# client_id = "faultline-truck-17"           # default: faultline-VEHICLE
-# keepalive = 30                             # seconds
-# acknowledged_within = 30                   # seconds; else the connection is given up
-# plain = true                               # without TLS to another machine
-events = "/run/faultline/events.sock"        # the daemon's two sockets
-control = "/run/faultline/control.sock"
-cursor = "/var/lib/faultline-mqtt/cursor"    # how far the broker has acknowledged
-
-[mqtt.tls]                                   # may be empty
-ca = "/etc/faultline/broker-ca.pem"          # whose certificates are believed; default: the system's
-certificate = "/etc/faultline/mqtt.pem"      # our own, where the broker asks for one
-key = "mqtt-key"                             # a file, or the name of a systemd credential
-"""
+"""The configuration of `faultline mqtt`: a TOML file, strict; `service/vehicle/mqtt.toml` has all its keys."""
 
 import ipaddress
 from pathlib import Path

@@ -1,11 +1,4 @@
-"""The settings of `faultline serve`: a TOML file, strict, whose errors name the line; or the same as options.
-
-control = "/run/faultline/control.sock"        # of the daemon (docs/control.md)
-events = "/run/faultline/events.sock"          # of the daemon (docs/events.md)
-listen = "127.0.0.1:8080"                      # or unix:/run/faultline-web/http.sock
-# token_file = "/etc/faultline/http-tokens"    # who may clear faults; one a line
-# allow_remote = true                          # listen on another address: every request needs a token then
-"""
+"""The settings of `faultline serve`: a TOML file, strict (`service/vehicle/serve.toml`), or the same as options."""
 
 import ipaddress
 import re

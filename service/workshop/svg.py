@@ -15,6 +15,7 @@ DASHES = ("5 3", "2 2", "8 3 2 3", "1 3", "10 4")
 SUMS = "Sum of each test in parts of its threshold, held at -2 and 2; alarm beyond the dashed lines, -1 and 1."
 
 Point = tuple[float, float | None]
+Label = tuple[float, float, str, str]
 
 
 class Axis(NamedTuple):
@@ -31,48 +32,19 @@ class Axis(NamedTuple):
         return self.start + (self.end - self.start) * min(1.0, max(0.0, share))
 
 
-class Shade(NamedTuple):
-    """A part of the background, over the whole height."""
-
-    x: float
-    width: float
-    fill: str
-
-
-class Level(NamedTuple):
-    """A horizontal line."""
-
-    y: float
-    colour: str
-    dash: str = ""
-
-
-class Curve(NamedTuple):
-    """A line with gaps where nothing is known, as the commands of an SVG path."""
-
-    path: str
-    width: float
-    dash: str = ""
-
-
-class Label(NamedTuple):
-    """A text at a point, which it starts at, ends at or is centred on (`anchor`)."""
-
-    x: float
-    y: float
-    anchor: str
-    words: str
-
-
 class Picture(NamedTuple):
-    """A picture with its title, for those who cannot see it, and its caption."""
+    """A picture with its title, for those who cannot see it, and its caption.
+
+    A shade is a part of the background over the whole height: x, width, fill. A level is a horizontal line: y, colour,
+    dashes. A curve has the commands of an SVG path, its width and dashes. A label has x, y, anchor and words.
+    """
 
     title: str
     caption: str
     height: int
-    shades: Sequence[Shade]
-    levels: Sequence[Level]
-    curves: Sequence[Curve]
+    shades: Sequence[tuple[float, float, str]]
+    levels: Sequence[tuple[float, str, str]]
+    curves: Sequence[tuple[str, float, str]]
     labels: Sequence[Label]
     width: int = WIDTH
     left: int = LEFT
@@ -100,13 +72,13 @@ def sums(system: System, samples: Sequence[Sample]) -> Picture:
     """Return a line for each test: its detector's sum in parts of the threshold, which is at the dashed lines."""
     height = ROW * len(system.generators) + 20
     time = _time(samples)
-    levels, curves, labels = list[Level](), list[Curve](), list[Label]()
+    levels, curves, labels = list[tuple[float, str, str]](), list[tuple[str, float, str]](), list[Label]()
     for n, row in enumerate(system.generators):
         middle = ROW * (n + 0.5)
         level = Axis(-2.1, 2.1, middle + ROW * 0.46, middle - ROW * 0.46)
-        labels.append(Label(LEFT - 6, middle + 4, "end", row.name))
-        levels += [Level(level(-1.0), "#888", "2 3"), Level(level(1.0), "#888", "2 3"), Level(level(0.0), "#bbb")]
-        curves.append(Curve(_path([(each.t_s, each.sums[n]) for each in samples], time, level), 1.2))
+        labels.append((LEFT - 6, middle + 4, "end", row.name))
+        levels += [(level(-1.0), "#888", "2 3"), (level(1.0), "#888", "2 3"), (level(0.0), "#bbb", "none")]
+        curves.append((_path([(each.t_s, each.sums[n]) for each in samples], time, level), 1.2, "none"))
     labels += _times(time, height - 6)
     title = "sums of the tests in parts of their threshold"
     return Picture(title, SUMS, height, _shades(samples, time), levels, curves, labels)
@@ -123,10 +95,10 @@ def _signal(
     margin = 0.05 * (max(known) - min(known)) or 0.1
     time, level = _time(samples), Axis(min(known) - margin, max(known) + margin, HEIGHT - 20, 6)
     ticks = [level.low + (level.high - level.low) * share for share in (0.1, 0.5, 0.9)]
-    levels = [Level(level(value), "#bbb", "2 4") for value in ticks]
-    labels = [Label(LEFT - 6, level(value) + 4, "end", f"{value:.3g}") for value in ticks]
-    curves = [Curve(_path(line, time, level), 0.8, DASHES[n % len(DASHES)]) for n, line in enumerate(predicted)]
-    curves.append(Curve(_path(measured, time, level), 1.4))
+    levels = [(level(value), "#bbb", "2 4") for value in ticks]
+    labels = [(LEFT - 6, level(value) + 4, "end", f"{value:.3g}") for value in ticks]
+    curves = [(_path(line, time, level), 0.8, DASHES[n % len(DASHES)]) for n, line in enumerate(predicted)]
+    curves.append((_path(measured, time, level), 1.4, "none"))
     return Picture(title, caption, HEIGHT, _shades(samples, time), levels, curves, [*labels, *_times(time, HEIGHT - 6)])
 
 
@@ -139,13 +111,13 @@ def _time(samples: Sequence[Sample]) -> Axis:
     return Axis(*ends, LEFT, WIDTH - RIGHT)
 
 
-def _shades(samples: Sequence[Sample], time: Axis) -> list[Shade]:
+def _shades(samples: Sequence[Sample], time: Axis) -> list[tuple[float, float, str]]:
     """Return the operating mode as shade of the background, for each visit."""
     starts = [k for k, each in enumerate(samples) if k == 0 or each.mode != samples[k - 1].mode]
     shades = []
     for start, end in zip(starts, [*starts[1:], len(samples) - 1], strict=True):
         left, right = time(samples[start].t_s), time(samples[end].t_s)
-        shades.append(Shade(left, right - left, SHADES.get(samples[start].mode, "#ffffff")))
+        shades.append((left, right - left, SHADES.get(samples[start].mode, "#ffffff")))
     return shades
 
 
@@ -162,4 +134,4 @@ def _path(points: Iterable[Point], time: Axis, level: Axis) -> str:
 def _times(time: Axis, y: float) -> list[Label]:
     at = [time.low + (time.high - time.low) * share for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     anchors = ("start", "middle", "middle", "middle", "end")
-    return [Label(time(t), y, anchor, f"{t:.0f} s") for t, anchor in zip(at, anchors, strict=True)]
+    return [(time(t), y, anchor, f"{t:.0f} s") for t, anchor in zip(at, anchors, strict=True)]

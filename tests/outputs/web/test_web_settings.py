@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from faultline.service import strict
 from faultline.service.core.errors import InputError
 from faultline.service.web.limits import host_of, hosts_of
 from faultline.service.web.settings import Settings, Tcp, Unix, checked, load_settings
@@ -48,10 +49,8 @@ class TestSettings:
             control=Path("/c"), events=Path("/e"), listen=Tcp("::1", 8080), token_file=Path("/t")
         )
 
-    def test_the_example_in_the_module_is_taken(self, tmp_path: Path) -> None:
-        from faultline.service.web import settings
-
-        text = (settings.__doc__ or "").partition("\n\n")[2]
+    def test_the_shipped_file_is_taken(self, tmp_path: Path) -> None:
+        text = (Path(strict.__file__).parent / "vehicle" / "serve.toml").read_text()
         assert load_settings(self.write(tmp_path, text)).listen == Tcp("127.0.0.1", 8080)
         every = text.replace("# token_file", "token_file").replace("# allow_remote", "allow_remote")
         assert load_settings(self.write(tmp_path, every)).allow_remote

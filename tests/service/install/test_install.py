@@ -5,11 +5,24 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.config import load_config
+from faultline.service.config import (
+    BundleConfig,
+    BusConfig,
+    Config,
+    ControlConfig,
+    EventsConfig,
+    MemoryConfig,
+    StoreConfig,
+    TrustConfig,
+    load_config,
+)
 from faultline.service.core.errors import InputError
 from faultline.service.install import OUTPUTS, main
+from faultline.service.j1939.config import J1939Config, NameConfig
 from faultline.service.j1939.config import load_config as load_j1939
+from faultline.service.mqtt.config import MqttConfig, TlsConfig
 from faultline.service.mqtt.config import load_config as load_mqtt
+from faultline.service.strict import Part
 
 WORDS = ["--prefix", "/opt/faultline", "--base", "/usr"]
 BUNDLE_UNIT = "etc/systemd/system/faultline-bundle@.service"
@@ -83,6 +96,36 @@ def test_the_outputs_configurations_are_taken_by_them(tmp_path: Path) -> None:
     assert load_mqtt(folder / "mqtt.toml").host == "localhost"
     with pytest.raises(InputError, match="transmitting is off"):
         load_j1939(folder / "j1939.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "tables"),
+    [
+        (
+            "faultline",
+            (Config, BusConfig, BundleConfig, TrustConfig, EventsConfig, StoreConfig, ControlConfig, MemoryConfig),
+        ),
+        ("mqtt", (MqttConfig, TlsConfig)),
+        ("j1939", (J1939Config, NameConfig)),
+    ],
+)
+def test_the_shipped_configurations_have_every_key(tmp_path: Path, name: str, tables: tuple[type[Part], ...]) -> None:
+    main([*WORDS, "--root", str(tmp_path), "--interface", "can1"])
+    text = (tmp_path / "etc/faultline" / f"{name}.toml").read_text()
+    keys = {key for table in tables for key in table.__struct_fields__}
+    assert keys == {
+        *re.findall(r"(?m)^(?:# )?(\w+) = ", text),
+        *re.findall(r"(?m)^(?:# )?\[+(?:\w+\.)?(\w+)\]", text),
+    } - {name}
+
+
+def test_the_shipped_configuration_is_taken_with_every_key(tmp_path: Path) -> None:
+    main([*WORDS, "--root", str(tmp_path), "--interface", "can1"])
+    every = re.sub(r"(?m)^# (?=[a-z_]+ = |\[)", "", (tmp_path / CONFIG).read_text()).replace("allow_unsigned", "# ")
+    (tmp_path / "every.toml").write_text(every)
+    config = load_config(tmp_path / "every.toml")
+    assert config.memory == MemoryConfig()
+    assert (config.source, config.trust.signatures, config.bus[0].believe_local) == ("truck-17", 2, True)
 
 
 def test_a_configuration_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

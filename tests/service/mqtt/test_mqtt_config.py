@@ -7,14 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from faultline.service.core.errors import InputError
+from faultline.service.mqtt import command
 from faultline.service.mqtt import config as module
 from faultline.service.mqtt.access import context, password
 from faultline.service.mqtt.config import MqttConfig, TlsConfig, load_config
 from faultline.service.strict import LARGEST, ConfigError
+
+SHIPPED = (Path(module.__file__).parents[1] / "vehicle" / "mqtt.toml").read_text()
 
 GOOD = """\
 [mqtt]
@@ -33,30 +35,36 @@ def loaded(tmp_path: Path, text: str) -> MqttConfig:
     return load_config(path)
 
 
-def test_the_example_is_taken_as_it_is(tmp_path: Path) -> None:
-    example = (module.__doc__ or "").partition("\n\n")[2]
-    assert loaded(tmp_path, example) == MqttConfig(
-        host="broker.example",
+def test_the_shipped_file_is_taken_as_it_is_and_with_every_key(tmp_path: Path) -> None:
+    assert loaded(tmp_path, SHIPPED) == MqttConfig(
+        host="localhost",
+        events="/run/faultline/events.sock",
+        control="/run/faultline/control.sock",
+        cursor="/var/lib/faultline-mqtt/cursor",
+    )
+    everything = loaded(tmp_path, re.sub(r"(?m)^# (?=[a-z_]+ = |\[)", "", SHIPPED))
+    assert everything == MqttConfig(
+        host="localhost",
         port=8883,
         prefix="faultline",
+        vehicle="truck-17",
         user="truck-17",
         password_file="mqtt-password",  # noqa: S106
+        client_id="faultline-truck-17",
         events="/run/faultline/events.sock",
         control="/run/faultline/control.sock",
         cursor="/var/lib/faultline-mqtt/cursor",
         tls=TlsConfig(ca="/etc/faultline/broker-ca.pem", certificate="/etc/faultline/mqtt.pem", key="mqtt-key"),
     )
-    everything = loaded(tmp_path, re.sub(r"(?m)^# ", "", example).replace("plain = true", ""))
-    assert everything.vehicle == "truck-17"
-    assert everything.acknowledged_within == 30
 
 
-def test_the_example_names_every_key(tmp_path: Path) -> None:
-    fields = [one.name for table in (MqttConfig, TlsConfig) for one in msgspec.structs.fields(table)]
-    named = re.findall(r"^(?:# )?(\w+) = ", module.__doc__ or "", re.MULTILINE)
-    assert sorted(named) == sorted(set(fields) - {"tls"})
+def test_the_page_and_the_help_name_every_key(capsys: pytest.CaptureFixture[str]) -> None:
+    fields = [one for table in (MqttConfig, TlsConfig) for one in table.__struct_fields__]
     page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text()
     assert [key for key in fields if f"`{key}`" not in page] == []
+    with pytest.raises(SystemExit):
+        command.main(["--help"])
+    assert SHIPPED.rstrip() in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("key", [*MqttConfig.__struct_fields__, *(f"tls.{key}" for key in TlsConfig.__struct_fields__)])
