@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -31,8 +32,8 @@ def application(
     settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
 ) -> ASGIApp:
     """All of it, for a daemon at the settings' sockets."""
-    control = Control(settings.control, limits.answer_s, limits.clear_s)
-    hub = Hub(settings.events, control, counts, say)
+    control = Control(Path(settings.control), limits.answer_s, limits.clear_s)
+    hub = Hub(Path(settings.events), control, counts, say)
     streams = Streams(limits, counts, ending)
     guarded = settings.allow_remote
     routes = Routes(Vehicle(control), hub, Live(control, ending, say), streams, tokens, guarded=guarded)

@@ -48,23 +48,24 @@ def _serve(options: argparse.Namespace) -> int:
     """Serves until it is told to end."""
     from faultline.service.web.listen import listen, remove, url
     from faultline.service.web.server import serve
-    from faultline.service.web.settings import checked, load_settings
+    from faultline.service.web.settings import Settings, load_settings
     from faultline.service.web.tokens import find_tokens
 
     if options.config is not None:
         settings = load_settings(options.config)
     else:
-        settings = checked(options.control, options.events, options.listen, options.token_file)
+        given = {name: getattr(options, name) for name in ("control", "events", "listen", "token_file")}
+        settings = Settings(**given)
     tokens = find_tokens(settings.token_file)
     if settings.allow_remote and not tokens:
         raise InputError("allow_remote: every request needs a token then; give token_file too")
-    sock = listen(settings.listen)
+    sock = listen(settings.place)
     try:
         if options.open:
             threading.Thread(target=_open, args=(url(sock),), daemon=True).start()
         serve(settings, tokens, sock, _say)
     finally:
-        remove(settings.listen)
+        remove(settings.place)
     return 0
 
 

@@ -15,26 +15,11 @@ from faultline.service.web.limits import hosts_of
 LISTEN = "127.0.0.1:8080"
 
 
-class _File(Part, frozen=True):
-    """The whole file."""
-
-    control: ControlSocket
-    events: EventsSocket
-    listen: Annotated[str, Meta(description=f"{LISTEN}, or unix:PATH")] = LISTEN
-    token_file: Annotated[Path_, Meta(description="the file of tokens, one a line")] | None = None
-    allow_remote: bool = False
-
-
 class Tcp(msgspec.Struct, frozen=True):
     """An address of the machine and a port; port 0 is any that is free."""
 
     host: str
     port: int
-
-    @property
-    def is_loopback(self) -> bool:
-        """Whether only this machine reaches it."""
-        return ipaddress.ip_address(self.host).is_loopback
 
 
 class Unix(msgspec.Struct, frozen=True):
@@ -43,58 +28,45 @@ class Unix(msgspec.Struct, frozen=True):
     path: Path
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the daemon is, where to listen, and whose tokens are taken."""
+class Settings(Part, frozen=True):
+    """The whole file: where the daemon is, where to listen, and whose tokens are taken."""
 
-    control: Path
-    events: Path
-    listen: Tcp | Unix
-    token_file: Path | None = None
+    control: ControlSocket
+    events: EventsSocket
+    listen: Annotated[str, Meta(description=f"{LISTEN}, or unix:PATH")] = LISTEN
+    token_file: Annotated[Path_, Meta(description="the file of tokens, one a line")] | None = None
     allow_remote: bool = False
 
     @property
+    def place(self) -> Tcp | Unix:
+        """Return where to listen; raises InputError where that is no address, or is not allowed."""
+        place = address(self.listen)
+        if isinstance(place, Tcp) and not ipaddress.ip_address(place.host).is_loopback and not self.allow_remote:
+            raise InputError(
+                f"listen: {self.listen} can be reached from other machines; take 127.0.0.1 or unix:PATH behind a proxy "
+                "with TLS, or say allow_remote = true in the configuration"
+            )
+        return place
+
+    @property
     def hosts(self) -> frozenset[str] | None:
-        """The names under which this server may be asked; None for any, where no browser or a token comes first."""
-        if isinstance(self.listen, Unix) or self.allow_remote:
-            return None
-        return hosts_of([self.listen.host])
+        """Return the names that this server may be asked as; None for any, where no browser or a token comes first."""
+        place = self.place
+        return None if isinstance(place, Unix) or self.allow_remote else hosts_of([place.host])
 
 
 def load_settings(path: Path) -> Settings:
-    """The settings in the file at `path`.
+    """Return the settings in the file at `path`.
 
     Raises:
         ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
     """
-    given = read(path, _File)
-    said = given.said
+    given = read(path, Settings)
     try:
-        return checked(said.control, said.events, said.listen, said.token_file, allow_remote=said.allow_remote)
+        given.said.place  # noqa: B018 (it looks)
     except InputError as error:
         raise given.wrong(["listen"], str(error).removeprefix("listen: ")) from error
-
-
-def checked(
-    control: str, events: str, listen: str, token_file: str | None = None, *, allow_remote: bool = False
-) -> Settings:
-    """The settings as they are given.
-
-    Raises:
-        InputError: `listen` is no address, or another machine could reach it and that is not allowed.
-    """
-    place = address(listen)
-    if isinstance(place, Tcp) and not place.is_loopback and not allow_remote:
-        raise InputError(
-            f"listen: {listen} can be reached from other machines; take 127.0.0.1 or unix:PATH behind a proxy with "
-            "TLS, or say allow_remote = true in the configuration"
-        )
-    return Settings(
-        control=Path(control),
-        events=Path(events),
-        listen=place,
-        token_file=None if token_file is None else Path(token_file),
-        allow_remote=allow_remote,
-    )
+    return given.said
 
 
 def address(text: str) -> Tcp | Unix:

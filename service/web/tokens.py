@@ -42,14 +42,14 @@ def bearer(header: str) -> str | None:
     return token if scheme.lower() == "bearer" and _TOKEN.fullmatch(token) else None
 
 
-def find_tokens(path: Path | None, environment: Mapping[str, str] = os.environ) -> Tokens:
+def find_tokens(path: str | None, environment: Mapping[str, str] = os.environ) -> Tokens:
     """The tokens in the file at `path`, else in the credential that systemd hands over, else none.
 
     Raises:
         InputError: the file cannot be read, others may read it, or a token is too short or has other characters.
     """
     if path is not None:
-        return load_tokens(path)
+        return load_tokens(Path(path))
     folder = environment.get("CREDENTIALS_DIRECTORY")
     if folder and (Path(folder) / CREDENTIAL).exists():
         return load_tokens(Path(folder) / CREDENTIAL)

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import msgspec
 from test_web_metrics import STATE, strictly
 from web_daemon import fault
 
@@ -37,7 +36,7 @@ def test_names_every_path() -> None:
 
 
 def test_names_every_setting() -> None:
-    keys = {field.name for field in msgspec.structs.fields(settings._File)}
+    keys = {*settings.Settings.__struct_fields__}
     assert named(PAGE.partition("## What is asked")[0]) == keys
     assert f"`{CREDENTIAL}`" in PAGE
     assert f"of {LEAST} characters or more" in PAGE
