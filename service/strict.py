@@ -79,57 +79,42 @@ def _explained(error: msgspec.ValidationError, kind: type[T]) -> tuple[list[Step
     message, _, where = str(error).partition(" - at `")
     steps = [int(number) if number else key for key, number in re.findall(r"\.([^.[`]+)|\[(\d+)\]", where)]
     if (unknown := re.search(r"unknown field `(.*)`", message, re.DOTALL)) is not None:
-        keys = _field(kind, steps).keys
+        table, _ = _part(kind, steps)
+        keys = [each.name for each in table.fields] if isinstance(table, inspect.StructType) else []
         near = difflib.get_close_matches(unknown[1], keys, n=1)
         hint = f" (did you mean `{near[0]}`?)" if near else ""
         return [*steps, unknown[1]], f"there is no such key{hint}; those are {', '.join(keys)}"
     if (missing := re.search(r"missing required field `(.*)`", message)) is not None:
-        return steps, f"`{missing[1]}` is missing; give {_field(kind, [*steps, missing[1]]).asked}"
-    asked = _field(kind, steps).asked
+        return steps, f"`{missing[1]}` is missing; give {_part(kind, [*steps, missing[1]])[1]}"
+    _, asked = _part(kind, steps)
     message = "this text is not accepted" if asked and "matching regex" in message else message
     return steps, f"{message}; give {asked}" if asked else message
 
 
-class _Field(NamedTuple):
-    """A part of a struct: its type, and what it asks for."""
-
-    type: inspect.Type
-    asked: str = ""
-
-    @property
-    def keys(self) -> list[str]:
-        """Return the keys of a table; none of anything else."""
-        return [each.name for each in self.type.fields] if isinstance(self.type, inspect.StructType) else []
-
-
-def _field(kind: type[T], steps: Sequence[Step]) -> _Field:
-    """Return the part of `kind` that `steps` lead to; an item asks for what its list asks for."""
-    found, table = _Field(inspect.type_info(kind)), ""
+def _part(kind: type[T], steps: Sequence[Step]) -> tuple[inspect.Type, str]:
+    """Return the type that `steps` lead to in `kind`, and what it asks for: an item, what its list asks for."""
+    found, header, asked = inspect.type_info(kind), "", ""
     for step in steps:
-        if isinstance(found.type, inspect.StructType):
-            table = f"{table}.{step}".removeprefix(".")
-            [inner] = (each.type for each in found.type.fields if each.name == step)
-            found = _described(inner, table, "")
-        elif isinstance(found.type, (inspect.ListType, inspect.VarTupleType)):
-            found = _described(found.type.item_type, table, found.asked)
-    return found
+        if isinstance(found, inspect.StructType):
+            header = f"{header}.{step}".removeprefix(".")
+            found, asked = _bare(next(each.type for each in found.fields if each.name == step))
+        elif isinstance(found, (inspect.ListType, inspect.VarTupleType)):
+            found, own = _bare(found.item_type)
+            asked = own or asked
+    if isinstance(found, inspect.ListType) and isinstance(found.item_type, inspect.StructType):
+        asked = f"a table [[{header}]]"
+    elif isinstance(found, inspect.StructType) and not asked:
+        asked = f"the table [{header}]"
+    return found, asked or ("true or false" if isinstance(found, inspect.BoolType) else "")
 
 
-def _described(given: inspect.Type, table: str, asked: str) -> _Field:
-    """Return a type without its description and `None`, with what it asks for: a table by its header."""
-    while isinstance(given, (inspect.Metadata, inspect.UnionType)):
-        if isinstance(given, inspect.Metadata):
-            asked = (given.extra_json_schema or {}).get("description", asked)
-            given = given.type
-        else:
-            given = next(each for each in given.types if not isinstance(each, inspect.NoneType))
-    if isinstance(given, inspect.StructType):
-        asked = asked or f"the table [{table}]"
-    elif isinstance(given, inspect.ListType) and isinstance(given.item_type, inspect.StructType):
-        asked = f"a table [[{table}]]"
-    elif isinstance(given, inspect.BoolType):
-        asked = asked or "true or false"
-    return _Field(given, asked)
+def _bare(given: inspect.Type) -> tuple[inspect.Type, str]:
+    """Return a type without description and `None`, and the description."""
+    if isinstance(given, inspect.UnionType):
+        given = next(each for each in given.types if not isinstance(each, inspect.NoneType))
+    if isinstance(given, inspect.Metadata):
+        return given.type, (given.extra_json_schema or {}).get("description", "")
+    return given, ""
 
 
 def line_of(text: str, steps: Sequence[Step]) -> int:
