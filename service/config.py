@@ -16,7 +16,9 @@ class BusConfig(Part, frozen=True):
     """A bus; its interface need not be there yet."""
 
     name: Name
-    interface: Annotated[str, Meta(description="socketcan:NAME, or udp_multicast:GROUP:PORT")]
+    interface: Annotated[
+        str, Meta(description="socketcan:NAME, can:INTERFACE:CHANNEL[:BITRATE] or udp_multicast:GROUP:PORT")
+    ]
     believe_local: bool = False
 
 

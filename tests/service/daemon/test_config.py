@@ -87,7 +87,11 @@ def test_a_whole_configuration(tmp_path: Path) -> None:
         ('"truck-17"', '"a/+/#"', ":1: source: this text is not accepted; give letters, digits"),
         ('"truck-17"', "17", ":1: source: Expected `str`, got `int`"),
         ('path = "/var', 'path = "var', ":13: bundle[0].path: this text is not accepted; give a whole path"),
-        ('interface = "socketcan:can1"\n', "", ":7: bus[1]: `interface` is missing; give socketcan:NAME, or udp_"),
+        (
+            'interface = "socketcan:can1"\n',
+            "",
+            ":7: bus[1]: `interface` is missing; give socketcan:NAME, can:INTERFACE:CHANNEL",
+        ),
         ("[events]", "[event]", ":16: event: there is no such key (did you mean `events`?); those are bus, "),
         (
             'socket = "/run/faultline/events.sock"',
