@@ -19,7 +19,7 @@ def tree() -> check.Tree:
 @pytest.mark.parametrize(
     ("test", "depends"),
     [
-        ("tests/service/core/test_detectors.py", "service/core/errors.py"),
+        ("tests/service/core/test_detectors.py", "service/core/manifest.py"),
         ("tests/service/daemon/test_remembering.py", "service/core/memory.py"),  # by several imports
         ("tests/analysis/discrepancy/test_gate.py", "tests/analysis/discrepancy/made_study.py"),
         ("tests/analysis/calibration/test_fit.py", "tests/analysis/calibration/made_drive.py"),
