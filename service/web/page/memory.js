@@ -12,6 +12,7 @@ export class Memory {
   constructor(system, ask, canErase, onPick) {
     Object.assign(this, { system, ask, canErase, onPick, last: null, missed: false });
     this.known = new Map(); // by code: what the item was, its element and the charts in it
+    this.erasers = new Map(); // by code: a form that is half filled in outlives what is shown anew around it
     this.asking = this.again = false;
     $("records").replaceChildren();
     $("earlier").onclick = () => this.earlier();
@@ -77,6 +78,7 @@ export class Memory {
     }));
     for (const [code, was] of before) {
       if (this.known.get(code) !== was) was.charts.forEach((chart) => chart.remove());
+      if (!this.known.has(code)) this.erasers.delete(code);
     }
     const elements = [...this.known.values()].map((each) => each.element);
     const shown = elements.length ? elements : [el("p", {}, "No fault is remembered.")];
@@ -167,6 +169,11 @@ export class Memory {
   }
 
   _eraser(path, item) {
+    if (!this.erasers.has(item.code)) this.erasers.set(item.code, this._form(path, item));
+    return this.erasers.get(item.code);
+  }
+
+  _form(path, item) {
     const token = el("input", { type: "password", autocomplete: "off", "aria-label": "token", placeholder: "token", required: true });
     const said = el("output", {});
     const erase = async (event) => {
