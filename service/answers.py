@@ -1,7 +1,6 @@
 """What other processes may ask (docs/control.md): the fault memory, the state, what names mean, live values."""
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable
 
 import msgspec
 import numpy as np
@@ -9,19 +8,39 @@ import numpy as np
 from faultline.service.core.health import Standing
 from faultline.service.core.manifest import MODES
 from faultline.service.core.separating import separations
-from faultline.service.core.signals import Quality
+from faultline.service.core.signals import Quality, Vector
 from faultline.service.distribution import installed_version
-from faultline.service.outputs.control import Asker, Live, Question, RefusedError
+from faultline.service.outputs.control import Asker, Live, Then, refusal
+from faultline.service.protocol.answers import (
+    BusStatus,
+    Erased,
+    FaultDetail,
+    FaultList,
+    FreezeFrames,
+    RecordPage,
+    ServiceState,
+    StoreStatus,
+    SystemStatus,
+)
+from faultline.service.protocol.errors import RefusedError
+from faultline.service.protocol.live import (
+    DisturbanceMeaning,
+    EquationMeaning,
+    FaultMeaning,
+    GeneratorMeaning,
+    LiveTick,
+    Signal,
+    SystemDescription,
+)
+from faultline.service.protocol.questions import Question
 from faultline.service.remembering import Observed, Remembering
 from faultline.service.scribe import now
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal, Page
+from faultline.service.watched import Line
 
-LIVE = "faultline.live/1"
 VERSION = installed_version()
 LARGEST_PAGE = 500
-
-Then = Callable[[Mapping[str, Any]], None]
 
 
 class Answerer:
@@ -36,7 +55,7 @@ class Answerer:
         state: Callable[[], tuple[str, str | None, int, list[Standing]]],
     ) -> None:
         self._remembering, self._journal, self._state = remembering, journal, state
-        self._waiting: list[tuple[int, Mapping[str, Any], Then]] = []  # erased, and not told yet
+        self._waiting: list[tuple[int, Erased, Then]] = []  # erased, and not told yet
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
         """Calls `then` with the answer, now or later; raises `RefusedError`."""
@@ -48,11 +67,11 @@ class Answerer:
             case "clear":
                 self._clear(question.number, asker, then)
             case "state":
-                then(self._standing())
+                then(self._service_state())
             case "records":
                 self._records(question, then)
             case "system":
-                then(_system(self._observed(question.name)))
+                then(_description(self._observed(question.name)))
             case "history":
                 raise RefusedError("unknown", "a service on the vehicle keeps no history; a recording has one")
             case "live":
@@ -71,28 +90,20 @@ class Answerer:
                 then(answer)
             else:
                 message = "erased, but the disk has not taken that: after a restart it may be there again"
-                then({"error": {"code": "not-kept", "message": message}})
+                then(refusal("not-kept", message))
         self._waiting = [each for each in self._waiting if each[0] != record.seq]
 
-    def _faults(self) -> Mapping[str, Any]:
+    def _faults(self) -> FaultList:
         memory = self._remembering.memory
-        return {
-            "faults": [*memory.faults.values()],
-            "overflow": memory.remembered.overflow,
-            "seq": self._state()[2],
-        }
+        return FaultList(faults=[*memory.faults.values()], overflow=memory.remembered.overflow, seq=self._state()[2])
 
-    def _fault(self, number: int | None) -> Mapping[str, Any]:
+    def _fault(self, number: int | None) -> FaultDetail:
         faults = self._remembering.memory.faults
         if number is None:
             raise RefusedError("bad-request", "name the fault by its `number`")
         if number not in faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
-        frames = self._remembering.frames(number)
-        return {
-            "fault": faults[number],
-            "frames": {"first": frames.get("first"), "latest": frames.get("latest")},
-        }
+        return FaultDetail(fault=faults[number], frames=FreezeFrames(**self._remembering.frames(number)))
 
     def _clear(self, number: int | None, asker: Asker, then: Then) -> None:
         if not asker.may_clear:
@@ -102,47 +113,37 @@ class Answerer:
         cleared = self._remembering.clear(number, asker.user)
         if cleared is None:
             raise RefusedError("not-kept", "the fault memory failed, and nothing was erased: see the service's log")
-        self._waiting.append((cleared.seq, {"cleared": cleared.numbers, "id": cleared.id}, then))
+        self._waiting.append((cleared.seq, Erased(cleared=cleared.numbers, id=cleared.id), then))
 
-    def _standing(self) -> Mapping[str, Any]:
+    def _service_state(self) -> ServiceState:
         source, since, seq, conditions = self._state()
-        journal, observed = self._journal, self._remembering.observed.values()
-        return {
-            "source": source,
-            "version": VERSION,
-            "since": since,
-            "wall": now(),
-            "is_recording": self.is_recording,
-            "cycle": self._remembering.cycle,
-            "seq": seq,
-            "conditions": conditions,
-            "store": {
-                "path": None if journal.path is None else str(journal.path),
-                "kept": journal.kept_up_to,
-                "failing": any(each.kind == "store-failed" for each in journal.conditions),
-            },
-            "buses": [
-                {
-                    "name": line.name,
-                    "interface": line.interface,
-                    "frames": line.bus.counts.frames,
-                    "dropped": line.bus.dropped,
-                    "errors": line.bus.counts.errors,
-                    "trouble": line.bus.trouble,
-                }
-                for line in self._remembering.lines
-            ],
-            "systems": [_standing_of(each) for each in observed],
-        }
+        journal = self._journal
+        return ServiceState(
+            source=source,
+            version=VERSION,
+            since=since,
+            wall=now(),
+            is_recording=self.is_recording,
+            cycle=self._remembering.cycle,
+            seq=seq,
+            conditions=conditions,
+            store=StoreStatus(
+                path=None if journal.path is None else str(journal.path),
+                kept=journal.kept_up_to,
+                failing=any(each.kind == "store-failed" for each in journal.conditions),
+            ),
+            buses=[_bus_status(line) for line in self._remembering.lines],
+            systems=[_system_status(each) for each in self._remembering.observed.values()],
+        )
 
     def _records(self, question: Question, then: Then) -> None:
         page = page_of(question)
 
         def found(records: list[Record] | None) -> None:
             if records is None:
-                then({"error": {"code": "busy", "message": "there is no store, or it cannot be read now"}})
+                then(refusal("busy", "there is no store, or it cannot be read now"))
             else:
-                then({"records": [msgspec.Raw(record.line.rstrip()) for record in records]})
+                then(page_with(records))
 
         self._journal.read(page, found)
 
@@ -168,79 +169,90 @@ def page_of(question: Question) -> Page:
     return Page(most, question.after, question.before)
 
 
-def _standing_of(here: Observed) -> Mapping[str, Any]:
+def page_with(records: Iterable[Record]) -> RecordPage:
+    """The answer with these records."""
+    return RecordPage(records=[msgspec.Raw(record.line.rstrip()) for record in records])
+
+
+def _bus_status(line: Line) -> BusStatus:
+    counts = line.bus.counts
+    return BusStatus(
+        name=line.name,
+        interface=line.interface,
+        frames=counts.frames,
+        dropped=line.bus.dropped,
+        errors=counts.errors,
+        trouble=line.bus.trouble,
+    )
+
+
+def _system_status(here: Observed) -> SystemStatus:
     latest = here.recorder.latest
-    return {
-        "name": here.name,
-        "bundle": here.bundle.id,
-        "bus": here.line.name,
-        "tick": latest.tick if latest else None,
-        "alarm": latest.alarm if latest else [],
-        "cannot_tell": latest.cannot_tell
-        if latest
-        else [generator.test for generator in here.bundle.manifest.generators],
-        "suspected": latest.suspicious if latest else False,
-        "diagnoses": latest.diagnoses if latest else [],
-    }
+    named = SystemStatus(
+        name=here.name,
+        bundle=here.bundle.id,
+        bus=here.line.name,
+        cannot_tell=[generator.test for generator in here.bundle.manifest.generators],
+    )
+    if latest is None:
+        return named
+    return msgspec.structs.replace(
+        named,
+        tick=latest.tick,
+        alarm=latest.alarm,
+        cannot_tell=latest.cannot_tell,
+        suspected=latest.suspected,
+        anomaly=latest.suspicious,
+        diagnoses=latest.diagnoses,
+    )
 
 
-def _system(here: Observed) -> Mapping[str, Any]:
+def _description(here: Observed) -> SystemDescription:
     """What the names of a bundle mean, for who shows live values."""
     manifest = here.bundle.manifest
-    return {
-        "name": here.name,
-        "bundle": here.bundle.id,
-        "version": manifest.version,
-        "sensor_set": manifest.sensor_set,
-        "period_s": manifest.period_s,
-        "modes": MODES,
-        "inputs": [
-            {"signal": each.signal, "unit": each.unit, "lower": each.lower, "upper": each.upper}
-            for each in manifest.inputs
-        ],
-        "generators": [
-            {
-                "name": each.name,
-                "test": each.test,
-                "predicts": each.predicts,
-                "inputs": each.inputs,
-                "faults": each.faults,
-            }
-            for each in manifest.generators
-        ],
-        "detectors": manifest.detectors,
-        "faults": manifest.faults,
-        "disturbances": manifest.disturbances,
-        "equations": manifest.equations,
-    }
+    return SystemDescription(
+        name=here.name,
+        bundle=here.bundle.id,
+        version=manifest.version,
+        sensor_set=manifest.sensor_set,
+        period_s=manifest.period_s,
+        modes=[*MODES],
+        inputs=msgspec.convert(manifest.inputs, list[Signal], from_attributes=True),
+        generators=msgspec.convert(manifest.generators, list[GeneratorMeaning], from_attributes=True),
+        detectors=msgspec.to_builtins(manifest.detectors),
+        faults=msgspec.convert(manifest.faults, list[FaultMeaning], from_attributes=True),
+        disturbances=msgspec.convert(manifest.disturbances, list[DisturbanceMeaning], from_attributes=True),
+        equations=msgspec.convert(manifest.equations, list[EquationMeaning], from_attributes=True),
+    )
 
 
 def _live(here: Observed, sent: int) -> tuple[int, bytes] | None:
     latest = here.recorder.latest
     if latest is None or latest.tick == sent:
         return None
-    line = {
-        "schema": LIVE,
-        "system": here.name,
-        "bundle": here.bundle.id,
-        "tick": latest.tick,
-        "t_s": round(latest.tick * here.bundle.manifest.period_s, 3),
-        "mode": MODES[latest.mode],
-        "z": _numbers(latest.z),
-        "quality": [Quality(each).name.lower() for each in latest.quality],
-        "y_hat": _numbers(latest.y_hat),
-        "r": _numbers(latest.r),
-        "sigma": _numbers(latest.sigma),
-        "sums": _numbers(latest.sums),
-        "usable": latest.usable.tolist(),
-        "alarm": latest.alarm,
-        "cannot_tell": latest.cannot_tell,
-        "suspected": latest.suspicious,
-        "diagnoses": latest.diagnoses,
-        "separating": separations(here.bundle.manifest.generators, latest.diagnoses, latest.cannot_tell),
-    }
-    return latest.tick, msgspec.json.encode(line) + b"\n"
+    manifest = here.bundle.manifest
+    tick = LiveTick(
+        system=here.name,
+        bundle=here.bundle.id,
+        tick=latest.tick,
+        t_s=round(latest.tick * manifest.period_s, 3),
+        mode=MODES[latest.mode],
+        z=_numbers(latest.z),
+        quality=[Quality(each).name.lower() for each in latest.quality],
+        y_hat=_numbers(latest.y_hat),
+        r=_numbers(latest.r),
+        sigma=_numbers(latest.sigma),
+        sums=_numbers(latest.sums),
+        usable=latest.usable.tolist(),
+        alarm=latest.alarm,
+        cannot_tell=latest.cannot_tell,
+        suspected=latest.suspected,
+        anomaly=latest.suspicious,
+        diagnoses=latest.diagnoses,
+        separating=separations(manifest.generators, latest.diagnoses, latest.cannot_tell),
+    )
+    return latest.tick, msgspec.json.encode(tick) + b"\n"
 
 
-def _numbers(values: Any) -> list[float | None]:
+def _numbers(values: Vector) -> list[float | None]:
     return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

@@ -9,11 +9,12 @@ from typing import Any
 import msgspec
 
 from faultline.options import Parser
-from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Fault
 from faultline.service.core.frame import Frame
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.errors import ProtocolError
 
 EXAMPLE = """examples:
   faultline faults list
@@ -42,15 +43,15 @@ def main(argv: list[str]) -> int:
     which.add_argument("number", type=int, nargs="?", help="of the fault, as `list` says")
     which.add_argument("--all", action="store_true", help="all of them")
     options = parser.parse_args(argv)
-    with Control(options.control) as control:
+    with ControlClient(options.control) as control:
         try:
             return COMMANDS[options.command](control, options)
         except msgspec.ValidationError as error:
             raise InputError(f"{options.control}: answers as another version of faultline: {error}") from error
 
 
-def _list(control: Control, options: argparse.Namespace) -> int:
-    answer = control.ask("faults")
+def _list(control: ControlClient, options: argparse.Namespace) -> int:
+    answer = control.ask_json("faults")
     faults = msgspec.convert(answer["faults"], list[Fault])
     if options.json:
         _print(answer)
@@ -64,8 +65,8 @@ def _list(control: Control, options: argparse.Namespace) -> int:
     return 1 if any(fault.status.test_failed for fault in faults) else 0
 
 
-def _show(control: Control, options: argparse.Namespace) -> int:
-    answer = control.ask("fault", number=options.number)
+def _show(control: ControlClient, options: argparse.Namespace) -> int:
+    answer = control.ask_json("fault", number=options.number)
     if options.json:
         _print(answer)
         return 0
@@ -78,16 +79,16 @@ def _show(control: Control, options: argparse.Namespace) -> int:
     return 0
 
 
-def _export(control: Control, _options: argparse.Namespace) -> int:
+def _export(control: ControlClient, _options: argparse.Namespace) -> int:
     """One JSON document: the state, the faults with their freeze frames, and all that was told and is still there."""
-    answer = control.ask("faults")
-    faults = [control.ask("fault", number=fault["number"]) for fault in answer["faults"]]
+    answer = control.ask_json("faults")
+    faults = [control.ask_json("fault", number=fault["number"]) for fault in answer["faults"]]
     records: list[Any] = []
     after = 0
     while True:
         try:
-            page = control.ask("records", after=after, count=PAGE)["records"]
-        except ControlError as error:
+            page = control.ask_json("records", after=after, count=PAGE)["records"]
+        except ProtocolError as error:
             if error.code != "busy":
                 raise
             print(f"faultline faults: {error}; exported without what was told", file=sys.stderr)
@@ -98,7 +99,7 @@ def _export(control: Control, _options: argparse.Namespace) -> int:
     _print(
         {
             "schema": "faultline.export/1",
-            "state": control.ask("state"),
+            "state": control.ask_json("state"),
             "overflow": answer["overflow"],
             "faults": faults,
             "records": records,
@@ -107,10 +108,10 @@ def _export(control: Control, _options: argparse.Namespace) -> int:
     return 0
 
 
-def _clear(control: Control, options: argparse.Namespace) -> int:
+def _clear(control: ControlClient, options: argparse.Namespace) -> int:
     try:
-        answer = control.ask("clear", number=options.number)
-    except ControlError as error:
+        answer = control.ask_json("clear", number=options.number)
+    except ProtocolError as error:
         if error.code != "not-kept":
             raise
         print(f"faultline faults: {error}", file=sys.stderr)

@@ -20,7 +20,7 @@ from faultline.service.answers import Answerer
 from faultline.service.clocks import Clocks
 from faultline.service.config import MemoryConfig
 from faultline.service.core.health import (
-    MEANINGS,
+    KINDS,
     OF_FRAMES,
     SCHEMA,
     Condition,
@@ -29,6 +29,7 @@ from faultline.service.core.health import (
     Standing,
     decode_health,
     encode_health,
+    meaning,
 )
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.outputs.journald import Journald
@@ -278,8 +279,8 @@ def _stood(told: Record | None) -> dict[Condition, str | None]:
         standing = decode_health(told.line).conditions if told is not None else []
     except (msgspec.MsgspecError, ValueError):
         return {}
-    return {Condition(one.kind, one.of): one.since for one in standing}
+    return {Condition(KINDS[one.kind], one.of): one.since for one in standing if one.kind in KINDS}
 
 
 def _said(condition: Condition) -> str:
-    return f"{condition.of} {MEANINGS[condition.kind]}"
+    return f"{condition.of} {meaning(condition.kind)}"

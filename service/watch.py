@@ -1,10 +1,8 @@
 """Show a running service: a live screen on a terminal, else its events as they come, a line each."""
 
 import argparse
-import socket
 import sys
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -14,9 +12,10 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.events import Diagnosis, Event, decode, schema_of
 from faultline.service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
 from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.health import MEANINGS, Health, decode_health
 from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.health import Health, decode_health, meaning
 from faultline.service.core.manifest import Equation, Fault, Manifest
+from faultline.service.protocol.client import subscribe
 
 EXAMPLE = """The screen needs the control socket: --control, or control.sock beside the socket of
 events. Keys: q ends, Tab shows the next system. Events are printed on a terminal too
@@ -28,8 +27,6 @@ examples:
 """
 CONTROL = "control.sock"
 """Of the control socket, where it is beside the other."""
-
-RETRY_S = 0.05
 
 WORDS = {
     "started": "started",
@@ -114,42 +111,7 @@ def _show(
         parts = (part.strip() for part in _described(line, events, faults, equations).splitlines())
         return "; ".join(parts).replace(":;", ":")
 
-    return show(Hearing(control, system, lambda after: subscribe(events, after, 0.0), described))
-
-
-def subscribe(path: Path, after: int | str | None, wait_s: float) -> Iterator[bytes]:
-    """The whole lines that the service at `path` sends, until it ends; `after` a number or an id.
-
-    Raises:
-        InputError: nobody serves there within `wait_s` [s].
-    """
-    with _connect(path, wait_s) as sock:
-        request = {} if after is None else {"after": after}
-        try:
-            sock.sendall(msgspec.json.encode(request) + b"\n")
-            with sock.makefile("rb") as lines:
-                # Where the service ends in mid-line, that line is no event.
-                yield from (line for line in lines if line.endswith(b"\n"))
-        except ConnectionError as error:
-            raise InputError(f"{path}: the service broke off: {error.strerror}") from error
-
-
-def _connect(path: Path, wait_s: float) -> socket.socket:
-    end = time.monotonic() + wait_s
-    while True:
-        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            sock.connect(str(path))
-        except OSError as error:
-            sock.close()
-            absent = isinstance(error, FileNotFoundError | ConnectionRefusedError)
-            if not absent or time.monotonic() >= end:
-                raise InputError(
-                    f"{path}: {error.strerror or error}; is `faultline run --socket {path}` running?"
-                ) from error
-            time.sleep(RETRY_S)
-        else:
-            return sock
+    return show(Hearing(control, system, lambda after: subscribe(events, after), described))
 
 
 def _described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
@@ -205,7 +167,7 @@ def describe_health(health: Health) -> str:
     """What stands, for a person."""
     if not health.conditions:
         return f"{'':9}    all is well with buses and signals"
-    lines = [f"{each.of} {MEANINGS[each.kind]}, since {each.since}" for each in health.conditions]
+    lines = [f"{each.of} {meaning(each.kind)}, since {each.since}" for each in health.conditions]
     return "\n             ".join([f"{'':9}    buses and signals:", *lines])
 
 

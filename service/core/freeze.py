@@ -19,7 +19,8 @@ class Sample(NamedTuple):
     """A tick as it was seen and decided: signals (nz,), what each generator (T,) made of them, and what that comes to.
 
     `sums` are the generators' detectors in parts of their thresholds, with the residual's sign; `showing` are the modes
-    that have shown what is wrong. The rest as in `service.core.events.Event`; `suspicious` whether anything alarms.
+    that have shown what is wrong; `suspicious` is true while anything alarms, confirmed or not. The rest as in
+    `service.core.events.Event`.
     """
 
     tick: int
@@ -34,6 +35,7 @@ class Sample(NamedTuple):
     alarm: list[str]
     cannot_tell: list[str]
     diagnoses: list[Diagnosis]
+    suspected: bool
     suspicious: bool
     showing: list[str]
 
@@ -47,6 +49,7 @@ class Sample(NamedTuple):
             decision.alarm,
             decision.cannot_tell,
             decision.diagnoses,
+            decision.suspected,
             decision.suspicious,
             decision.showing,
         )

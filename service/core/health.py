@@ -5,9 +5,10 @@ messages. What is told is always everything that stands, not what has changed: w
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import msgspec
+from msgspec import Meta
 
 SCHEMA = "faultline.health/1"
 
@@ -38,7 +39,7 @@ Kind = Literal[
     "memory-failed",
 ]
 
-MEANINGS: dict[Kind, str] = {
+MEANINGS: dict[str, str] = {
     "bus-down": "the interface is down",
     "bus-removed": "the interface is not there",
     "bus-off": "the controller has left the bus after too many errors",
@@ -74,7 +75,15 @@ OF_FRAMES: frozenset[Kind] = frozenset(
 )
 """What only frames, or their absence for a while, can show."""
 
-assert set(MEANINGS) == set(get_args(Kind))
+KINDS: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
+
+assert set(MEANINGS) == set(KINDS)
+
+
+def meaning(kind: str) -> str:
+    """Return what a condition is, for a person; its name where this version does not know it."""
+    return MEANINGS.get(kind, kind)
+
 
 RAISED_S = 2.0
 """A condition is told once it has lasted so long."""
@@ -94,11 +103,11 @@ class Condition(msgspec.Struct, frozen=True, order=True):
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """A condition that is told, and since when: wall clock (RFC 3339)."""
+    """A condition that is told."""
 
-    kind: Kind
-    of: str
-    since: str | None
+    kind: Annotated[str, Meta(description="as below; leave no kind out that you do not know")]  # a newer one's, too
+    of: Annotated[str, Meta(description="the bus, message, signal, bundle or file that it is of")]
+    since: Annotated[str | None, Meta(description="the wall clock since when it has been told (RFC 3339)")] = None
 
 
 class Health(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,35 +10,17 @@ import selectors
 import socket
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 import msgspec
 
 from faultline.service.outputs.lines import IDLE_S, Client, LineServer
+from faultline.service.protocol.errors import UNREADABLE, Code, ErrorAnswer, Refusal, RefusedError
+from faultline.service.protocol.questions import Question
 
-Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
 _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
-
-
-class Question(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One line that a client sends."""
-
-    ask: Literal["faults", "fault", "clear", "state", "records", "system", "live", "history"]
-    number: int | None = None
-    name: str | None = None
-    after: int | None = None
-    before: int | None = None
-    count: int | None = None
-
-
-class RefusedError(Exception):
-    """A question that is not answered: why, for a program and for a person."""
-
-    def __init__(self, code: Code, message: str) -> None:
-        super().__init__(message)
-        self.code = code
 
 
 class Asker(NamedTuple):
@@ -48,6 +30,8 @@ class Asker(NamedTuple):
     may_clear: bool
 
 
+Then = Callable[[msgspec.Struct], None]
+"""Takes the answer to a question."""
 Live = Callable[[int], tuple[int, bytes] | None]
 """The newest tick, by its number, as a line; None where it is the one of the number given."""
 
@@ -55,7 +39,7 @@ Live = Callable[[int], tuple[int, bytes] | None]
 class Answers(Protocol):
     """Who knows the answers."""
 
-    def answer(self, question: Question, asker: Asker, then: Callable[[Mapping[str, Any]], None]) -> None:
+    def answer(self, question: Question, asker: Asker, then: Then) -> None:
         """Calls `then` with the answer, now or from the loop later on; raises `RefusedError`."""
 
     def live(self, name: str | None) -> Live:
@@ -126,7 +110,7 @@ class ControlSocket(LineServer):
         try:
             self._answer(connection, _question(line))
         except RefusedError as refused:
-            self._say(connection, {"error": {"code": refused.code, "message": str(refused)}})
+            self._say(connection, refusal(refused.code, refused.message))
 
     def _answer(self, client: _Connection, question: Question) -> None:
         if self.answers is None:
@@ -138,7 +122,7 @@ class ControlSocket(LineServer):
         client.is_waiting = True
         self.answers.answer(question, _asker(client.uid, self._clear), lambda answer: self._say(client, answer))
 
-    def _say(self, client: _Connection, answer: Mapping[str, Any]) -> None:
+    def _say(self, client: _Connection, answer: msgspec.Struct) -> None:
         if client not in self._clients:
             return
         client.is_waiting = False
@@ -155,15 +139,20 @@ class ControlSocket(LineServer):
 
     def _refuse(self, client: Client, reason: str) -> None:
         code: Code = "busy" if reason == "too many clients" else "bad-request"
-        client.rest += msgspec.json.encode({"error": {"code": code, "message": reason}}) + b"\n"
+        client.rest += msgspec.json.encode(refusal(code, reason)) + b"\n"
         self._send(client)
         self._drop(client)
+
+
+def refusal(code: str, message: str) -> ErrorAnswer:
+    """What is answered instead."""
+    return ErrorAnswer(error=Refusal(code=code, message=message))
 
 
 def _question(line: bytes) -> Question:
     try:
         return msgspec.json.decode(line, type=Question)
-    except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
+    except UNREADABLE as error:
         raise RefusedError("bad-request", str(error)) from error
 
 

@@ -15,6 +15,7 @@ from typing import cast
 import msgspec
 
 from faultline.service.outputs.lines import Client, LineServer
+from faultline.service.protocol.records import Subscription
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Page
 
@@ -23,12 +24,6 @@ PAGE = 128  # events of one look
 
 
 Read = Callable[[Page, Callable[[list[Record] | None], None]], None]
-
-
-class _Request(msgspec.Struct, forbid_unknown_fields=True):
-    """A client's one line: `{}` for events from now on, `{"after": seq}` or `{"after": id}` for all later than that."""
-
-    after: int | str | None = None
 
 
 class _Subscriber(Client):
@@ -88,7 +83,7 @@ class EventSocket(LineServer):
             self._refuse(client, "one line is all that is asked")
             return
         try:
-            request = msgspec.json.decode(line, type=_Request)
+            request = msgspec.json.decode(line, type=Subscription)
         except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
             self._refuse(client, str(error))
             return

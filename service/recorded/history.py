@@ -1,36 +1,22 @@
 """All ticks of a drive as columns, and any part of them with no more points than a picture has room for."""
 
 from array import array
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
-from faultline.service.core.events import Diagnosis
 from faultline.service.core.freeze import Sample
 from faultline.service.core.manifest import MODES, Manifest
 from faultline.service.core.separating import separations
 from faultline.service.core.signals import Quality
+from faultline.service.protocol.live import Column, History, Stand
 
 Columns = npt.NDArray[np.float32]
 
 
-class Stand(NamedTuple):
-    """What stands from a tick on, until the next one."""
-
-    tick: int
-    alarm: list[str]
-    cannot_tell: list[str]
-    suspected: bool
-    diagnoses: list[Diagnosis]
-
-    def is_like(self, other: "Stand") -> bool:
-        """Whether nothing differs but the tick."""
-        return self[1:] == other[1:]
-
-
-class History:
+class Ticks:
     """Grows by a tick at a time; some 300 bytes each with ten tests."""
 
     def __init__(self, manifest: Manifest) -> None:
@@ -46,8 +32,15 @@ class History:
         parts = (sample.z, sample.quality, sample.y_hat, sample.r, sample.sigma, sample.sums, sample.usable)
         row = np.concatenate([[sample.mode], *parts]).astype(np.float32)
         self._values.frombytes(row.tobytes())
-        stand = Stand(sample.tick, sample.alarm, sample.cannot_tell, sample.suspicious, sample.diagnoses)
-        if not self._stands or not stand.is_like(self._stands[-1]):
+        stand = Stand(
+            tick=sample.tick,
+            alarm=sample.alarm,
+            cannot_tell=sample.cannot_tell,
+            suspected=sample.suspected,
+            anomaly=sample.suspicious,
+            diagnoses=sample.diagnoses,
+        )
+        if not self._stands or stand != replace(self._stands[-1], tick=sample.tick):
             self._stands.append(stand)
 
     @property
@@ -55,7 +48,7 @@ class History:
         """The last tick; None before the first."""
         return self._ticks[-1] if self._ticks else None
 
-    def part(self, after: int, before: int, most: int) -> Mapping[str, Any]:
+    def part(self, name: str | None, after: int, before: int, most: int) -> History:
         """The ticks between both: each, or where that were more than `most`, of so many in a row one.
 
         Of those the one with the largest sum of any test stands for them, so that no alarm is lost to a picture.
@@ -71,22 +64,23 @@ class History:
         good, can_tell = quality == Quality.GOOD, usable > 0
         signals = [each.signal for each in self._manifest.inputs]
         generators = [each.name for each in self._manifest.generators]
-        return {
-            "every": every,
-            "latest": self.latest,
-            "tick": ticks.tolist(),
-            "t_s": np.round(ticks * self._manifest.period_s, 3).tolist(),
-            "mode": [MODES[int(each)] for each in mode[:, 0]],
-            "z": _named(signals, z, good),
-            "quality": {
+        return History(
+            name=name,
+            every=every,
+            latest=self.latest,
+            tick=ticks.tolist(),
+            t_s=np.round(ticks * self._manifest.period_s, 3).tolist(),
+            mode=[MODES[int(each)] for each in mode[:, 0]],
+            z=_named(signals, z, good),
+            quality={
                 name: [Quality(int(each)).name.lower() for each in quality[:, k]] for k, name in enumerate(signals)
             },
-            "y_hat": _named(generators, y_hat, can_tell),
-            "r": _named(generators, r, can_tell),
-            "sigma": _named(generators, sigma, can_tell),
-            "sums": _named(generators, sums, np.isfinite(sums)),
-            "stands": self._standing(ticks),
-        }
+            y_hat=_named(generators, y_hat, can_tell),
+            r=_named(generators, r, can_tell),
+            sigma=_named(generators, sigma, can_tell),
+            sums=_named(generators, sums, np.isfinite(sums)),
+            stands=self._standing(ticks),
+        )
 
     def _standing_for(self, rows: Columns, every: int) -> npt.NDArray[np.intp]:
         """Of each `every` rows the one with the largest sum."""
@@ -100,22 +94,18 @@ class History:
         inputs, tests = len(self._manifest.inputs), len(self._manifest.generators)
         return np.split(rows, np.cumsum([1, inputs, inputs, tests, tests, tests, tests]), axis=1)
 
-    def _standing(self, ticks: npt.NDArray[np.int64]) -> Sequence[Mapping[str, Any]]:
+    def _standing(self, ticks: npt.NDArray[np.int64]) -> list[Stand]:
         """What stood at each of the ticks, once where it is the same: no more of them than ticks."""
         begins = np.array([each.tick for each in self._stands], np.int64)
         chosen = np.unique(np.searchsorted(begins, ticks, "right") - 1)
+        generators = self._manifest.generators
         return [
-            {
-                **stand._asdict(),
-                "separating": separations(self._manifest.generators, stand.diagnoses, stand.cannot_tell),
-            }
+            replace(stand, separating=separations(generators, stand.diagnoses, stand.cannot_tell))
             for stand in (self._stands[k] for k in chosen)
         ]
 
 
-def _named(
-    names: Sequence[str], columns: Columns, there: npt.NDArray[np.bool_]
-) -> Mapping[str, Sequence[float | None]]:
+def _named(names: Sequence[str], columns: Columns, there: npt.NDArray[np.bool_]) -> Column:
     """The columns by name, with six digits; None where a value is not there."""
     return {
         name: [

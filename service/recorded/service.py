@@ -3,22 +3,22 @@
 import os
 import selectors
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
-import msgspec
-
-from faultline.service.answers import Answerer, page_of
+from faultline.service.answers import Answerer, page_of, page_with
 from faultline.service.bundle import Bundle
 from faultline.service.config import MemoryConfig
 from faultline.service.core.events import Event
 from faultline.service.logs import Log
-from faultline.service.outputs.control import Asker, ControlSocket, Question, RefusedError
+from faultline.service.outputs.control import Asker, ControlSocket, Then
 from faultline.service.outputs.socket import EventSocket
+from faultline.service.protocol.errors import RefusedError
+from faultline.service.protocol.live import History
+from faultline.service.protocol.questions import Question
 from faultline.service.recorded.bus import LogBus
-from faultline.service.recorded.history import History
+from faultline.service.recorded.history import Ticks
 from faultline.service.remembering import Remembering
 from faultline.service.scribe import Scribe
 from faultline.service.store.file import Record
@@ -39,7 +39,7 @@ class Recording:
     def __init__(
         self, log: Log, path: Path, bundle: Bundle, say: Callable[[str], None], progress: Callable[[float], None]
     ) -> None:
-        self.history = History(bundle.manifest)
+        self.history = Ticks(bundle.manifest)
         self.records: list[Record] = []
         self._bus = LogBus(log.relative())
         self._line = Line("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
@@ -74,7 +74,7 @@ class _Answers(Answerer):
         super().__init__(remembering, journal, lambda: (source, None, len(recording.records), []))
         self._recording = recording
 
-    def answer(self, question: Question, asker: Asker, then: Callable[[Mapping[str, Any]], None]) -> None:
+    def answer(self, question: Question, asker: Asker, then: Then) -> None:
         """Calls `then` with the answer; raises `RefusedError`."""
         match question.ask:
             case "history":
@@ -84,7 +84,7 @@ class _Answers(Answerer):
             case _:
                 super().answer(question, asker, then)
 
-    def _history(self, question: Question) -> Mapping[str, Any]:
+    def _history(self, question: Question) -> History:
         self._observed(question.name)
         most = SHOWN_TICKS if question.count is None else question.count
         if not 1 <= most <= MOST_TICKS:
@@ -93,9 +93,9 @@ class _Answers(Answerer):
         before = LARGEST if question.before is None else question.before
         if not -1 <= after <= LARGEST or not 0 <= before <= LARGEST:
             raise RefusedError("bad-request", "a tick is a number from 0")
-        return {"name": question.name, **self._recording.history.part(after, before, most)}
+        return self._recording.history.part(question.name, after, before, most)
 
-    def _records(self, question: Question, then: Callable[[Mapping[str, Any]], None]) -> None:
+    def _records(self, question: Question, then: Then) -> None:
         """From memory: there is no store."""
         page = page_of(question)
         records = self._recording.records
@@ -103,7 +103,7 @@ class _Answers(Answerer):
             found = [each for each in records if each.seq > page.after][: page.most]
         else:
             found = [each for each in records if page.before is None or each.seq < page.before][-page.most :]
-        then({"records": [msgspec.Raw(each.line.rstrip()) for each in found]})
+        then(page_with(found))
 
 
 class Serving:

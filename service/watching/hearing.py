@@ -6,13 +6,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
-from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
-from faultline.service.watching.seen import Seen, State, System, Tick
+from faultline.service.protocol.answers import ServiceState
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.protocol.live import SystemDescription
+from faultline.service.protocol.questions import Question
+from faultline.service.protocol.records import RecordError, read
+from faultline.service.watching.seen import Seen
 
 RETRY_S = 0.5
 """Between two tries."""
@@ -23,8 +27,8 @@ STALE_S, STALE_TICKS = 3.0, 10
 EARLIER = 20
 """Records asked for that were told before."""
 HELD = 50
+STATE = Question(ask="state")
 
-T = TypeVar("T")
 Subscribe = Callable[[int | str | None], Iterator[bytes]]
 Describe = Callable[[bytes], str]
 
@@ -91,26 +95,25 @@ class Hearing:
     def _live(self) -> None:
         while True:
             try:
-                with Control(self._control) as control:
+                with ControlClient(self._control) as control:
                     self._hear(control)
-            except ControlError as error:
+            except ProtocolError as error:
                 self._set(connection="away", why=f"{error}; trying again", tick=None)
                 time.sleep(RETRY_S)
 
-    def _hear(self, control: Control) -> None:
+    def _hear(self, control: ControlClient) -> None:
         """Ticks of a system, until another one is wanted."""
-        state = self._read(control.ask("state"), State)
+        state = control.ask(STATE, ServiceState)
         names = [each.name for each in state.systems]
         name = self._name or (names[0] if names else None)
         if name is None:
             self._set(connection="waiting", why="the service watches no system", state=state, system=None, tick=None)
             time.sleep(ASK_S)
             return
-        system = self._read(control.ask("system", name=name), System)
+        system = control.ask(Question(ask="system", name=name), SystemDescription)
         self._set(connection="waiting", why="nothing has come yet", state=state, system=system, tick=None)
-        for line in control.live(name):
-            tick = self._read(line, Tick)
-            if tick.bundle and tick.bundle != system.bundle:  # its names are others
+        for tick in control.live(name):
+            if tick.bundle != system.bundle:  # its names are others
                 return
             with self._lock:
                 self._heard_at = time.monotonic()
@@ -118,16 +121,15 @@ class Hearing:
             self._set(connection="live", why="", tick=tick)
             if is_other:
                 return
-        raise ControlError("away", f"{self._control}: the service has ended")
 
     def _standing(self) -> None:
         while True:
             try:
-                with Control(self._control) as control:
+                with ControlClient(self._control) as control:
                     while True:
-                        self._set(state=self._read(control.ask("state"), State))
+                        self._set(state=control.ask(STATE, ServiceState))
                         time.sleep(ASK_S)
-            except ControlError:  # the other thread says why
+            except ProtocolError:  # the other thread says why
                 time.sleep(RETRY_S)
 
     def _records(self) -> None:
@@ -138,12 +140,12 @@ class Hearing:
                     continue
                 for line in self._subscribe(self._after()):
                     said = self._describe(line)
-                    identifier = msgspec.json.decode(line, type=_Record).id
+                    identifier = read(line).id
                     with self._lock:
                         self._events.append(said)
                         self._last = identifier
                     self._woken()
-            except (InputError, msgspec.MsgspecError) as error:
+            except (InputError, RecordError) as error:
                 said = f"events: {error}"
                 with self._lock:
                     if not self._events or self._events[-1] != said:
@@ -155,13 +157,3 @@ class Hearing:
             if self._last is not None:
                 return self._last
             return max(0, self._seen.state.seq - EARLIER) if self._seen.state else None
-
-    def _read(self, answer: object, kind: type[T]) -> T:
-        try:
-            return msgspec.convert(answer, kind)
-        except (msgspec.ValidationError, ValueError) as error:
-            raise ControlError("garbled", f"{self._control}: an answer is not understood: {error}") from error
-
-
-class _Record(msgspec.Struct):
-    id: str

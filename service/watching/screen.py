@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from faultline.service.core.events import Diagnosis
-from faultline.service.core.health import MEANINGS
+from faultline.service.core.health import meaning
+from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import PLAIN, Line, Look, Piece, Section, fitted, line, rendered
-from faultline.service.watching.seen import Seen, System, Tick, at
+from faultline.service.watching.seen import Seen, at
 from faultline.service.watching.table import NAME, legend, table, widest
 
 PA_PER_BAR = 1e5
@@ -39,7 +40,7 @@ def verdict(seen: Seen) -> Line:
         best = _names(tick.diagnoses[0], seen.system)
         others = len(tick.diagnoses) - 1
         return line(Piece("FAULT ", "bad"), Piece(best, "bold"), f", or {others} more" if others else "", blind)
-    if tick.suspected or tick.alarm:
+    if tick.anomaly or tick.alarm:
         why = f"alarm of {' '.join(tick.alarm)}" if tick.alarm else "unlike the drive so far, no test alarms"
         return line(Piece("suspected ", "warn"), f"and not confirmed: {why}{blind}")
     if tick.cannot_tell:
@@ -63,7 +64,7 @@ def _why(seen: Seen, columns: int) -> list[Line]:
     return [line(Piece(each, "warn")) for each in wrap(seen.why, max(columns, 20))] if seen.tick is None else []
 
 
-def _names(diagnosis: Diagnosis, system: System | None) -> str:
+def _names(diagnosis: Diagnosis, system: SystemDescription | None) -> str:
     """Faults with the components that they name; what is unknown, with where it is."""
     meanings = {} if system is None else {each.name: f" ({each.component})" for each in system.faults}
     if diagnosis.faults:
@@ -73,7 +74,7 @@ def _names(diagnosis: Diagnosis, system: System | None) -> str:
     return f"unknown{f', near {near}' if near else ''}"
 
 
-def _explanations(tick: Tick | None, system: System | None) -> list[Line]:
+def _explanations(tick: LiveTick | None, system: SystemDescription | None) -> list[Line]:
     """Each with its probability, its component and what it is; then what would tell them apart."""
     if tick is None:
         return []
@@ -95,14 +96,13 @@ def _explanations(tick: Tick | None, system: System | None) -> list[Line]:
 def _conditions(seen: Seen) -> list[Line]:
     if seen.state is None or seen.connection == "away":
         return []
-    meanings: dict[str, str] = dict(MEANINGS.items())
     return [
-        line(Piece("! ", "warn"), f"{each.of} {meanings.get(each.kind, each.kind)}, since {each.since or 'before'}")
+        line(Piece("! ", "warn"), f"{each.of} {meaning(each.kind)}, since {each.since or 'before'}")
         for each in seen.state.conditions
     ]
 
 
-def _signals(tick: Tick | None, system: System | None, columns: int) -> list[Line]:
+def _signals(tick: LiveTick | None, system: SystemDescription | None, columns: int) -> list[Line]:
     """Values with unit, what the tests predict, and quality; side by side where there is room."""
     if system is None:
         return []
@@ -129,13 +129,13 @@ def _signals(tick: Tick | None, system: System | None, columns: int) -> list[Lin
     return lines
 
 
-def _word(tick: Tick | None, k: int) -> str:
+def _word(tick: LiveTick | None, k: int) -> str:
     """A signal's quality, loud where it is not good."""
     quality = "no value" if tick is None else at(tick.quality, k) or "?"
     return quality if quality == "good" else quality.upper().replace("_", " ")
 
 
-def _predictions(tick: Tick, system: System, signal: str) -> list[float]:
+def _predictions(tick: LiveTick, system: SystemDescription, signal: str) -> list[float]:
     found = []
     for k, each in enumerate(system.generators):
         y_hat = at(tick.y_hat, k)

@@ -4,8 +4,9 @@ from collections.abc import Collection, Sequence
 from string import ascii_lowercase, digits
 from typing import NamedTuple
 
+from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import ALWAYS, PLAIN, Line, Look, Piece, Section, line, wrapped
-from faultline.service.watching.seen import System, Tick, at
+from faultline.service.watching.seen import at
 
 NARROW, WIDE = 60, 100
 """Columns from which tests have longer words, and longer bars."""
@@ -25,7 +26,7 @@ class _Widths(NamedTuple):
     gap: int
 
     @classmethod
-    def of(cls, system: System, columns: int) -> "_Widths":
+    def of(cls, system: SystemDescription, columns: int) -> "_Widths":
         name = widest([each.test for each in system.generators])
         if columns < NARROW:
             return cls(name, 6, 8, 5, 1)
@@ -37,7 +38,7 @@ class _Widths(NamedTuple):
         return 2 + self.name + 1 + self.says + 1 + self.bar + 1 + 1 + self.number + self.gap
 
 
-def table(tick: Tick | None, system: System | None, columns: int, look: Look) -> Section:
+def table(tick: LiveTick | None, system: SystemDescription | None, columns: int, look: Look) -> Section:
     """A row per test: what it says, its sum in parts of its threshold, and the faults that it is sensitive to."""
     if system is None:
         return Section([])
@@ -68,7 +69,7 @@ def table(tick: Tick | None, system: System | None, columns: int, look: Look) ->
     return Section(lines, 4, worth)
 
 
-def _says(tick: Tick | None, test: str, widths: _Widths) -> tuple[str, str, tuple[str, str]]:
+def _says(tick: LiveTick | None, test: str, widths: _Widths) -> tuple[str, str, tuple[str, str]]:
     """A test's word, its style, and what stands in its row for a fault that it is sensitive to (ASCII, Unicode)."""
     if tick is None:
         return "-", "dim", ("o", "□")
@@ -94,7 +95,7 @@ def bar(value: float | None, width: int, look: Look = PLAIN) -> str:
     return cells[:half] + mark + cells[half:]
 
 
-def _sums(tick: Tick | None, system: System) -> dict[str, float]:
+def _sums(tick: LiveTick | None, system: SystemDescription) -> dict[str, float]:
     """By test, the largest of its generators'."""
     found: dict[str, float] = {}
     for k, each in enumerate(system.generators):
@@ -104,11 +105,11 @@ def _sums(tick: Tick | None, system: System) -> dict[str, float]:
     return found
 
 
-def _candidates(tick: Tick | None) -> frozenset[str]:
+def _candidates(tick: LiveTick | None) -> frozenset[str]:
     return frozenset(name for each in tick.diagnoses for name in each.faults) if tick is not None else frozenset()
 
 
-def _heads(system: System, columns: int) -> list[tuple[str, str]]:
+def _heads(system: SystemDescription, columns: int) -> list[tuple[str, str]]:
     """Of each fault its name and what stands above its column: the name, or a letter that the legend explains."""
     names, room = [each.name for each in system.faults], columns - _Widths.of(system, columns).matrix
     if sum(len(name) + 2 for name in names) <= room:
@@ -131,7 +132,7 @@ def _marked(heads: Sequence[tuple[str, str]], candidates: frozenset[str]) -> lis
     ]
 
 
-def legend(tick: Tick | None, system: System | None, columns: int) -> list[Line]:
+def legend(tick: LiveTick | None, system: SystemDescription | None, columns: int) -> list[Line]:
     """What the letters above the columns stand for, where those are letters; candidates have a star."""
     if system is None or all(name == head.strip() for name, head in _heads(system, columns)):
         return []

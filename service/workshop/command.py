@@ -15,13 +15,16 @@ from typing import NamedTuple
 import msgspec
 
 from faultline.options import Parser
-from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
-from faultline.service.core.health import MEANINGS
+from faultline.service.core.health import meaning
 from faultline.service.pages import NoEngineError, check_engine
-from faultline.service.workshop.answers import Memory, State, System, Tick, read
+from faultline.service.protocol.answers import FaultList, ServiceState
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.protocol.live import LiveTick, SystemDescription
+from faultline.service.protocol.questions import Question
 from faultline.service.workshop.cycle import Cycle, End
-from faultline.service.workshop.hindrance import REMEDIES
+from faultline.service.workshop.hindrance import remedy
 from faultline.service.workshop.listening import Listening
 from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
 from faultline.service.workshop.report import page
@@ -45,9 +48,12 @@ CODES: dict[Kind, int] = {"no-fault": 0, "fault": 1, "cannot-tell": 2}
 class Begun(NamedTuple):
     """What the service said before the test."""
 
-    state: State
-    system: System
-    memory: Memory
+    state: ServiceState
+    system: SystemDescription
+    memory: FaultList
+
+
+STATE, FAULTS = Question(ask="state"), Question(ask="faults")
 
 
 def main(argv: list[str]) -> int:
@@ -112,8 +118,8 @@ def _seconds(text: str) -> float:
 
 
 def _begin(path: Path, name: str | None) -> Begun:
-    with Control(path) as control:
-        state = read(control.ask("state"), State)
+    with ControlClient(path) as control:
+        state = control.ask(STATE, ServiceState)
         if state.is_recording:
             raise InputError(f"{path}: serves a recording; the test needs a service that listens to a vehicle")
         there = [each.name for each in state.systems]
@@ -123,8 +129,8 @@ def _begin(path: Path, name: str | None) -> Begun:
             raise InputError(f"{path}: watches {', '.join(there)}; say which one by --system")
         if name is not None and name not in there:
             raise InputError(f"{path}: watches no system {name!r}; give --system one of {', '.join(there)}")
-        system = read(control.ask("system", name=name or there[0]), System)
-        return Begun(state, system, read(control.ask("faults"), Memory))
+        system = control.ask(Question(ask="system", name=name or there[0]), SystemDescription)
+        return Begun(state, system, control.ask(FAULTS, FaultList))
 
 
 def _report(options: argparse.Namespace, begun: Begun, now: str) -> tuple[Path | None, str]:
@@ -149,7 +155,7 @@ def _said_before(begun: Begun, report: str) -> list[str]:
     remembered = sum(each.system == system.name for each in begun.memory.faults)
     return [
         f"{state.source}: {system.name}, {len(system.tests)} tests, bundle {system.bundle[:12]}",
-        *(f"first: {each.of} {MEANINGS[each.kind]}: {REMEDIES[each.kind]}" for each in state.conditions),
+        *(f"first: {each.of} {meaning(each.kind)}: {remedy(each.kind)}" for each in state.conditions),
         f"remembered faults: {remembered}; report: {report}; Ctrl-C ends the test early",
     ]
 
@@ -166,7 +172,7 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
     listening = Listening(path, cycle.system.name)
     try:
         for came in listening.ticks():
-            if isinstance(came, Tick):
+            if isinstance(came, LiveTick):
                 if not came.fits(cycle.system):
                     return "begun-anew"
                 cycle.take(came)
@@ -187,9 +193,9 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
 def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
     """What is remembered and stands now; what was before the test where the service does not answer any more."""
     try:
-        with Control(path) as control:
-            state, memory = read(control.ask("state"), State), read(control.ask("faults"), Memory)
-    except ControlError:
+        with ControlClient(path) as control:
+            state, memory = control.ask(STATE, ServiceState), control.ask(FAULTS, FaultList)
+    except ProtocolError:
         return Seen(
             begun.memory.faults, begun.state.conditions
         ), "interrupted" if end == "interrupted" else "service-ended"

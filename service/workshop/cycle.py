@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 from faultline.service.core.events import Diagnosis, candidates
 from faultline.service.core.manifest import MODES
 from faultline.service.core.separating import Separation
-from faultline.service.workshop.answers import System, Tick
+from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
 from faultline.service.workshop.progress import NEAR, Progress
 from faultline.service.workshop.trace import Trace
@@ -39,18 +39,18 @@ class Episode(NamedTuple):
 
 
 class Cycle:
-    """Follows one test of `system`. State: progress, coverage, episodes, and since when what is so has been so.
+    """Follows one test of `system`. ServiceState: progress, coverage, episodes, and since when what is so has been so.
 
     `seconds[test][mode]` [s] is how long a test could tell in a mode; `worst[test]` the largest sum of its detectors in
     parts of the threshold, with its sign.
     """
 
-    def __init__(self, system: System, steps: Sequence[Step], patience_s: float) -> None:
+    def __init__(self, system: SystemDescription, steps: Sequence[Step], patience_s: float) -> None:
         self.system, self.patience_s = system, patience_s
         self._steps = tuple(steps)
         self.episodes: list[Episode] = []
         self.suspicions = 0
-        self.latest: Tick | None = None
+        self.latest: LiveTick | None = None
         self.silent_s = 0.0
         self.waited_s = 0.0  # without progress
         self.trace = Trace()
@@ -66,7 +66,7 @@ class Cycle:
         self._quiet_s = 0.0
         self._stood_s = 0.0
 
-    def take(self, tick: Tick) -> None:
+    def take(self, tick: LiveTick) -> None:
         """Takes a live tick. One that is older than the last is of a service that began anew: so does the cycle."""
         before, self.silent_s = self.latest, 0.0
         if before is not None and tick.tick == before.tick:
@@ -103,7 +103,7 @@ class Cycle:
     @property
     def suspected(self) -> bool:
         """Whether something alarms or is unlike this day now, confirmed or not."""
-        return self.latest is not None and (self.latest.suspected or bool(self.latest.alarm))
+        return self.latest is not None and (self.latest.anomaly or bool(self.latest.alarm))
 
     @property
     def settled(self) -> bool:
@@ -119,11 +119,11 @@ class Cycle:
             return "complete"
         return "patience" if self.waited_s >= self.patience_s else None
 
-    def _counts(self, tick: Tick) -> bool:
+    def _counts(self, tick: LiveTick) -> bool:
         """Whether a step comes further: all tests can tell; of a confirmed fault, which may blind some, any can."""
         return any(tick.usable) if tick.diagnoses else all(tick.usable)
 
-    def _cover(self, tick: Tick, span: float) -> None:
+    def _cover(self, tick: LiveTick, span: float) -> None:
         telling = {row.test for row, usable in zip(self.system.generators, tick.usable, strict=True) if usable}
         for test in telling - {*tick.cannot_tell} if tick.mode in REQUIRED else ():
             self.seconds[test][tick.mode] += span
@@ -132,7 +132,7 @@ class Cycle:
                 self.worst[row.test] = value
         self.alarmed |= {*tick.alarm}
 
-    def _note(self, tick: Tick, *, first: bool) -> None:
+    def _note(self, tick: LiveTick, *, first: bool) -> None:
         """Confirmed faults as they come and go."""
         open_now = bool(self.episodes) and self.episodes[-1].until_s is None
         if tick.diagnoses:
@@ -144,9 +144,9 @@ class Cycle:
         elif open_now:
             self.episodes[-1] = self.episodes[-1]._replace(until_s=self._elapsed)
 
-    def _settle(self, tick: Tick, before: Tick | None, gap: float) -> None:
-        is_suspected = tick.suspected or bool(tick.alarm)
-        was_suspected = before is not None and (before.suspected or bool(before.alarm))
+    def _settle(self, tick: LiveTick, before: LiveTick | None, gap: float) -> None:
+        is_suspected = tick.anomaly or bool(tick.alarm)
+        was_suspected = before is not None and (before.anomaly or bool(before.alarm))
         self.suspicions += is_suspected and not was_suspected
         self._quiet_s = 0.0 if is_suspected or tick.diagnoses else self._quiet_s + gap
         same = before is not None and candidates(before.diagnoses) == candidates(tick.diagnoses)

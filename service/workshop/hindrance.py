@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from faultline.service.core.health import Kind
-from faultline.service.workshop.answers import System, Tick
+from faultline.service.core.health import KINDS
+from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.workshop.units import shown
 
 QUALITIES = {
@@ -19,7 +19,7 @@ QUALITIES = {
 }
 """How a quality reads."""
 
-REMEDIES: dict[Kind, str] = {
+REMEDIES: dict[str, str] = {
     "bus-down": "bring the interface up",
     "bus-removed": "plug the interface in again",
     "bus-off": "check wiring, termination and bit rate",
@@ -40,11 +40,19 @@ REMEDIES: dict[Kind, str] = {
     "bundle-refused": "install a bundle that is signed and whole",
     "store-failed": "make room on the disk, or mend it; the test can go on",
     "store-reset": "nothing for this test; what was remembered before is gone",
+    "clients-refused": "close screens and pages that nobody looks at",
     "store-removed": "nothing for this test; keep other programs away from the store",
     "rows-set-aside": "nothing for this test; see the service's log for what was set aside",
     "memory-failed": "see the service's log; the test can go on",
 }
 """What a technician can do about a condition."""
+
+assert set(REMEDIES) == set(KINDS)
+
+
+def remedy(kind: str) -> str:
+    """Return what to do about a condition, one of a newer version too."""
+    return REMEDIES.get(kind, "see the service's log")
 
 
 class Hindrance(NamedTuple):
@@ -61,7 +69,7 @@ class Hindrance(NamedTuple):
         return f"{self.signal} is {self.value}, tests hold from {self.region}"
 
 
-def hindrances(system: System, tick: Tick) -> list[Hindrance]:
+def hindrances(system: SystemDescription, tick: LiveTick) -> list[Hindrance]:
     """Of each signal that cannot be used, or lies outside the operating region."""
     found = []
     for channel, value, quality in zip(system.inputs, tick.z, tick.quality, strict=True):

@@ -5,9 +5,10 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from faultline.service.asking import Control, ControlError
 from faultline.service.core.errors import InputError
-from faultline.service.workshop.answers import Tick, read
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.protocol.live import LiveTick
 
 SILENT_S = 0.5
 """So long nothing has to come until that is said."""
@@ -28,10 +29,10 @@ class Listening:
 
     def __init__(self, path: Path, system: str) -> None:
         self._path, self._system = path, system
-        self._came: queue.SimpleQueue[Tick | Ended] = queue.SimpleQueue()
+        self._came: queue.SimpleQueue[LiveTick | Ended] = queue.SimpleQueue()
         threading.Thread(target=self._listen, name="workshop", daemon=True).start()
 
-    def ticks(self) -> Iterator[Tick | float]:
+    def ticks(self) -> Iterator[LiveTick | float]:
         """Ticks, and between them seconds [s] in which none came; ends where the service does.
 
         Raises:
@@ -65,14 +66,14 @@ class Listening:
     def _hear(self) -> bool:
         """Takes what comes over one connection; whether to try another."""
         try:
-            control = Control(self._path)
-        except ControlError:
+            control = ControlClient(self._path)
+        except ProtocolError:
             return False
         with control:
             try:
-                for line in control.live(self._system):
-                    self._came.put(read(line, Tick))
-            except ControlError as error:
+                for tick in control.live(self._system):
+                    self._came.put(tick)
+            except ProtocolError as error:
                 if error.code == "busy":
                     return False
                 if error.code != "away":

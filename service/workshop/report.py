@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from faultline.service.core.faults import Fault as Remembered
-from faultline.service.core.health import MEANINGS, Standing
+from faultline.service.core.health import Standing, meaning
 from faultline.service.pages import Table, render
+from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop import svg
-from faultline.service.workshop.answers import System
-from faultline.service.workshop.hindrance import REMEDIES
+from faultline.service.workshop.hindrance import remedy
 from faultline.service.workshop.plan import REQUIRED
 from faultline.service.workshop.result import RememberedSeen, Result
 from faultline.service.workshop.trace import Sample
@@ -24,7 +24,7 @@ SAID = {
 }
 
 
-def page(result: Result, system: System, samples: Sequence[Sample]) -> str:
+def page(result: Result, system: SystemDescription, samples: Sequence[Sample]) -> str:
     """Return the report of a result, with pictures of what was seen."""
     verdict = result.verdict
     return render(
@@ -102,7 +102,7 @@ def _coverage(result: Result) -> Table:
     return _words(("test", *REQUIRED), rows)
 
 
-def _tests(result: Result, system: System) -> Table:
+def _tests(result: Result, system: SystemDescription) -> Table:
     means = {fault.name: fault.component for fault in system.faults}
     rows = [
         (
@@ -118,7 +118,7 @@ def _tests(result: Result, system: System) -> Table:
 
 
 def _conditions(conditions: Sequence[Standing]) -> list[str]:
-    return [f"{each.of} {MEANINGS[each.kind]}: {REMEDIES[each.kind]}" for each in conditions]
+    return [f"{each.of} {meaning(each.kind)}: {remedy(each.kind)}" for each in conditions]
 
 
 def _remembered(remembered: Sequence[RememberedSeen]) -> Table:

@@ -6,7 +6,8 @@ import msgspec
 
 from faultline.service.core.faults import Fault as Remembered
 from faultline.service.core.health import Standing
-from faultline.service.workshop.answers import State, System
+from faultline.service.protocol.answers import ServiceState
+from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle, End
 from faultline.service.workshop.plan import REQUIRED
 from faultline.service.workshop.verdict import Seen, Verdict, judge, required_s
@@ -76,7 +77,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 class Frame(msgspec.Struct, frozen=True, kw_only=True):
     """What is known around the cycle: the service before it, what was remembered then, the person's note, the times."""
 
-    state: State
+    state: ServiceState
     before: Sequence[Remembered]
     begun: str
     note: str | None
@@ -123,7 +124,7 @@ def result(cycle: Cycle, frame: Frame, end: End, ended: str, seen: Seen) -> Resu
     )
 
 
-def _test(cycle: Cycle, system: System, test: str) -> TestSeen:
+def _test(cycle: Cycle, system: SystemDescription, test: str) -> TestSeen:
     rows = [row for row in system.generators if row.test == test]
     tick = cycle.latest
     verdict = "cannot tell" if tick is None or test in tick.cannot_tell else "alarm" if test in tick.alarm else "quiet"

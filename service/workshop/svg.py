@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from faultline.service.workshop.answers import System
+from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.trace import Sample
 from faultline.service.workshop.units import scaled, unit_shown
 
@@ -51,7 +51,7 @@ class Picture(NamedTuple):
     right: int = WIDTH - RIGHT
 
 
-def signals(system: System, samples: Sequence[Sample]) -> list[Picture]:
+def signals(system: SystemDescription, samples: Sequence[Sample]) -> list[Picture]:
     """Return a picture of each signal that tests predict: what was measured and predicted."""
     pictures = []
     for column, channel in enumerate(system.inputs):
@@ -68,7 +68,7 @@ def signals(system: System, samples: Sequence[Sample]) -> list[Picture]:
     return pictures
 
 
-def sums(system: System, samples: Sequence[Sample]) -> Picture:
+def sums(system: SystemDescription, samples: Sequence[Sample]) -> Picture:
     """Return a line for each test: its detector's sum in parts of the threshold, which is at the dashed lines."""
     height = ROW * len(system.generators) + 20
     time = _time(samples)

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from faultline.service.workshop.answers import Tick
+from faultline.service.protocol.live import LiveTick
 
 MOST = 1200
 """Samples that are kept: more than a printed page has room for."""
@@ -30,7 +30,7 @@ class Trace:
         self._stride = 1
         self._waiting: list[Sample] = []
 
-    def add(self, t_s: float, tick: Tick) -> None:
+    def add(self, t_s: float, tick: LiveTick) -> None:
         """Takes a tick at `t_s` [s] of the cycle."""
         self._waiting.append(
             Sample(

@@ -7,9 +7,9 @@ import msgspec
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Fault as Remembered
-from faultline.service.core.health import MEANINGS, Standing
+from faultline.service.core.health import Standing, meaning
 from faultline.service.core.separating import Separation
-from faultline.service.workshop.answers import System
+from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle, End, Episode
 from faultline.service.workshop.hindrance import hindrances, instead
 from faultline.service.workshop.plan import QUIET_S, REQUIRED
@@ -72,7 +72,7 @@ def judge(cycle: Cycle, end: End, seen: Seen) -> Verdict:
     return Verdict(kind="no-fault", present=False, reasons=_to_know(cycle), candidates=[], separating=[])
 
 
-def named(system: System, diagnosis: Diagnosis) -> Candidate:
+def named(system: SystemDescription, diagnosis: Diagnosis) -> Candidate:
     """The diagnosis with what its names mean."""
     faults = {each.name: each for each in system.faults}
     disturbed = {each.equation: f": {each.description}?" for each in system.disturbances}
@@ -158,7 +158,7 @@ def _missing(cycle: Cycle, end: End, seen: Seen) -> list[str]:
         if each.system == cycle.system.name and each.status.test_failed
     ]
     if reasons:
-        reasons += [f"{each.of} {MEANINGS[each.kind]}" for each in seen.conditions]
+        reasons += [f"{each.of} {meaning(each.kind)}" for each in seen.conditions]
     return reasons
 
 

@@ -2,7 +2,7 @@
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.separating import Separation
-from faultline.service.workshop.answers import System
+from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.hindrance import hindrances, instead
 from faultline.service.workshop.plan import ORDERS, REQUIRED
@@ -69,7 +69,7 @@ def so_far(cycle: Cycle) -> str:
     return "nothing is suspected"
 
 
-def _short(system: System, diagnosis: Diagnosis) -> str:
+def _short(system: SystemDescription, diagnosis: Diagnosis) -> str:
     candidate = named(system, diagnosis)
     names = " and ".join(each.component or each.name for each in candidate.faults) or "unknown"
     return names if diagnosis.p is None else f"{names} ({diagnosis.p:.0%})"

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from results_page import head_commit, provenance
 
-from faultline.service.asking import Control
+from faultline.service.protocol.client import ControlClient
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "outputs" / "web"))
@@ -123,9 +123,9 @@ def measured(vehicle: Vehicle, seconds: float) -> Round:
     """The daemon for so long [s]."""
     before, begin = cpu_s(vehicle.daemon.pid), time.monotonic()
     came: list[tuple[int, float]] = []
-    with Control(vehicle.control) as control:
+    with ControlClient(vehicle.control) as control:
         for tick in control.live(None):
-            came.append((tick["tick"], time.monotonic()))
+            came.append((tick.tick, time.monotonic()))
             if came[-1][1] - begin >= seconds:
                 break
     used = cpu_s(vehicle.daemon.pid) - before

@@ -33,8 +33,8 @@ export class Drive {
     this.tick.push(tick.tick);
     this.t_s.push(tick.t_s);
     this.mode.push(tick.mode);
-    const { alarm, cannot_tell, suspected, diagnoses, separating } = tick;
-    this.stands.push({ alarm, cannot_tell, suspected, diagnoses, separating });
+    const { alarm, cannot_tell, anomaly, diagnoses, separating } = tick;
+    this.stands.push({ alarm, cannot_tell, anomaly, diagnoses, separating });
     this.signals.forEach((name, k) => {
       this.z[name].push(tick.quality[k] === "good" ? tick.z[k] : null);
       this.quality[name].push(tick.quality[k]);

@@ -78,7 +78,7 @@ export function verdict(system, stand) {
     const best = stand.diagnoses.filter((each) => each.rank === 1).map((each) => candidate(system, each));
     return { kind: "fault", text: `Fault: ${best.join(", or ")}`, more: `${alarms} ${blind}`.trim() };
   }
-  if (stand.alarm.length || stand.suspected) {
+  if (stand.alarm.length || stand.anomaly) {
     const why = alarms || "No test alarms, but this is unlike the drive so far, or unlike any.";
     return { kind: "suspected", text: "Something is suspected, and not confirmed yet", more: `${why} ${blind}`.trim() };
   }

@@ -22,7 +22,7 @@ sys.path.append(str(Path(__file__).parents[2] / "service" / "workshop"))
 from workshop_service import BUNDLE, FILTER, SYSTEM, WHOLE, Service, line, remembered, visits
 
 HOSTILE = '<script>alert("1")</script>&\'\x1b[2J'
-THERE: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "suspected": True}
+THERE: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "anomaly": True}
 
 
 class Strict(HTMLParser):
@@ -116,6 +116,7 @@ def test_conditions_are_said_before_with_a_remedy(tmp_path: Path, capsys: pytest
         "source": "truck-17",
         "version": "0.1.0",
         "wall": "2026-01-01T00:00:00+00:00",
+        "seq": 1,
         "conditions": [{"kind": "bus-down", "of": "can0", "since": None}],
         "systems": [{"name": "uds4", "bundle": BUNDLE}],
     }

@@ -28,6 +28,7 @@ def sample(tick: int, quality: Quality = Quality.GOOD, value: float = 1.0) -> Sa
         alarm=["t02"],
         cannot_tell=[],
         diagnoses=[],
+        suspected=True,
         suspicious=True,
         showing=["idle"],
     )

@@ -16,7 +16,6 @@ import pytest
 
 from faultline.service import faults as command
 from faultline.service.answers import Answerer
-from faultline.service.asking import Control, ControlError
 from faultline.service.bundle import load_bundle
 from faultline.service.bus import Bus
 from faultline.service.bus.base import Counts
@@ -29,6 +28,9 @@ from faultline.service.core.memory import FaultMemory, News, Rules
 from faultline.service.logs import Frame as CanFrame
 from faultline.service.logs import open_log
 from faultline.service.outputs.control import ControlSocket
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.protocol.live import LiveTick
 from faultline.service.remembering import FAILED_S, Remembering
 from faultline.service.scribe import Scribe
 from faultline.service.store.file import Record, StoreFile
@@ -314,8 +316,8 @@ def test_a_fault_that_was_told_before_the_store_opened_enters_it(
 
 def test_erasing_that_fails_is_said(served: "Served", monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FaultMemory, "clear", lambda *_: 1 // 0)
-    with Control(served.path) as control, pytest.raises(ControlError, match="nothing was erased") as refused:
-        control.ask("clear", number=1)
+    with ControlClient(served.path) as control, pytest.raises(ProtocolError, match="nothing was erased") as refused:
+        control.ask_json("clear", number=1)
     assert refused.value.code == "not-kept"
 
 
@@ -394,23 +396,23 @@ def served(driven: Path, tmp_path: Path) -> Iterator[Served]:
 
 
 def test_faults_can_be_asked_for(served: Served) -> None:
-    with Control(served.path) as control:
-        answer = control.ask("faults")
+    with ControlClient(served.path) as control:
+        answer = control.ask_json("faults")
         (fault,) = msgspec.convert(answer["faults"], list[Fault])
         assert (answer["overflow"], fault.number) == (False, 1)
-        detail = control.ask("fault", number=1)
+        detail = control.ask_json("fault", number=1)
         assert msgspec.convert(detail["frames"]["first"], Frame).complete
         assert detail["frames"]["latest"] is None
-        with pytest.raises(ControlError, match="no fault 2 is remembered") as refused:
-            control.ask("fault", number=2)
+        with pytest.raises(ProtocolError, match="no fault 2 is remembered") as refused:
+            control.ask_json("fault", number=2)
         assert refused.value.code == "unknown"
-        with pytest.raises(ControlError, match="name the fault"):
-            control.ask("fault")
+        with pytest.raises(ProtocolError, match="name the fault"):
+            control.ask_json("fault")
 
 
 def test_state_and_meanings_can_be_asked_for(served: Served) -> None:
-    with Control(served.path) as control:
-        state = control.ask("state")
+    with ControlClient(served.path) as control:
+        state = control.ask_json("state")
         assert (state["source"], state["cycle"]) == ("truck", 1)
         assert state["store"]["failing"] is False
         assert state["buses"] == [
@@ -425,36 +427,36 @@ def test_state_and_meanings_can_be_asked_for(served: Served) -> None:
         ]
         (system,) = state["systems"]
         assert (system["name"], system["tick"], len(system["cannot_tell"])) == ("uds4", None, 10)
-        meaning = control.ask("system", name="uds4")
+        meaning = control.ask_json("system", name="uds4")
         assert meaning["inputs"][0]["unit"] == "Pa"
         assert {"name": "t02.ode", "test": "t02"}.items() <= meaning["generators"][0].items()
         assert {each["name"] for each in meaning["faults"]} >= {"fA_t", "fA_du"}
-        with pytest.raises(ControlError, match="there is no system 'brakes'; those are uds4"):
-            control.ask("system", name="brakes")
+        with pytest.raises(ProtocolError, match="there is no system 'brakes'; those are uds4"):
+            control.ask_json("system", name="brakes")
 
 
 def test_what_was_told_can_be_asked_for_in_pages(served: Served) -> None:
-    with Control(served.path) as control:
-        everything = control.ask("records", after=0)["records"]
+    with ControlClient(served.path) as control:
+        everything = control.ask_json("records", after=0)["records"]
         assert [record["seq"] for record in everything] == list(range(1, len(everything) + 1))
-        assert control.ask("records", after=2, count=3)["records"] == everything[2:5]
-        assert control.ask("records", before=6, count=2)["records"] == everything[3:5]
-        assert control.ask("records", count=1)["records"] == everything[-1:]
+        assert control.ask_json("records", after=2, count=3)["records"] == everything[2:5]
+        assert control.ask_json("records", before=6, count=2)["records"] == everything[3:5]
+        assert control.ask_json("records", count=1)["records"] == everything[-1:]
         for wrong in ({"count": 501}, {"count": 0}, {"after": -1}, {"after": 1, "before": 2}, {"before": 2**63}):
-            with pytest.raises(ControlError) as refused:
-                control.ask("records", **wrong)
+            with pytest.raises(ProtocolError) as refused:
+                control.ask_json("records", **wrong)
             assert refused.value.code == "bad-request"
 
 
 def test_erasing_is_answered_once_it_is_on_the_disk(served: Served) -> None:
-    with Control(served.path) as control:
-        answer = control.ask("clear", number=1)
+    with ControlClient(served.path) as control:
+        answer = control.ask_json("clear", number=1)
         assert answer["cleared"] == [1]
-        assert control.ask("faults")["faults"] == []
-        last = control.ask("records", count=1)["records"][0]
+        assert control.ask_json("faults")["faults"] == []
+        last = control.ask_json("records", count=1)["records"][0]
         assert (last["schema"], last["numbers"], last["id"]) == ("faultline.cleared/1", [1], answer["id"])
         assert decode_cleared(json.dumps(last).encode()).by
-        assert control.ask("clear")["cleared"] == []
+        assert control.ask_json("clear")["cleared"] == []
     served.vehicle.journal.finish(5.0)
     kept = StoreFile(cast(Path, served.vehicle.journal.path)).kept
     assert not [name for name in kept if name.startswith(("fault/", "frame/"))]
@@ -465,8 +467,11 @@ def test_erasing_that_the_disk_does_not_take_is_said(served: Served, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(StoreFile, "append", full)
-    with Control(served.path) as control, pytest.raises(ControlError, match="the disk has not taken that") as refused:
-        control.ask("clear", number=1)
+    with (
+        ControlClient(served.path) as control,
+        pytest.raises(ProtocolError, match="the disk has not taken that") as refused,
+    ):
+        control.ask_json("clear", number=1)
     assert refused.value.code == "not-kept"
 
 
@@ -475,8 +480,11 @@ def test_only_who_may_can_erase(served: Served, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(
         "faultline.service.outputs.control._asker", lambda *_: SimpleNamespace(user="mallory", may_clear=False)
     )
-    with Control(served.path) as control, pytest.raises(ControlError, match="mallory may not erase faults") as refused:
-        control.ask("clear", number=1)
+    with (
+        ControlClient(served.path) as control,
+        pytest.raises(ProtocolError, match="mallory may not erase faults") as refused,
+    ):
+        control.ask_json("clear", number=1)
     assert refused.value.code == "not-allowed"
     assert [*served.vehicle.remembering.memory.faults] == [1]
 
@@ -502,9 +510,9 @@ def test_what_makes_no_sense_is_answered_and_the_connection_goes_on(served: Serv
 
 
 def test_live_values_are_the_newest(served: Served) -> None:
-    with Control(served.path) as control:
+    with ControlClient(served.path) as control:
         ticks = control.live("uds4")
-        first: list[dict[str, Any]] = []
+        first: list[LiveTick] = []
         listener = threading.Thread(target=lambda: first.extend(next(ticks) for _ in range(2)))
         listener.start()
         served.vehicle.hear(until_s=20.0)
@@ -512,9 +520,9 @@ def test_live_values_are_the_newest(served: Served) -> None:
             served.vehicle.hear(until_s=0.0)
             listener.join(0.05)
             served.vehicle.remembering.take(served.vehicle.watched, list(served.vehicle.watched.hear(_later(20.0))))
-    assert first[1]["tick"] > first[0]["tick"]
-    assert len(first[0]["z"]) == len(first[0]["quality"]) == 5
-    assert len(first[0]["r"]) == len(first[0]["sums"]) == 10
+    assert first[1].tick > first[0].tick
+    assert len(first[0].z) == len(first[0].quality) == 5
+    assert len(first[0].r) == len(first[0].sums) == 10
 
 
 _CLOCK = [0.0]
@@ -598,8 +606,8 @@ def test_a_service_that_breaks_off_is_said(tmp_path: Path) -> None:
         for answer, said in ((b'{"fau', "it broke off"), (b"hello\n", "sent no answer")):
             thread = threading.Thread(target=serve(answer))
             thread.start()
-            with Control(tmp_path / "c") as control, pytest.raises(InputError, match=said):
-                control.ask("faults")
+            with ControlClient(tmp_path / "c") as control, pytest.raises(InputError, match=said):
+                control.ask_json("faults")
             thread.join()
 
 
@@ -618,8 +626,8 @@ def test_who_asks_and_does_not_read_is_sent_away(served: Served) -> None:
         sock.connect(str(served.path))
         with pytest.raises(OSError, match=r"Broken pipe|reset"):
             sock.sendall(b'{"ask":"fault","number":1}\n' * 1_000_000)
-    with Control(served.path) as control:
-        assert control.ask("faults")["faults"]
+    with ControlClient(served.path) as control:
+        assert control.ask_json("faults")["faults"]
 
 
 def test_bundles_of_one_name_on_one_bus_are_told_apart() -> None:

@@ -2,23 +2,24 @@
 
 import selectors
 import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
 
 from faultline.service.outputs import control, lines
-from faultline.service.outputs.control import Asker, ControlSocket, Live, Question
+from faultline.service.outputs.control import Asker, ControlSocket, Live, Then
+from faultline.service.protocol.answers import Erased
+from faultline.service.protocol.questions import Question
 
 
 class Answers:
     """Answers at once, but to `records` never."""
 
-    def answer(self, question: Question, asker: Asker, then: Callable[[Mapping[str, Any]], None]) -> None:
+    def answer(self, question: Question, asker: Asker, then: Then) -> None:
         if question.ask != "records":
-            then({"user": asker.user})
+            then(Erased(cleared=[], id=asker.user))
 
     def live(self, name: str | None) -> Live:
         del name

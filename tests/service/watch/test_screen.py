@@ -7,9 +7,11 @@ import msgspec
 import pytest
 from watched_service import FAULTY, STATE, SYSTEM, TICK
 
+from faultline.service.protocol.answers import ServiceState
+from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import Look
 from faultline.service.watching.screen import screen
-from faultline.service.watching.seen import Seen, State, System, Tick
+from faultline.service.watching.seen import Seen
 from faultline.service.watching.table import bar
 
 SIZES = [(80, 24), (40, 20), (200, 60), (20, 5), (1, 1)]
@@ -18,9 +20,9 @@ SIZES = [(80, 24), (40, 20), (200, 60), (20, 5), (1, 1)]
 def seen(tick: dict[str, Any] | None = None, **fields: Any) -> Seen:
     known: dict[str, Any] = {
         "connection": "live",
-        "state": msgspec.convert(STATE, State),
-        "system": msgspec.convert(SYSTEM, System),
-        "tick": None if tick is None else msgspec.convert(tick, Tick),
+        "state": msgspec.convert(STATE, ServiceState),
+        "system": msgspec.convert(SYSTEM, SystemDescription),
+        "tick": None if tick is None else msgspec.convert(tick, LiveTick),
         "events": ("210.0 s  FAULT; 1. fA_du",),
     }
     return Seen(**{**known, **fields})
@@ -72,8 +74,8 @@ def test_a_fault_is_told_with_what_is_known_of_it() -> None:
 def test_verdicts_never_look_alike() -> None:
     quiet = text(seen(TICK)).splitlines()[1]
     blind = text(seen(TICK | {"cannot_tell": ["t02"]})).splitlines()[1]
-    suspected = text(seen(TICK | {"suspected": True})).splitlines()[1]
-    alarmed = text(seen(TICK | {"suspected": True, "alarm": ["t02"]})).splitlines()[1]
+    suspected = text(seen(TICK | {"anomaly": True})).splitlines()[1]
+    alarmed = text(seen(TICK | {"anomaly": True, "alarm": ["t02"]})).splitlines()[1]
     nothing = text(seen(None, connection="waiting", why="nothing has come yet")).splitlines()[1]
     assert quiet == "no fault: every test is quiet"
     assert blind == "cannot tell: no alarm, but t02 cannot tell"
@@ -123,6 +125,7 @@ def test_nothing_that_is_told_moves_the_cursor(hostile: str, columns: int, rows:
     """Every text that comes from elsewhere."""
     system = {
         "name": hostile,
+        "bundle": hostile,
         "period_s": 0.2,
         "inputs": [{"signal": hostile, "unit": hostile}],
         "generators": [{"test": hostile, "predicts": hostile, "faults": [hostile]}],
@@ -136,8 +139,8 @@ def test_nothing_that_is_told_moves_the_cursor(hostile: str, columns: int, rows:
     tick["diagnoses"] = [{"faults": [hostile], "rank": 1, "p": 0.5}, unknown]
     tick["separating"] = [{"between": [[hostile], [hostile]], "telling": [hostile], "waiting": [hostile]}]
     given: dict[str, Any] = {
-        "state": msgspec.convert(state, State),
-        "system": msgspec.convert(system, System),
+        "state": msgspec.convert(state, ServiceState),
+        "system": msgspec.convert(system, SystemDescription),
         "events": (hostile,),
     }
     for shown in (seen(tick, **given), seen(None, connection="away", why=hostile, **given)):
@@ -161,8 +164,8 @@ def test_colours_are_only_where_there_may_be_any() -> None:
 def test_many_tests_are_cut_and_those_that_alarm_stay() -> None:
     names = [f"t{k:02d}" for k in range(80)]
     generators = [{"test": name, "predicts": "y_p_du", "faults": ["fA_du"]} for name in names]
-    tick = TICK | {"sums": [0.0] * 80, "alarm": ["t77"], "suspected": True}
-    shown = text(seen(tick, system=msgspec.convert(SYSTEM | {"generators": generators}, System)))
+    tick = TICK | {"sums": [0.0] * 80, "alarm": ["t77"], "anomaly": True}
+    shown = text(seen(tick, system=msgspec.convert(SYSTEM | {"generators": generators}, SystemDescription)))
     assert "▶ t77" in shown
     assert "more" in shown
     assert shown.splitlines()[-1].startswith("event")

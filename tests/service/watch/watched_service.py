@@ -10,6 +10,7 @@ from typing import Any
 
 SYSTEM: dict[str, Any] = {
     "name": "uds4",
+    "bundle": "ab",
     "period_s": 0.2,
     "inputs": [{"signal": "y_p_du", "unit": "Pa"}, {"signal": "dc_dose", "unit": "1"}],
     "generators": [
@@ -24,21 +25,29 @@ SYSTEM: dict[str, Any] = {
 }
 STATE: dict[str, Any] = {
     "source": "truck-17",
+    "version": "0.1.0",
     "seq": 3,
     "systems": [{"name": "uds4"}, {"name": "doors"}],
     "conditions": [{"kind": "frozen", "of": "y_p_ap", "since": "2026-03-01T10:00:00Z"}],
 }
 TICK: dict[str, Any] = {
+    "schema": "faultline.live/2",
+    "system": "uds4",
+    "bundle": "ab",
+    "tick": 62,
     "t_s": 12.4,
     "mode": "partial",
     "z": [9.012e5, 0.35],
     "quality": ["good", "good"],
     "y_hat": [8.98e5, 9.034e5],
+    "r": [0.0, 0.0],
+    "sigma": [1.0, 1.0],
     "usable": [True, True],
     "sums": [0.5, -0.25],
     "alarm": [],
     "cannot_tell": [],
     "suspected": False,
+    "anomaly": False,
     "diagnoses": [],
     "separating": [],
 }
@@ -46,7 +55,7 @@ FAULTY = TICK | {
     "sums": [1.6, -0.25],
     "alarm": ["t02"],
     "cannot_tell": ["t05"],
-    "suspected": True,
+    "anomaly": True,
     "diagnoses": [{"faults": ["fA_du"], "rank": 1, "p": 0.7}, {"faults": ["fy_p_du"], "rank": 2, "p": 0.25}],
     "separating": [{"between": [["fA_du"], ["fy_p_du"]], "telling": [], "waiting": ["t05"]}],
 }

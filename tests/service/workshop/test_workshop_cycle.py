@@ -12,7 +12,7 @@ from workshop_service import FILTER, PUMP, ROUND, UDS, WHOLE, line, remembered, 
 
 from faultline.service.core.faults import Fault
 from faultline.service.core.health import Standing
-from faultline.service.workshop.answers import Tick
+from faultline.service.protocol.live import LiveTick
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.plan import Step, plan
 from faultline.service.workshop.progress import Progress
@@ -24,13 +24,13 @@ NOTHING = Seen([], [])
 PERIOD = 0.2
 UNHURRIED = settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow])
 
-QUIET = [msgspec.convert(each, Tick) for each in visits(WHOLE)]
+QUIET = [msgspec.convert(each, LiveTick) for each in visits(WHOLE)]
 
 
 def followed(lines: Iterable[dict[str, Any]], patience_s: float = 600.0) -> Cycle:
     cycle = Cycle(UDS, plan(), patience_s)
     for each in lines:
-        cycle.take(msgspec.convert(each, Tick))
+        cycle.take(msgspec.convert(each, LiveTick))
         if cycle.ended:
             break
     return cycle
@@ -81,11 +81,11 @@ def test_no_fault_found_needs_every_mode_twice(walk: list[tuple[str, int]]) -> N
 @given(
     st.sampled_from(
         [
-            {"suspected": True},
-            {"suspected": True, "alarm": ["t1"]},
+            {"anomaly": True},
+            {"anomaly": True, "alarm": ["t1"]},
             {"alarm": ["t2"]},
             {"cannot_tell": ["t1"], "usable": [False, True]},
-            {"diagnoses": [FILTER], "suspected": True},
+            {"diagnoses": [FILTER], "anomaly": True},
         ]
     ),
     st.integers(0, 74),
@@ -93,7 +93,7 @@ def test_no_fault_found_needs_every_mode_twice(walk: list[tuple[str, int]]) -> N
 def test_never_no_fault_where_something_stands_at_the_end(fields: dict[str, Any], ticks: int) -> None:
     last = [line(len(QUIET) + k, "idle", **fields) for k in range(ticks + 1)]
     cycle = Cycle(UDS, plan(), 600.0)
-    for each in [*QUIET, *(msgspec.convert(each, Tick) for each in last)]:
+    for each in [*QUIET, *(msgspec.convert(each, LiveTick) for each in last)]:
         cycle.take(each)
     assert judge(cycle, "complete", NOTHING).kind == ("fault" if "diagnoses" in fields else "cannot-tell")
 
@@ -145,7 +145,7 @@ def test_ticks_that_a_slow_reader_missed_count_and_long_gaps_do_not() -> None:
 
 def test_a_fault_with_what_separates_its_candidates() -> None:
     apart = [{"between": [["fA_du"], ["fq"]], "telling": ["t1"], "waiting": []}]
-    there: dict[str, Any] = {"diagnoses": [PUMP, FILTER], "alarm": ["t1"], "suspected": True, "separating": apart}
+    there: dict[str, Any] = {"diagnoses": [PUMP, FILTER], "alarm": ["t1"], "anomaly": True, "separating": apart}
     found = verdict([*visits(ROUND), *visits(ROUND, begin=2000, **there), *visits(["idle"], begin=4000, **there)])
     assert (found.kind, found.present) == ("fault", True)
     first = found.candidates[0].faults[0]
@@ -155,7 +155,7 @@ def test_a_fault_with_what_separates_its_candidates() -> None:
 
 
 def test_a_fault_that_has_gone_is_a_fault() -> None:
-    there: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "suspected": True}
+    there: dict[str, Any] = {"diagnoses": [FILTER], "alarm": ["t1"], "anomaly": True}
     found = verdict([*visits(ROUND, **there), *visits(ROUND, begin=2000)])
     assert (found.kind, found.present) == ("fault", False)
     assert "do the test once more" in said(found), "it stood before the test"
@@ -166,12 +166,12 @@ def test_a_fault_that_has_gone_is_a_fault() -> None:
 
 def test_an_unknown_fault_is_told_with_what_it_is_near() -> None:
     unknown = {"faults": [], "rank": 1, "p": None, "near": ["e01"]}
-    found = verdict(visits(["idle"], diagnoses=[unknown], suspected=True))
+    found = verdict(visits(["idle"], diagnoses=[unknown], anomaly=True))
     assert found.candidates[0].near == ["e01 (pump flow)"]
 
 
 def test_a_suspicion_that_was_dismissed_is_said() -> None:
-    found = verdict([*visits(["idle"], suspected=True), *visits(WHOLE, begin=500)])
+    found = verdict([*visits(["idle"], anomaly=True), *visits(WHOLE, begin=500)])
     assert found.kind == "no-fault"
     assert "suspected once, and dismissed" in said(found)
 
@@ -209,7 +209,7 @@ def test_a_service_that_begins_anew_begins_the_cycle_anew() -> None:
 def test_the_trace_stays_small_and_keeps_the_largest_sums() -> None:
     trace = Trace()
     for k in range(20 * MOST):
-        trace.add(k * PERIOD, msgspec.convert(line(k, sums=[2.0 if k == 777 else 0.1, None]), Tick))
+        trace.add(k * PERIOD, msgspec.convert(line(k, sums=[2.0 if k == 777 else 0.1, None]), LiveTick))
     assert len(trace.samples) <= MOST + 1
     assert max(each.sums[0] or 0.0 for each in trace.samples) == 2.0
 

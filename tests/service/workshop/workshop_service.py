@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from faultline.service.core.faults import Status
-from faultline.service.workshop.answers import System, Tick
+from faultline.service.protocol.live import LiveTick, SystemDescription
 
 BUNDLE = "ab" * 32
 SYSTEM: dict[str, Any] = {
@@ -35,7 +35,7 @@ SYSTEM: dict[str, Any] = {
     "disturbances": [],
     "equations": [{"name": "e01", "description": "pump flow"}],
 }
-UDS = msgspec.convert(SYSTEM, System)
+UDS = msgspec.convert(SYSTEM, SystemDescription)
 FILTER = {"faults": ["fA_du"], "rank": 1, "p": 0.9, "near": []}
 PUMP = {"faults": ["fq"], "rank": 2, "p": 0.1, "near": []}
 
@@ -43,8 +43,9 @@ PUMP = {"faults": ["fq"], "rank": 2, "p": 0.1, "near": []}
 def line(tick: int, mode: str = "idle", **fields: Any) -> dict[str, Any]:
     """A live line: all tests are quiet, unless `fields` say otherwise."""
     quiet: dict[str, Any] = {
-        "schema": "faultline.live/1",
+        "schema": "faultline.live/2",
         "system": "uds4",
+        "bundle": BUNDLE,
         "tick": tick,
         "t_s": round(tick * 0.2, 3),
         "mode": mode,
@@ -58,15 +59,16 @@ def line(tick: int, mode: str = "idle", **fields: Any) -> dict[str, Any]:
         "alarm": [],
         "cannot_tell": [],
         "suspected": False,
+        "anomaly": False,
         "diagnoses": [],
         "separating": [],
     }
     return quiet | fields
 
 
-def tick(number: int, mode: str = "idle", **fields: Any) -> Tick:
+def tick(number: int, mode: str = "idle", **fields: Any) -> LiveTick:
     """The same as the command reads it."""
-    return msgspec.convert(line(number, mode, **fields), Tick)
+    return msgspec.convert(line(number, mode, **fields), LiveTick)
 
 
 def visits(modes: Iterable[str], seconds: float = 61.0, begin: int = 0, **fields: Any) -> Iterator[dict[str, Any]]:
@@ -129,6 +131,7 @@ class Service:
                 "source": "truck-17",
                 "version": "0.1.0",
                 "wall": "2026-01-01T00:00:00+00:00",
+                "seq": 1,
                 "conditions": [],
                 "systems": [{"name": "uds4", "bundle": BUNDLE}],
             },

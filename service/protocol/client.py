@@ -1,0 +1,152 @@
+"""The blocking client of both sockets."""
+
+import select
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import msgspec
+
+from faultline.service.protocol.connection import LONGEST, Connection
+from faultline.service.protocol.errors import UNREADABLE, AwayError, ErrorAnswer, GarbledError, RefusedError
+from faultline.service.protocol.live import LiveTick
+from faultline.service.protocol.questions import Ask, Question
+from faultline.service.protocol.records import Subscription
+
+ANSWER_S = 10.0
+"""So long an answer may take as a whole [s]: erasing waits for the disk."""
+CONNECT_S = 0.05
+"""Between two tries to connect where `wait_s` is given [s]."""
+REMEDY = "; is the service running, with a [control] socket there?"
+
+T = TypeVar("T")
+
+
+def encode(message: Question | Subscription) -> bytes:
+    """One line of JSON."""
+    return msgspec.json.encode(message) + b"\n"
+
+
+def decode(line: bytes, kind: type[T], where: object = "") -> T:
+    """Return the answer in a line.
+
+    Raises:
+        RefusedError: it is an error.
+        GarbledError: it is neither, or another version's.
+    """
+    try:
+        error = msgspec.json.decode(line, type=ErrorAnswer).error
+        if error is None:
+            return msgspec.json.decode(line, type=kind)
+    except msgspec.ValidationError as wrong:
+        remedy = "use the `faultline` of its version"
+        raise GarbledError(f"answers as another version of faultline: {wrong}; {remedy}", where) from wrong
+    except UNREADABLE as wrong:
+        raise GarbledError(f"sent no answer: {line[:80]!r} ({wrong})", where) from wrong
+    if isinstance(error, str):
+        raise RefusedError("busy", error, where)
+    raise RefusedError(error.code, error.message, where)
+
+
+class ControlClient:
+    """A connection to the control socket at `path`, on which an answer may take `answer_s` [s].
+
+    Raises:
+        AwayError: nobody serves there.
+    """
+
+    def __init__(self, path: Path, answer_s: float = ANSWER_S, longest: int = LONGEST) -> None:
+        self._path, self._answer_s = path, answer_s
+        try:
+            self._connection = Connection(path, longest=longest)
+        except AwayError as error:
+            raise AwayError(f"{error.message}{REMEDY}", path) from error
+
+    def __enter__(self) -> "ControlClient":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._connection.close()
+
+    def ask(self, question: Question, kind: type[T]) -> T:
+        """Return the answer to a question.
+
+        Raises:
+            AwayError, RefusedError, GarbledError: there is none.
+        """
+        self._send(question)
+        return decode(next(self._lines()), kind, self._path)
+
+    def ask_json(self, ask: Ask, **fields: Any) -> dict[str, Any]:
+        """As `ask`, the answer as it came: with what a newer service says besides."""
+        return self.ask(Question(ask=ask, **fields), dict[str, Any])
+
+    def live(self, name: str | None) -> Iterator[LiveTick]:
+        """The ticks of a system as they come; raises as `ask`, caused by a TimeoutError where none comes for long."""
+        self._send(Question(ask="live", name=name))
+        for line in self._lines():
+            yield decode(line, LiveTick, self._path)
+
+    def _send(self, question: Question) -> None:
+        try:
+            self._connection.send(encode(question))
+        except AwayError as error:
+            raise AwayError(f"{error.message}{REMEDY}", self._path) from error
+
+    def _lines(self) -> Iterator[bytes]:
+        """Lines as they come, each within `answer_s` of the one before."""
+        while True:
+            try:
+                lines = _within(self._connection, time.monotonic() + self._answer_s)
+            except TimeoutError as error:
+                raise AwayError(f"no answer within {self._answer_s:g} s{REMEDY}", self._path) from error
+            except AwayError as error:
+                raise AwayError(f"{error.message}{REMEDY}", self._path) from error
+            yield from lines
+
+
+def subscribe(path: Path, after: int | str | None, wait_s: float = 0.0) -> Iterator[bytes]:
+    """The whole lines, with their ends, that the event socket at `path` sends until the service ends.
+
+    Raises:
+        AwayError: nobody serves there within `wait_s` [s].
+    """
+    connection = _connected(path, encode(Subscription(after)), wait_s)
+    try:
+        while True:
+            yield from (line + b"\n" for line in _within(connection, None))
+    except AwayError as error:
+        if error.__cause__ is not None:  # else the service has ended; a last line without its end is no record
+            raise
+    finally:
+        connection.close()
+
+
+def _connected(path: Path, first: bytes, wait_s: float) -> Connection:
+    end = time.monotonic() + wait_s
+    while True:
+        try:
+            return Connection(path, first)
+        except AwayError as error:
+            absent = isinstance(error.__cause__, FileNotFoundError | ConnectionRefusedError)
+            if not absent or time.monotonic() >= end:
+                raise AwayError(f"{error.message}; is `faultline run --socket {path}` running?", path) from error
+            time.sleep(CONNECT_S)
+
+
+def _within(connection: Connection, end: float | None) -> list[bytes]:
+    """The next lines, one at least; raises TimeoutError at the monotonic time `end` [s], AwayError as `read`."""
+    poll = select.poll()
+    poll.register(connection, select.POLLIN)
+    while True:
+        left_ms = None if end is None else 1000.0 * (end - time.monotonic())
+        if left_ms is not None and (left_ms <= 0 or not poll.poll(left_ms)):
+            raise TimeoutError
+        if left_ms is None:
+            poll.poll()
+        if lines := connection.read():
+            return lines

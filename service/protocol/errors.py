@@ -1,0 +1,70 @@
+"""Why there is no answer of the service, and what stands for it on the wire.
+
+`InputError`
+  +-- `ProtocolError`
+        +-- `AwayError`      nobody serves there, the connection broke off, or no answer came in time
+        +-- `GarbledError`   what came is not what the protocol says
+        +-- `RefusedError`   the service answers that it cannot, with a code
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from faultline.service.core.errors import InputError
+
+UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
+"""Raised by decoding what is no message: of another type, no UTF-8, no JSON, nested without end."""
+
+Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
+CODES: dict[Code, str] = {
+    "bad-request": "no JSON, no such question, a field of another type",
+    "unknown": "no such fault or system",
+    "not-allowed": "who asks may not clear: only root, the daemon's own user and those in `[control] clear` may "
+    "(the kernel says who it is)",
+    "not-kept": "cleared, but the disk did not take it: after a restart it may be there again",
+    "busy": "too many connections; or the service is starting; or there is no store to read from, or not now",
+}
+"""Codes of a refusal, and when each is given."""
+
+
+class Refusal(msgspec.Struct, frozen=True, kw_only=True):
+    """Why a question is not answered."""
+
+    code: Annotated[str, Meta(description="one of the codes below; clients take others for a refusal too")] = "unknown"
+    message: Annotated[str, Meta(description="the reason, for a person")] = "it did not say why"
+
+
+class ErrorAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """Sent instead of an answer: a refusal on the control socket, a text on the event socket."""
+
+    error: Annotated[
+        Refusal | str | None, Meta(description="the refusal; the event socket gives its message alone")
+    ] = None
+
+
+class ProtocolError(InputError):
+    """There is no answer; `code` is one of `CODES`, *away* or *garbled*, `message` the reason without the path."""
+
+    def __init__(self, code: str, message: str, where: object = "") -> None:
+        super().__init__(f"{where}: {message}" if where else message)
+        self.code, self.message = code, message
+
+
+class AwayError(ProtocolError):
+    """Nobody serves there, the connection broke off, or no answer came in time."""
+
+    def __init__(self, message: str, where: object = "") -> None:
+        super().__init__("away", message, where)
+
+
+class GarbledError(ProtocolError):
+    """What came is not what the protocol says."""
+
+    def __init__(self, message: str, where: object = "") -> None:
+        super().__init__("garbled", message, where)
+
+
+class RefusedError(ProtocolError):
+    """The service answers that it cannot; `code` is one of `CODES`, or one of a newer service."""

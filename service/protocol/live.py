@@ -1,0 +1,152 @@
+"""Live ticks, the ticks of a recording, and what the names in both mean."""
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from faultline.service.core.events import Diagnosis
+from faultline.service.core.separating import Separation
+
+LIVE = "faultline.live/2"
+"""Schema of `LiveTick`; in 1 `suspected` was what `anomaly` is now."""
+
+SUSPECTED = "as in an event: something is suspected, and nothing is confirmed"
+ANOMALY = "a test alarms, or what is seen is unlike this day or any, whether that is confirmed or not"
+
+
+class Signal(msgspec.Struct, frozen=True, kw_only=True):
+    """An input, a column of `z`."""
+
+    signal: Annotated[str, Meta(description="its name")]
+    unit: Annotated[str, Meta(description="its unit")]
+    lower: Annotated[float, Meta(description="the model holds from here")] = float("-inf")
+    upper: Annotated[float, Meta(description="to here")] = float("inf")
+
+
+class GeneratorMeaning(msgspec.Struct, frozen=True, kw_only=True):
+    """A residual generator, a column of `y_hat`, `r`, `sigma`, `sums` and `usable`."""
+
+    name: Annotated[str, Meta(description="its name")] = ""
+    test: Annotated[str, Meta(description="the test it belongs to")]
+    predicts: Annotated[str, Meta(description="the signal that it predicts")]
+    inputs: Annotated[list[str], Meta(description="the signals it needs")] = []
+    faults: Annotated[list[str], Meta(description="its row of the fault signature matrix")]
+
+
+class FaultMeaning(msgspec.Struct, frozen=True, kw_only=True):
+    """What a fault's name means."""
+
+    name: Annotated[str, Meta(description="its name")]
+    component: Annotated[str, Meta(description="the component that fails")] = ""
+    description: Annotated[str, Meta(description="how")] = ""
+    spn: Annotated[int | None, Meta(description="suspect parameter number (SAE J1939-73)")] = None
+    fmi: Annotated[int | None, Meta(description="failure mode identifier")] = None
+
+
+class EquationMeaning(msgspec.Struct, frozen=True, kw_only=True):
+    """What an equation's name means."""
+
+    name: Annotated[str, Meta(description="its name")]
+    description: Annotated[str, Meta(description="what it balances")]
+
+
+class DisturbanceMeaning(msgspec.Struct, frozen=True, kw_only=True):
+    """What may enter an equation without being a component's fault."""
+
+    name: Annotated[str, Meta(description="its name")]
+    equation: Annotated[str, Meta(description="the equation it enters")]
+    description: Annotated[str, Meta(description="what it is")]
+
+
+class SystemDescription(msgspec.Struct, frozen=True, kw_only=True):
+    """What the names of a bundle mean."""
+
+    name: Annotated[str, Meta(description="of the system")]
+    bundle: Annotated[str, Meta(description="SHA-256 of the manifest")]
+    version: Annotated[int, Meta(description="of the bundle")] = 0
+    sensor_set: Annotated[str, Meta(description="which sensors the vehicle has")] = ""
+    period_s: Annotated[float, Meta(description="time between two samples [s]")]
+    modes: Annotated[list[str], Meta(description="names of the operating modes")] = []
+    inputs: list[Signal]
+    generators: list[GeneratorMeaning]
+    detectors: Annotated[list[dict[str, object]], Meta(description="with their thresholds, as in the manifest")] = []
+    faults: list[FaultMeaning]
+    disturbances: list[DisturbanceMeaning] = []
+    equations: list[EquationMeaning] = []
+
+    @property
+    def tests(self) -> list[str]:
+        """The tests, each once."""
+        return list(dict.fromkeys(row.test for row in self.generators))
+
+
+class LiveTick(msgspec.Struct, frozen=True, kw_only=True):
+    """One sample of a system, with what its generators, tests and decision make of it."""
+
+    schema: Annotated[str, Meta(description=f"`{LIVE}`")] = LIVE
+    system: Annotated[str, Meta(description="its name")]
+    bundle: Annotated[str, Meta(description="SHA-256 of the manifest: its names are those of that one")]
+    tick: Annotated[int, Meta(description="number of the sample, from 0")]
+    t_s: Annotated[float, Meta(description="the same in seconds of log time")]
+    mode: Annotated[str, Meta(description="operating mode")]
+    z: Annotated[list[float | None], Meta(description="each input in its unit; null: it never came")]
+    quality: Annotated[list[str], Meta(description="of each input: `good`, or why it cannot be used")]
+    y_hat: Annotated[list[float | None], Meta(description="of each generator its prediction, in that signal's unit")]
+    r: Annotated[list[float | None], Meta(description="its residual, in the same unit")]
+    sigma: Annotated[list[float | None], Meta(description="the residual's spread without a fault, in the same unit")]
+    sums: Annotated[
+        list[float | None],
+        Meta(description="its largest detector in parts of the threshold, with the residual's sign"),
+    ]
+    usable: Annotated[list[bool], Meta(description="it can tell")]
+    alarm: Annotated[list[str], Meta(description="as in an event")]
+    cannot_tell: Annotated[list[str], Meta(description="as in an event")]
+    suspected: Annotated[bool, Meta(description=SUSPECTED)]
+    anomaly: Annotated[bool, Meta(description=ANOMALY)]
+    diagnoses: Annotated[list[Diagnosis], Meta(description="as in an event")]
+    separating: Annotated[
+        list[Separation], Meta(description="of each pair of the best explanations the tests that tell them apart")
+    ] = []
+
+    def fits(self, system: SystemDescription) -> bool:
+        """True if it is of that bundle, and has a value of each signal and generator."""
+        signals, rows = len(system.inputs), len(system.generators)
+        return (
+            self.bundle == system.bundle
+            and len(self.z) == len(self.quality) == signals
+            and len(self.y_hat) == len(self.sums) == len(self.usable) == rows
+        )
+
+
+class Stand(msgspec.Struct, frozen=True, kw_only=True):
+    """What the decision says from a tick of a recording on, until the next one."""
+
+    tick: Annotated[int, Meta(description="the first")]
+    alarm: Annotated[list[str], Meta(description="as in an event")]
+    cannot_tell: Annotated[list[str], Meta(description="as in an event")]
+    suspected: Annotated[bool, Meta(description=SUSPECTED)]
+    anomaly: Annotated[bool, Meta(description=ANOMALY)]
+    diagnoses: Annotated[list[Diagnosis], Meta(description="as in an event")]
+    separating: Annotated[list[Separation], Meta(description="as in a live tick")] = []
+
+
+Column = dict[str, list[float | None]]
+
+
+class History(msgspec.Struct, frozen=True, kw_only=True):
+    """Ticks of a recording as columns; null where a signal could not be used, or a generator could not tell."""
+
+    name: Annotated[str | None, Meta(description="of the system, as asked")]
+    every: Annotated[int, Meta(description="of so many ticks one is here, that with the largest sum")]
+    latest: Annotated[int | None, Meta(description="the last tick of the recording")]
+    tick: Annotated[list[int], Meta(description="numbers of the samples")]
+    t_s: Annotated[list[float], Meta(description="the same in seconds of log time")]
+    mode: Annotated[list[str], Meta(description="operating modes")]
+    z: Annotated[Column, Meta(description="inputs, by name")]
+    quality: Annotated[dict[str, list[str]], Meta(description="of each input, by name")]
+    y_hat: Annotated[Column, Meta(description="predictions, by generator")]
+    r: Annotated[Column, Meta(description="residuals")]
+    sigma: Annotated[Column, Meta(description="their spread without a fault")]
+    sums: Annotated[Column, Meta(description="the largest detector in parts of the threshold")]
+    stands: Annotated[list[Stand], Meta(description="what the decision says, where that changes")]
