@@ -20,7 +20,7 @@ import msgspec
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.health import Condition
-from faultline.service.protocol.errors import ErrorAnswer
+from faultline.service.protocol.errors import Rejection
 
 CLIENTS = 32  # at most
 IDLE_S = 5.0  # a client that could ask again and has not for so long is idle
@@ -176,7 +176,7 @@ class LineServer(ABC):
             self._refuse(client, "the request has no end")
 
     def _refuse(self, client: Client, reason: str) -> None:
-        client.rest += msgspec.json.encode(ErrorAnswer(error=reason)) + b"\n"
+        client.rest += msgspec.json.encode(Rejection(error=reason)) + b"\n"
         self._send(client)
         self._drop(client)
 

@@ -45,14 +45,7 @@ async def line_of(reader: asyncio.StreamReader) -> bytes:
     return line
 
 
-async def answer(path: Path, line: bytes, within_s: float) -> bytes:
-    """Return the line that answers one question, on a connection of its own.
-
-    Raises:
-        AwayError, GarbledError: there is none within `within_s` [s].
-    """
-    try:
-        async with asyncio.timeout(within_s), connected(path, line) as reader:
-            return await line_of(reader)
-    except TimeoutError as error:
-        raise AwayError(f"no answer within {within_s:g} s", path) from error
+async def answer(path: Path, question: bytes) -> bytes:
+    """Return the line that answers one question, on a connection of its own; raises as `line_of` and `connected`."""
+    async with connected(path, question) as reader:
+        return await line_of(reader)

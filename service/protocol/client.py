@@ -45,8 +45,6 @@ def decode(line: bytes, kind: type[T], where: object = "") -> T:
         raise GarbledError(f"answers as another version of faultline: {wrong}; {remedy}", where) from wrong
     except UNREADABLE as wrong:
         raise GarbledError(f"sent no answer: {line[:80]!r} ({wrong})", where) from wrong
-    if isinstance(error, str):
-        raise RefusedError("busy", error, where)
     raise RefusedError(error.code, error.message, where)
 
 

@@ -37,11 +37,15 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ErrorAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """Sent instead of an answer: a refusal on the control socket, a text on the event socket."""
+    """Sent on the control socket instead of an answer."""
 
-    error: Annotated[
-        Refusal | str | None, Meta(description="the refusal; the event socket gives its message alone")
-    ] = None
+    error: Annotated[Refusal | None, Meta(description="the refusal")] = None
+
+
+class Rejection(msgspec.Struct, frozen=True, kw_only=True):
+    """The last line on the event socket, to a client that is sent away."""
+
+    error: Annotated[str, Meta(description="the reason, for a person")]
 
 
 class ProtocolError(InputError):

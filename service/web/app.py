@@ -12,7 +12,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import Hub
 from faultline.service.web.limits import Gate, Limits
 from faultline.service.web.live import Live
@@ -32,7 +33,7 @@ def application(
     settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
 ) -> ASGIApp:
     """All of it, for a daemon at the settings' sockets."""
-    control = Control(Path(settings.control), limits.answer_s, limits.clear_s)
+    control = SharedControl(Path(settings.control), limits.answer_s, limits.clear_s)
     hub = Hub(Path(settings.events), control, counts, say)
     streams = Streams(limits, counts, ending)
     guarded = settings.allow_remote
@@ -72,7 +73,7 @@ def _app(routes: Routes, hub: Hub, ending: Ending) -> Starlette:
         yield
         task.cancel()
 
-    known = (RequestError, AwayError, GarbledError, RefusedError, HTTPException, Exception)
+    known = (RequestError, ProtocolError, HTTPException, Exception)
     app = Starlette(routes=table(routes), lifespan=lifespan, exception_handlers=dict.fromkeys(known, told))
     app.router.redirect_slashes = False
     return app

@@ -6,100 +6,22 @@ Beyond that, questions that name something are spaced, as there are many of them
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-import msgspec
+from faultline.service.protocol.aio import answer
+from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.errors import AwayError, RefusedError
+from faultline.service.protocol.questions import Question
 
 FRESH_S = 0.2
 OPEN = 4  # questions open at once, of the daemon's few connections
 RATE = 100.0  # questions a second, on average
 BURST = 100  # and as many more at once
 WAIT_S = 2.0  # who would have to wait longer is sent away
-LINE = 16 * 1024 * 1024  # bytes: 500 records, or a freeze frame, are one line
 
 T = TypeVar("T")
-
-
-class AwayError(Exception):
-    """The daemon does not answer: it is not there, or hangs, or broke off."""
-
-
-class GarbledError(Exception):
-    """What came is not what docs/control.md says."""
-
-
-class RefusedError(Exception):
-    """The daemon answered that it cannot; `code` is one of docs/control.md."""
-
-    def __init__(self, code: str, message: str) -> None:
-        super().__init__(message)
-        self.code, self.message = code, message
-
-
-class _Error(msgspec.Struct, frozen=True):
-    code: str
-    message: str
-
-
-class _Envelope(msgspec.Struct, frozen=True):
-    """Of any answer: whether it is an error."""
-
-    error: _Error | None = None
-
-
-@asynccontextmanager
-async def connected(path: Path, first: bytes) -> AsyncIterator[asyncio.StreamReader]:
-    """A connection to the daemon's socket on which `first`, one line, has been sent.
-
-    Raises:
-        AwayError: nobody serves there.
-    """
-    try:
-        reader, writer = await asyncio.open_unix_connection(path, limit=LINE)
-    except OSError as error:
-        raise AwayError(f"{path}: {error.strerror or error}") from error
-    try:
-        writer.write(first)
-        yield reader
-    finally:
-        writer.transport.abort()
-
-
-async def line_of(reader: asyncio.StreamReader) -> bytes:
-    """The next whole line, newline included.
-
-    Raises:
-        AwayError: the connection ended before it did.
-        GarbledError: it is longer than any answer.
-    """
-    try:
-        line = await reader.readline()
-    except OSError as error:
-        raise AwayError(str(error)) from error
-    except ValueError as error:
-        raise GarbledError(f"a line of more than {LINE} bytes") from error
-    if not line.endswith(b"\n"):
-        raise AwayError("the connection ended")
-    return line
-
-
-def understood(line: bytes, kind: type[T]) -> T:
-    """The answer in a line.
-
-    Raises:
-        RefusedError: it is an error.
-        GarbledError: it is neither.
-    """
-    try:
-        envelope = msgspec.json.decode(line, type=_Envelope)
-        if envelope.error is None:
-            return msgspec.json.decode(line, type=kind)
-    except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
-        raise GarbledError(f"{error}") from error
-    raise RefusedError(envelope.error.code, envelope.error.message)
 
 
 class Pace:
@@ -119,7 +41,7 @@ class Pace:
         return max(0.0, due - now)
 
 
-class Control:
+class SharedControl:
     """Asks questions. State: answers that are fresh, and those under way, by question.
 
     An answer may take `answer_s` [s], and `clear_s` where the daemon waits for the disk.
@@ -133,23 +55,23 @@ class Control:
         self._open = asyncio.Semaphore(OPEN)
         self._recent: dict[bytes, tuple[float, asyncio.Task[bytes]]] = {}
 
-    async def ask(self, question: Mapping[str, object], kind: type[T]) -> T:
+    async def ask(self, question: Question, kind: type[T]) -> T:
         """The answer, which others who asked the same at this time get too.
 
         Raises:
             AwayError, RefusedError, GarbledError: there is none.
         """
-        line = msgspec.json.encode(question) + b"\n"
-        return understood(await self._shared(line, spaced=len(question) > 1), kind)
+        spaced = question != Question(ask=question.ask)
+        return decode(await self._shared(encode(question), spaced=spaced), kind)
 
-    async def ask_alone(self, question: Mapping[str, object], kind: type[T]) -> T:
+    async def ask_alone(self, question: Question, kind: type[T]) -> T:
         """As `ask`, of what is long and hardly asked twice: nothing of it is held for others."""
-        return understood(await self._answer(msgspec.json.encode(question) + b"\n", self._answer_s), kind)
+        return decode(await self._answer(encode(question), self._answer_s), kind)
 
-    async def clear(self, question: Mapping[str, object], kind: type[T]) -> T:
+    async def clear(self, question: Question, kind: type[T]) -> T:
         """As `ask`, of what changes something: it is asked in any case, and nothing from before is fresh after it."""
         try:
-            return understood(await self._answer(msgspec.json.encode(question) + b"\n", self._clear_s), kind)
+            return decode(await self._answer(encode(question), self._clear_s), kind)
         finally:
             self.forget()
 
@@ -171,10 +93,10 @@ class Control:
         if spaced:
             await asyncio.sleep(self._pace.wait())
         try:
-            async with asyncio.timeout(within_s), self._open, connected(self.path, line) as reader:
-                return await line_of(reader)
+            async with asyncio.timeout(within_s), self._open:
+                return await answer(self.path, line)
         except TimeoutError as error:
-            raise AwayError(f"{self.path}: no answer within {within_s:g} s") from error
+            raise AwayError(f"no answer within {within_s:g} s", self.path) from error
 
 
 def _looked_at(task: asyncio.Task[bytes]) -> None:

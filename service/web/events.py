@@ -10,17 +10,22 @@ from contextlib import aclosing
 from itertools import takewhile
 from pathlib import Path
 
-import msgspec
-
-from faultline.service.web.answers import Records, State
-from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of
+from faultline.service.protocol.aio import connected, line_of
+from faultline.service.protocol.answers import RecordPage, ServiceState
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.client import encode
+from faultline.service.protocol.errors import AwayError, GarbledError, ProtocolError, RefusedError
+from faultline.service.protocol.questions import Question
+from faultline.service.protocol.records import Record, RecordError, Subscription
+from faultline.service.web.asking import SharedControl
 from faultline.service.web.metrics import Counts
-from faultline.service.web.ring import SIZE, Ring, Told, told
-from faultline.service.web.waiting import News, backoff
+from faultline.service.web.ring import SIZE, Ring, told
+from faultline.service.web.waiting import News
 
 SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
 BATCH = 64  # records in one piece of a stream
 PAGE = 128  # older ones asked for at once
+RETRY_S = 0.2, 5.0  # after which the daemon is looked for again: at first, and at most
 RETRY_MS = 1000  # after which a client connects again
 
 
@@ -31,7 +36,7 @@ class Hub:
     is known, and that place is None.
     """
 
-    def __init__(self, path: Path, control: Control, counts: Counts, say: Callable[[str], None]) -> None:
+    def __init__(self, path: Path, control: SharedControl, counts: Counts, say: Callable[[str], None]) -> None:
         self._path, self._control, self._counts, self._say = path, control, counts, say
         self.ring, self.news = Ring(), News()
         self.there = False
@@ -39,40 +44,41 @@ class Hub:
 
     async def run(self) -> None:
         """Listens for ever; connects again where the daemon went away."""
-        waits, said = backoff(), ""
+        retry, said = Backoff(*RETRY_S), ""
         while True:
             try:
                 await self._listen()
-            except (AwayError, RefusedError, GarbledError) as error:
+            except ProtocolError as error:
                 if self.there:
-                    waits, said = backoff(), ""
+                    said = ""
+                    retry.well()
                 if str(error) != said:
                     self._say(f"events: {error}; trying again")
                 said = str(error)
             self._is_there(there=False)
-            await asyncio.sleep(next(waits))
+            await asyncio.sleep(retry.wait())
 
-    async def page(self, seq: int, count: int = PAGE) -> Sequence[Told]:
+    async def page(self, seq: int, count: int = PAGE) -> Sequence[Record]:
         """Records after that number, from the daemon's store; none where it has no store.
 
         Raises:
             AwayError: they cannot be had now.
         """
         try:
-            found = await self._control.ask_alone({"ask": "records", "after": seq, "count": count}, Records)
+            found = await self._control.ask_alone(Question(ask="records", after=seq, count=count), RecordPage)
             return [told(bytes(line)) for line in found.records]
-        except (msgspec.MsgspecError, ValueError, GarbledError) as error:
+        except (RecordError, GarbledError) as error:
             raise AwayError(f"records cannot be read: {error}") from error
         except RefusedError as error:
-            store = (await self._control.ask({"ask": "state"}, State)).store
+            store = (await self._control.ask(Question(ask="state"), ServiceState)).store
             if store is None or store.path is None:
                 return ()
             raise AwayError(error.message) from error
 
     async def _listen(self) -> None:
-        latest = (await self._control.ask({"ask": "state"}, State)).seq
+        latest = (await self._control.ask(Question(ask="state"), ServiceState)).seq
         after = max(0, latest - SIZE) if self.ring.last is None else self.ring.last
-        async with connected(self._path, msgspec.json.encode({"after": after}) + b"\n") as reader:
+        async with connected(self._path, encode(Subscription(after))) as reader:
             while True:
                 if self.ring.newest >= latest:
                     self._settle()
@@ -95,7 +101,7 @@ class Hub:
             raise AwayError(f"{self._path}: turned away: {line[:200].decode(errors='replace').strip()}")
         try:
             record = told(line)
-        except (msgspec.MsgspecError, ValueError) as error:
+        except RecordError as error:
             self._counts.unread += 1
             if self._counts.unread == 1:
                 self._say(f"events: a line is no record: {error}: {line[:80]!r}")
@@ -109,7 +115,7 @@ class Hub:
         self.news.tell()
 
 
-def frame(record: Told) -> bytes:
+def frame(record: Record) -> bytes:
     """A record as an event of a stream."""
     return b"id: %b\nevent: %b\ndata: %b\n\n" % (record.id.encode(), record.kind.encode(), record.line)
 

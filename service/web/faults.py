@@ -9,7 +9,8 @@ from typing import Literal
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Fault, Status
-from faultline.service.web.answers import Frames, Meaning
+from faultline.service.protocol.answers import NO_FRAME, FreezeFrames
+from faultline.service.protocol.live import FaultMeaning
 from faultline.service.web.shapes import (
     Bit,
     Candidate,
@@ -58,7 +59,7 @@ def aggregated(status: Status) -> Literal["active", "passive", "cleared"]:
     return "passive" if status.pending or status.confirmed or status.warning else "cleared"
 
 
-def item_of(fault: Fault, meanings: Mapping[str, Meaning]) -> Item:
+def item_of(fault: Fault, meanings: Mapping[str, FaultMeaning]) -> Item:
     """A fault as an entry of SOVD's list; `meanings` explain its candidates' names, and may lack some."""
     return Item(
         code=str(fault.number),
@@ -73,16 +74,18 @@ def item_of(fault: Fault, meanings: Mapping[str, Meaning]) -> Item:
 
 
 def detail_of(
-    fault: Fault, meanings: Mapping[str, Meaning], frames: Frames, *, extended: bool = True, snapshots: bool = True
+    fault: Fault,
+    meanings: Mapping[str, FaultMeaning],
+    frames: FreezeFrames,
+    *,
+    extended: bool = True,
+    snapshots: bool = True,
 ) -> Detail:
     """A fault with its counts (`extended`) and freeze frames (`snapshots`)."""
     environment = EnvironmentData()
     if snapshots:
-        records: Sequence[tuple[Literal["first", "latest"], object]] = (
-            ("first", frames.first),
-            ("latest", frames.latest),
-        )
-        environment = EnvironmentData(snapshots=[Snapshot(record=name, data=data) for name, data in records if data])
+        first, latest = Snapshot(record="first", data=frames.first), Snapshot(record="latest", data=frames.latest)
+        environment = EnvironmentData(snapshots=[each for each in (first, latest) if each.data != NO_FRAME])
     if extended:
         environment = EnvironmentData(snapshots=environment.snapshots, extended_data_records=_extended(fault))
     return Detail(item=item_of(fault, meanings), environment_data=environment)
@@ -108,7 +111,7 @@ def value_of(status: FaultStatus, key: str) -> str:
     return str(int(status.mask, 16) >> STATUS_KEYS.index(key) & 1)
 
 
-def _candidate(diagnosis: Diagnosis, meanings: Mapping[str, Meaning]) -> Candidate:
+def _candidate(diagnosis: Diagnosis, meanings: Mapping[str, FaultMeaning]) -> Candidate:
     components = (_component(name, meanings) for name in diagnosis.faults)
     return Candidate(
         components=[*dict.fromkeys(components)],
@@ -119,26 +122,26 @@ def _candidate(diagnosis: Diagnosis, meanings: Mapping[str, Meaning]) -> Candida
     )
 
 
-def _component(fault: str, meanings: Mapping[str, Meaning]) -> str:
+def _component(fault: str, meanings: Mapping[str, FaultMeaning]) -> str:
     """The component that a fault's name stands for; the name where nothing explains it."""
     known = meanings.get(fault)
     return (known.component if known else "") or fault
 
 
-def _name(diagnoses: Sequence[Diagnosis], meanings: Mapping[str, Meaning]) -> str:
+def _name(diagnoses: Sequence[Diagnosis], meanings: Mapping[str, FaultMeaning]) -> str:
     """The best explanations in words; those of one rank are equally good."""
     best = min((each.rank for each in diagnoses), default=0)
     said = (_explanation(each, meanings) for each in diagnoses if each.rank == best)
     return " or ".join(dict.fromkeys(said)) or "unknown"
 
 
-def _explanation(diagnosis: Diagnosis, meanings: Mapping[str, Meaning]) -> str:
+def _explanation(diagnosis: Diagnosis, meanings: Mapping[str, FaultMeaning]) -> str:
     if not diagnosis.faults:
         return f"unknown, near {', '.join(diagnosis.near)}" if diagnosis.near else "unknown"
     return " and ".join(_said(name, meanings) for name in diagnosis.faults)
 
 
-def _said(fault: str, meanings: Mapping[str, Meaning]) -> str:
+def _said(fault: str, meanings: Mapping[str, FaultMeaning]) -> str:
     known = meanings.get(fault)
     if known is None:
         return fault

@@ -1,16 +1,14 @@
 """How the daemon is, in one word, from its state: pure."""
 
-from faultline.service.core.health import MEANINGS
-from faultline.service.web.answers import Condition, State
+from faultline.service.core.health import Standing, meaning
+from faultline.service.protocol.answers import ServiceState
 from faultline.service.web.shapes import HealthBody
 
 BLINDING = frozenset(("bus-down", "bus-removed", "bus-off", "no-traffic", "bundle-failed", "bundle-refused"))
 """Conditions with which nothing of a system can be told: silence is then not "no fault"."""
 
-_MEANINGS = {str(kind): meaning for kind, meaning in MEANINGS.items()}
 
-
-def health_of(state: State) -> HealthBody:
+def health_of(state: ServiceState) -> HealthBody:
     """The body for a daemon that answers."""
     blind = [each for each in state.conditions if each.kind in BLINDING]
     stands = blind or state.conditions
@@ -40,5 +38,5 @@ def is_well(body: HealthBody) -> bool:
     return body.status in ("well", "degraded")
 
 
-def _said(condition: Condition) -> str:
-    return f"{condition.of} {_MEANINGS.get(condition.kind, condition.kind)}"
+def _said(condition: Standing) -> str:
+    return f"{condition.of} {meaning(condition.kind)}"

@@ -3,11 +3,14 @@
 import asyncio
 from collections.abc import AsyncGenerator, Callable
 
-import msgspec
-
-from faultline.service.web.asking import AwayError, Control, GarbledError, RefusedError, connected, line_of, understood
-from faultline.service.web.events import RETRY_MS
-from faultline.service.web.waiting import Ending, News, backoff
+from faultline.service.protocol.aio import connected, line_of
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.errors import ProtocolError
+from faultline.service.protocol.questions import Question
+from faultline.service.web.asking import SharedControl
+from faultline.service.web.events import RETRY_MS, RETRY_S
+from faultline.service.web.waiting import Ending, News
 
 
 class _Feed:
@@ -20,28 +23,28 @@ class _Feed:
         self.watchers = 0
         self.task: asyncio.Task[None] | None = None
 
-    async def run(self, control: Control, system: str, say: Callable[[str], None]) -> None:
+    async def run(self, control: SharedControl, system: str, say: Callable[[str], None]) -> None:
         """Takes ticks for ever; asks again where the daemon went away."""
-        question = msgspec.json.encode({"ask": "live", "name": system}) + b"\n"
-        waits = backoff()
+        question = encode(Question(ask="live", name=system))
+        retry = Backoff(*RETRY_S)
         while True:
             before = self.count
             try:
                 async with connected(control.path, question) as reader:
                     while True:
                         self.take(await line_of(reader))
-            except (AwayError, RefusedError, GarbledError) as error:
+            except ProtocolError as error:
                 if self.there:
                     say(f"live {system}: {error}; trying again")
                 if self.count > before:
-                    waits = backoff()
+                    retry.well()
             self.there = False
             self.news.tell()
-            await asyncio.sleep(next(waits))
+            await asyncio.sleep(retry.wait())
 
     def take(self, line: bytes) -> None:
         """A tick; raises RefusedError or GarbledError where it is none."""
-        understood(line, dict)
+        decode(line, dict)
         self.latest, self.count, self.there = line.rstrip(b"\r\n"), self.count + 1, True
         self.news.tell()
 
@@ -49,7 +52,7 @@ class _Feed:
 class Live:
     """The systems that are watched now; this server ends if watching one fails."""
 
-    def __init__(self, control: Control, ending: Ending, say: Callable[[str], None]) -> None:
+    def __init__(self, control: SharedControl, ending: Ending, say: Callable[[str], None]) -> None:
         self._control, self._ending, self._say = control, ending, say
         self._feeds: dict[str, _Feed] = {}
 

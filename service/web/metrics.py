@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeVar
 
 from faultline.service.core.faults import Fault
-from faultline.service.web.answers import Bus, State, System
+from faultline.service.protocol.answers import BusStatus, ServiceState, SystemStatus
 
 Kind = Literal["gauge", "counter"]
 T = TypeVar("T")
@@ -59,7 +59,7 @@ def render(families: Iterable[Family]) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode()
 
 
-def of_daemon(state: State | None, faults: Sequence[Fault]) -> list[Family]:
+def of_daemon(state: ServiceState | None, faults: Sequence[Fault]) -> list[Family]:
     """What the daemon says, None where it does not answer."""
     up = _gauge("faultline_up", "whether the daemon answers", [({}, state is not None)])
     if state is None:
@@ -99,7 +99,7 @@ def of_server(counts: Counts, *, subscribed: bool) -> list[Family]:
     ]
 
 
-def _store(state: State) -> list[Family]:
+def _store(state: ServiceState) -> list[Family]:
     store = state.store
     if store is None:
         return []
@@ -109,7 +109,7 @@ def _store(state: State) -> list[Family]:
     ]
 
 
-def _buses(buses: Sequence[Bus]) -> list[Family]:
+def _buses(buses: Sequence[BusStatus]) -> list[Family]:
     named = [({"bus": bus.name}, bus) for bus in buses]
     return [
         _each("counter", "faultline_bus_frames_total", "frames received", named, lambda bus: bus.frames),
@@ -119,7 +119,7 @@ def _buses(buses: Sequence[Bus]) -> list[Family]:
     ]
 
 
-def _systems(systems: Sequence[System]) -> list[Family]:
+def _systems(systems: Sequence[SystemStatus]) -> list[Family]:
     named = [({"system": system.name}, system) for system in systems]
     known = [({**labels, "bundle": system.bundle}, system) for labels, system in named]
     return [
@@ -127,6 +127,7 @@ def _systems(systems: Sequence[System]) -> list[Family]:
         _each("gauge", "faultline_system_alarms", "tests that alarm", named, lambda one: len(one.alarm)),
         _each("gauge", "faultline_system_cannot_tell", "tests that cannot", named, lambda one: len(one.cannot_tell)),
         _each("gauge", "faultline_system_suspected", "whether anything is", named, lambda one: one.suspected),
+        _each("gauge", "faultline_system_anomaly", "the same, confirmed or not", named, lambda one: one.anomaly),
     ]
 
 

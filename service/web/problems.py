@@ -8,7 +8,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from faultline.service.web.asking import AwayError, GarbledError, RefusedError
+from faultline.service.protocol.errors import AwayError, GarbledError, RefusedError
 from faultline.service.web.shapes import Problem
 
 MEDIA_TYPE = "application/problem+json"

@@ -3,49 +3,38 @@
 As in `service.outputs.socket`, memory is bounded by the ring and not by how slowly clients read.
 """
 
+import re
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
-from typing import Annotated, NamedTuple
 
-import msgspec
-from msgspec import Meta
+from faultline.service.protocol.records import Record, RecordError, read
 
 SIZE = 4096  # as many as the daemon has at hand
 
 
-class Told(NamedTuple):
-    """A record: its id, its number, its kind (event, health, fault, cleared) and the line without its newline."""
-
-    id: str
-    seq: int
-    kind: str
-    line: bytes
+_SCHEMA = re.compile(r"faultline\.[a-z]+/[0-9]+")
+_ID = re.compile(r"[!-~]{1,200}")
 
 
-class _Header(msgspec.Struct, frozen=True):
-    """What every record begins with. An id stands in a line of a stream: nothing that means something there."""
+def told(line: bytes) -> Record:
+    """Return the record in a line, if it can be an event of a stream; raises `RecordError`.
 
-    schema: Annotated[str, Meta(pattern=r"\Afaultline\.[a-z]+/[0-9]+\Z")]
-    id: Annotated[str, Meta(pattern=r"\A[!-~]+\Z", max_length=200)]
-    seq: int
-
-
-def told(line: bytes) -> Told:
-    """The record in a line; raises `msgspec.MsgspecError` or `ValueError` where there is none."""
-    header = msgspec.json.decode(line, type=_Header)
-    kind = header.schema.removeprefix("faultline.").partition("/")[0]
-    whole = line.rstrip(b"\r\n")
-    if b"\n" in whole or b"\r" in whole:
-        raise ValueError("more than one line")
-    return Told(header.id, header.seq, kind, whole)
+    Its schema names the event, its id stands in a line of the stream, and so does all of it.
+    """
+    record = read(line)
+    if not _SCHEMA.fullmatch(record.schema) or not _ID.fullmatch(record.id):
+        raise RecordError(f"no event of a stream can have the schema {record.schema!r} and the id {record.id!r}")
+    if b"\n" in record.line or b"\r" in record.line:
+        raise RecordError("more than one line")
+    return record
 
 
 class Ring:
     """The latest `size` records. Places count all that ever were; `end` is the place of the next."""
 
     def __init__(self, size: int = SIZE) -> None:
-        self._held: deque[Told] = deque()
+        self._held: deque[Record] = deque()
         self._places: dict[str, int] = {}
         self._size = size
         self.end = 0
@@ -60,7 +49,7 @@ class Ring:
         """The number of the latest, 0 before the first."""
         return self._held[-1].seq if self._held else 0
 
-    def add(self, record: Told) -> bool:
+    def add(self, record: Record) -> bool:
         """Puts it at the end; whether it is new: delivery is at least once, and what is here already stays."""
         if record.id in self._places:
             return False
@@ -90,7 +79,7 @@ class Ring:
         """The place of the oldest."""
         return self.end - len(self._held)
 
-    def since(self, place: int, count: int) -> Sequence[Told] | None:
+    def since(self, place: int, count: int) -> Sequence[Record] | None:
         """At most `count` records from that place on; None where some of them are gone."""
         skipped = place - self.oldest
         return None if skipped < 0 else [*islice(self._held, skipped, skipped + count)]

@@ -8,8 +8,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from faultline.service.core.faults import Fault
+from faultline.service.protocol.errors import ProtocolError
 from faultline.service.web import metrics
-from faultline.service.web.asking import AwayError, GarbledError, RefusedError
 from faultline.service.web.document import document
 from faultline.service.web.events import Hub, stream
 from faultline.service.web.faults import detail_of, item_of, selected
@@ -150,7 +150,7 @@ class Routes:
         counts = self._streams.counts
         try:
             of_daemon = metrics.of_daemon(await self._vehicle.state(), await self._vehicle.faults())
-        except (AwayError, GarbledError, RefusedError):
+        except ProtocolError:
             of_daemon = metrics.of_daemon(None, list[Fault]())  # `faultline_up` says so
         families = [*of_daemon, *metrics.of_server(counts, subscribed=self._hub.there)]
         return Response(metrics.render(families), headers={"content-type": metrics.CONTENT_TYPE})
@@ -173,7 +173,7 @@ class Routes:
         nothing_in(request.query_params)
         try:
             return health_of(await self._vehicle.state())
-        except (AwayError, GarbledError, RefusedError) as error:
+        except ProtocolError as error:
             return away(error_of(error).detail)
 
     async def _system(self, request: Request) -> str:

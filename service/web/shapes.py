@@ -10,7 +10,8 @@ from msgspec import Meta
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Dtc, Seen
-from faultline.service.web.answers import Bus, Condition, Store, System
+from faultline.service.core.health import Standing
+from faultline.service.protocol.answers import BusStatus, StoreStatus, SystemStatus
 
 Bit = Literal["0", "1"]
 Code = Annotated[str, Meta(pattern="^[1-9][0-9]*$")]
@@ -146,10 +147,10 @@ class HealthBody(_Body, frozen=True):
     wall: str | None = None
     cycle: int | None = None
     cursor: int | None = None
-    conditions: list[Condition] = []
-    store: Store | None = None
-    buses: list[Bus] = []
-    systems: list[System] = []
+    conditions: list[Standing] = []
+    store: StoreStatus | None = None
+    buses: list[BusStatus] = []
+    systems: list[SystemStatus] = []
 
 
 class Ready(_Body, frozen=True):

@@ -2,29 +2,31 @@
 
 from collections.abc import Mapping, Sequence
 
-import msgspec
-
 from faultline.service.core.faults import Fault
-from faultline.service.web.answers import Erased, Meaning, Memory, Names, Records, Remembered, State
-from faultline.service.web.asking import Control, GarbledError, RefusedError
+from faultline.service.protocol.answers import Erased, FaultDetail, FaultList, RecordPage, ServiceState
+from faultline.service.protocol.errors import GarbledError, RefusedError
+from faultline.service.protocol.live import FaultMeaning, SystemDescription
+from faultline.service.protocol.questions import Question
+from faultline.service.protocol.records import RecordError
+from faultline.service.web.asking import SharedControl
 from faultline.service.web.problems import RequestError
 from faultline.service.web.queries import Page, Part
 from faultline.service.web.ring import told
 
 
 class Vehicle:
-    """The daemon, asked over its control socket; every method raises what `Control.ask` does."""
+    """The daemon, asked over its control socket; every method raises what `SharedControl.ask` does."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: SharedControl) -> None:
         self._control = control
 
-    async def state(self) -> State:
+    async def state(self) -> ServiceState:
         """How it is."""
-        return await self._control.ask({"ask": "state"}, State)
+        return await self._control.ask(Question(ask="state"), ServiceState)
 
     async def faults(self, system: str | None = None) -> Sequence[Fault]:
         """What is remembered, of one system or of all."""
-        memory = await self._control.ask({"ask": "faults"}, Memory)
+        memory = await self._control.ask(Question(ask="faults"), FaultList)
         return [fault for fault in memory.faults if system in (None, fault.system)]
 
     async def systems(self) -> list[str]:
@@ -32,17 +34,17 @@ class Vehicle:
         state, faults = await self.state(), await self.faults()
         return [*dict.fromkeys([*(each.name for each in state.systems), *(each.system for each in faults)])]
 
-    async def fault(self, system: str, number: int) -> Remembered:
+    async def fault(self, system: str, number: int) -> FaultDetail:
         """One of its faults; raises RequestError where it has none of that number."""
-        found = await self._control.ask({"ask": "fault", "number": number}, Remembered)
+        found = await self._control.ask(Question(ask="fault", number=number), FaultDetail)
         if found.fault.system != system:
             raise RequestError(404, "unknown", f"fault {number} is none of {system!r}")
         return found
 
-    async def meanings(self, system: str) -> Mapping[str, Meaning]:
+    async def meanings(self, system: str) -> Mapping[str, FaultMeaning]:
         """What its faults' names mean; nothing where it is not watched any more."""
         try:
-            names = await self._control.ask({"ask": "system", "name": system}, Names)
+            names = await self._control.ask(Question(ask="system", name=system), SystemDescription)
         except RefusedError as error:
             if error.code != "unknown":
                 raise
@@ -51,40 +53,35 @@ class Vehicle:
 
     async def description(self, system: str) -> Mapping[str, object]:
         """All that its names mean, as the daemon says it."""
-        return await self._control.ask({"ask": "system", "name": system}, dict[str, object])
+        return await self._control.ask(Question(ask="system", name=system), dict[str, object])
 
-    async def records(self, page: Page) -> Records:
+    async def records(self, page: Page) -> RecordPage:
         """A page of what was told."""
-        question: dict[str, object] = {"ask": "records", "count": page.most}
-        if page.after is not None:
-            question["after"] = page.after
-        elif page.before is not None:
-            question["before"] = page.before
-        found = await self._control.ask_alone(question, Records)
+        before = page.before if page.after is None else None
+        question = Question(ask="records", count=page.most, after=page.after, before=before)
+        found = await self._control.ask_alone(question, RecordPage)
         if page.after is None or page.before is None:
             return found
         try:
-            return Records(records=[line for line in found.records if told(bytes(line)).seq < page.before])
-        except (msgspec.MsgspecError, ValueError) as error:
+            return RecordPage(records=[line for line in found.records if told(bytes(line)).seq < page.before])
+        except RecordError as error:
             raise GarbledError(f"a record: {error}") from error
 
     async def history(self, system: str, part: Part) -> Mapping[str, object]:
         """Ticks of a finished recording, as columns."""
-        wanted = {"after": part.after, "before": part.before, "count": part.most}
-        given = {name: value for name, value in wanted.items() if value is not None}
-        question: dict[str, object] = {"ask": "history", "name": system, **given}
+        question = Question(ask="history", name=system, after=part.after, before=part.before, count=part.most)
         return await self._control.ask_alone(question, dict[str, object])
 
     async def erase(self, number: int) -> None:
         """Erases a fault: on return that is on the disk."""
-        erased = await self._control.clear({"ask": "clear", "number": number}, Erased)
+        erased = await self._control.clear(Question(ask="clear", number=number), Erased)
         if number not in erased.cleared:
             raise GarbledError(f"fault {number} is not among those that were cleared")
 
     async def erase_all(self, system: str) -> None:
         """Erases all that is remembered of a system; at once, with the overflow flag, where there is no other."""
         if await self.systems() == [system]:
-            await self._control.clear({"ask": "clear"}, Erased)
+            await self._control.clear(Question(ask="clear"), Erased)
             return
         for fault in await self.faults(system):
             try:

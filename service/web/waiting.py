@@ -1,9 +1,6 @@
-"""Small things to wait for: a change, another try, the end."""
+"""Small things to wait for: a change, the end."""
 
 import asyncio
-from collections.abc import Iterator
-
-FIRST_S, LONGEST_S = 0.2, 5.0
 
 
 class News:
@@ -24,14 +21,6 @@ class News:
                 return await self._event.wait()
         except TimeoutError:
             return False
-
-
-def backoff() -> Iterator[float]:
-    """Times to wait [s] before trying again: each twice the last, up to the longest."""
-    wait_s = FIRST_S
-    while True:
-        yield wait_s
-        wait_s = min(2 * wait_s, LONGEST_S)
 
 
 class Ending:

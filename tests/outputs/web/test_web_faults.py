@@ -9,12 +9,13 @@ from web_daemon import FAILED, NAMES, PASSED, PENDING, fault, status
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Status
-from faultline.service.web.answers import Frames, Meaning
+from faultline.service.protocol.answers import FreezeFrames
+from faultline.service.protocol.live import FaultMeaning
 from faultline.service.web.faults import STATUS_KEYS, aggregated, detail_of, item_of, selected, value_of
 from faultline.service.web.problems import error_of
 from faultline.service.web.queries import filter_of, nothing_in, page_of, parts_of
 
-MEANINGS = {each.name: each for each in msgspec.convert(NAMES, list[Meaning])}
+MEANINGS = {each.name: each for each in msgspec.convert(NAMES, list[FaultMeaning])}
 
 
 def encoded(value: object) -> Any:
@@ -101,7 +102,7 @@ class TestFaults:
         assert item_of(fault(1, modes=[]), {}).symptom == "tests t02, t05 fired"
 
     def test_details_carry_counts_and_frames_unless_they_are_left_out(self) -> None:
-        frames = Frames(first={"tick": 1}, latest={"tick": 2})
+        frames = FreezeFrames(first=msgspec.Raw(b'{"tick":1}'), latest=msgspec.Raw(b'{"tick":2}'))
         whole = encoded(detail_of(fault(3), MEANINGS, frames))
         assert whole["environment_data"]["snapshots"] == [
             {"record": "first", "data": {"tick": 1}},
@@ -112,7 +113,7 @@ class TestFaults:
         assert extended["dtcs"] == [{"spn": 520192, "fmi": 11}]
         only = encoded(detail_of(fault(3), MEANINGS, frames, snapshots=False))["environment_data"]
         assert [*only] == ["extended_data_records"]
-        assert encoded(detail_of(fault(3), {}, Frames(), extended=False))["environment_data"] == {"snapshots": []}
+        assert encoded(detail_of(fault(3), {}, FreezeFrames(), extended=False))["environment_data"] == {"snapshots": []}
 
 
 class TestFilter:

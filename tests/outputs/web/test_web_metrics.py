@@ -6,7 +6,8 @@ from typing import NamedTuple
 import pytest
 from web_daemon import FAILED, PASSED, fault
 
-from faultline.service.web.answers import Bus, Condition, State, Store, System
+from faultline.service.core.health import Standing
+from faultline.service.protocol.answers import BusStatus, ServiceState, StoreStatus, SystemStatus
 from faultline.service.web.metrics import Counts, Family, Sample, of_daemon, of_server, render
 
 NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
@@ -64,15 +65,15 @@ def one(families: dict[str, Read], name: str, **labels: str) -> float:
     return families[name].samples[frozenset(labels.items())]
 
 
-STATE = State(
+STATE = ServiceState(
     source="truck",
     version="0.1.0",
     seq=1234,
     cycle=7,
-    conditions=[Condition(kind="missing", of="y_p_du"), Condition(kind="missing", of="n_p")],
-    store=Store(path="/x", kept=1230, failing=True),
-    buses=[Bus(name="a", frames=10, dropped=2, errors=1), Bus(name="b", trouble="bus-off")],
-    systems=[System(name="uds4", bundle="ab", alarm=["t02"], cannot_tell=["t03", "t05"], suspected=True)],
+    conditions=[Standing(kind="missing", of="y_p_du"), Standing(kind="missing", of="n_p")],
+    store=StoreStatus(path="/x", kept=1230, failing=True),
+    buses=[BusStatus(name="a", frames=10, dropped=2, errors=1), BusStatus(name="b", trouble="bus-off")],
+    systems=[SystemStatus(name="uds4", bundle="ab", alarm=["t02"], cannot_tell=["t03", "t05"], suspected=True)],
 )
 
 
@@ -102,7 +103,7 @@ def test_a_daemon_that_is_away() -> None:
 
 
 def test_a_daemon_without_a_store_says_nothing_of_it() -> None:
-    read = strictly(render(of_daemon(State(source="a", version="1", seq=0), [])))
+    read = strictly(render(of_daemon(ServiceState(source="a", version="1", seq=0), [])))
     assert not [name for name in read if "store" in name or "fault_" in name]
 
 

@@ -150,7 +150,7 @@ class FakeDaemon:
 
     def tick(self, number: int, system: str = "uds4", padding: int = 0) -> None:
         """Sends a live tick to all who watch."""
-        tick = {"schema": "faultline.live/1", "system": system, "tick": number, "padding": "x" * padding}
+        tick = {"schema": "faultline.live/2", "system": system, "tick": number, "padding": "x" * padding}
         line = msgspec.json.encode(tick) + b"\n"
 
         def work() -> None:
@@ -252,7 +252,7 @@ class FakeDaemon:
     def _state(self, _: Json) -> Json:
         seq = self.told[-1].seq if self.told else 0
         counts = {"frames": 1000, "dropped": 3, "errors": 0, "trouble": None}
-        tests = {"tick": 50, "alarm": ["t02"], "cannot_tell": [], "suspected": True}
+        tests = {"tick": 50, "alarm": ["t02"], "cannot_tell": [], "suspected": True, "anomaly": True}
         return {
             "source": "truck",
             "version": "0.1.0",
@@ -299,7 +299,8 @@ class FakeDaemon:
     def _system(self, question: Json) -> Json:
         if question["name"] not in self.systems:
             return _error("unknown", f"no system {question['name']}")
-        return {"name": question["name"], "faults": NAMES, "signals": [], "tests": []}
+        named = {"name": question["name"], "bundle": BUNDLE, "period_s": 0.2}
+        return {**named, "inputs": [], "generators": [], "faults": NAMES}
 
 
 def _error(code: str, message: str) -> Json:
