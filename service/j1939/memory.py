@@ -6,13 +6,16 @@ as no fault, and DM1 must not say so.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import msgspec
 
 from faultline.service.core.faults import Fault
 from faultline.service.j1939.dtcs import Known, known, left_out, unsent
-from faultline.service.j1939.lines import Lines
+from faultline.service.protocol.answers import FaultList
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.errors import GarbledError, RefusedError
+from faultline.service.protocol.questions import Question
+from faultline.service.protocol.reconnecting import Reconnecting
+from faultline.service.protocol.records import Subscription
 
 ASK_S, ASK_BLIND_S = 10.0, 1.0
 """How often it is asked without being told that anything has changed: with the events, and without."""
@@ -21,17 +24,8 @@ PATIENCE_S = 2.0
 KEEP_S = 5.0
 OLDEST_S = ASK_S + PATIENCE_S + KEEP_S
 """Nothing older is known, whatever happens: this process may have been stopped."""
-QUESTION = b'{"ask":"faults"}\n'
-
-
-class _Answer(msgspec.Struct):
-    """Of docs/control.md: what is remembered, or why not."""
-
-    faults: list[Fault] | None = None
-    error: dict[str, Any] | None = None
-
-
-_decoder = msgspec.json.Decoder(_Answer)
+RETRY_S = 0.5
+QUESTION = encode(Question(ask="faults"))
 
 
 class Memory:
@@ -39,7 +33,8 @@ class Memory:
 
     def __init__(self, control: Path, events: Path, say: Callable[[str], None]) -> None:
         self._where = control
-        self._control, self._events = Lines(control), Lines(events, b"{}\n")
+        self._control = Reconnecting(control, Backoff(RETRY_S, RETRY_S))
+        self._events = Reconnecting(events, Backoff(RETRY_S, RETRY_S), lambda: encode(Subscription()))
         self._say = say
         self.known: Known | None = None
         self._asked: float | None = None  # when; None: not, or answered
@@ -77,7 +72,7 @@ class Memory:
         if self._asked is not None and now >= self._asked + PATIENCE_S:
             self._fail(f"does not answer within {PATIENCE_S:g} s", self._asked)
             self._control.drop(now)
-        elif self._control.is_gone:
+        elif self._control.why:
             self._fail("is not there", now)
         elif self._asked is None and now >= self._due and self._control.send(QUESTION, now):
             self._asked, self._due = now, now + (ASK_S if self._events.is_connected else ASK_BLIND_S)
@@ -96,21 +91,23 @@ class Memory:
             return
         self._asked = None
         try:
-            answer = _decoder.decode(line)
-        except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-            answer, why = _Answer(), f"gave no answer that is understood ({error})"
-        else:
-            why = f"refused ({(answer.error or {}).get('message', 'it did not say why')})"
-        if answer.faults is None:
-            self._fail(why, now)
-            self._due = now + ASK_BLIND_S
+            faults = decode(line, FaultList).faults
+        except RefusedError as error:
+            self._answered_nothing(f"refused ({error.message})", now)
+            return
+        except GarbledError as error:
+            self._answered_nothing(f"gave no answer that is understood ({error.__cause__})", now)
             return
         if self._whys:
             self._say(f"{self._where}: the service answers")
         self._whys.clear()
         self._failing, self._answered = None, now
-        self.known = known(answer.faults)
-        self._warn(answer.faults)
+        self.known = known(faults)
+        self._warn(faults)
+
+    def _answered_nothing(self, why: str, now: float) -> None:
+        self._fail(why, now)
+        self._due = now + ASK_BLIND_S
 
     def _fail(self, why: str, since: float) -> None:
         if self._failing is None:

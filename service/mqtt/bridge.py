@@ -6,17 +6,19 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from faultline.service.mqtt.ask import AskError, State, ask_faults, ask_state
+from faultline.service.mqtt.ask import State, ask_faults, ask_state
 from faultline.service.mqtt.broker import Broker
 from faultline.service.mqtt.config import MqttConfig
 from faultline.service.mqtt.cursor import Cursor, CursorFile
 from faultline.service.mqtt.daemon import Daemon
 from faultline.service.mqtt.naming import Naming
-from faultline.service.mqtt.patience import Backoff, Say
 from faultline.service.mqtt.progress import Progress
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.sender import Sender
+from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import TopicError
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.errors import ProtocolError
 from faultline.service.systemd import Heartbeat, Notifier
 
 TURN_S = 1.0
@@ -124,7 +126,7 @@ class Bridge:
             return
         try:
             remembered = ask_faults(Path(self._config.control))
-        except AskError as error:
+        except ProtocolError as error:
             self._no_answer(error, now)
             return
         self._reconciled = wanted
@@ -136,13 +138,13 @@ class Bridge:
             return None
         try:
             state = ask_state(Path(self._config.control))
-        except AskError as error:
+        except ProtocolError as error:
             self._no_answer(error, now)
             return None
         self._asking.well()
         return state
 
-    def _no_answer(self, error: AskError, now: float) -> None:
+    def _no_answer(self, error: ProtocolError, now: float) -> None:
         self._say(f"the daemon does not answer: {error}; it is asked again")
         self._asking.failed(now)
 

@@ -7,10 +7,11 @@ from faultline.service.mqtt.answers import name_of
 from faultline.service.mqtt.config import MqttConfig
 from faultline.service.mqtt.link import Answered, Down, Happened, Held, Link, Up
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.patience import Backoff, Say
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.sender import Sender
+from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import Topics
+from faultline.service.protocol.backoff import Backoff
 
 RETRY_S = 1.0, 60.0
 """Between two tries to connect: at first, and at most."""

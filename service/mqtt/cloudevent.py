@@ -9,7 +9,12 @@ import re
 
 import msgspec
 
-from faultline.service.mqtt.records import CLEARED, EVENT, FAULT, HEALTH, Record
+from faultline.service.core.events import SCHEMA as EVENT
+from faultline.service.core.faults import CLEARED
+from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.protocol.errors import UNREADABLE
+from faultline.service.protocol.records import Record
 
 CONTENT_TYPE = "application/cloudevents+json"
 DIGITS = 20
@@ -31,20 +36,6 @@ class _CloudEvent(msgspec.Struct, omit_defaults=True):
     time: str | None = None
 
 
-class _Named(msgspec.Struct):
-    """What of a record says what it is, and of what; all of it may be missing or of another type."""
-
-    transition: object = None
-    change: object = None
-    system: object = None
-    bundle: object = None
-    fault: object = None
-    numbers: object = None
-
-
-_NAMED = msgspec.json.Decoder(_Named)
-
-
 def source(vehicle: str) -> str:
     """The vehicle as a URN, which no broker or prefix is part of: it stays what it is wherever the event goes."""
     return f"urn:faultline:{vehicle}"
@@ -52,32 +43,33 @@ def source(vehicle: str) -> str:
 
 def structured(record: Record, vehicle: str) -> bytes:
     """The CloudEvent; the same bytes whenever it is made of the same record."""
-    named = _named(record)
+    fields = _fields(record)
     return msgspec.json.encode(
         _CloudEvent(
             specversion="1.0",
             id=record.id,
             source=source(vehicle),
-            type=_type(record, named),
+            type=_type(record, fields),
             datacontenttype="application/json",
             sequence=f"{record.seq:0{DIGITS}d}",
             data=msgspec.Raw(record.line),
-            subject=_subject(record, named),
+            subject=_subject(record, fields),
             time=_time(record.wall),
         )
     )
 
 
-def _named(record: Record) -> _Named:
+def _fields(record: Record) -> dict[str, object]:
+    """All that the record says; nothing where it is no object of ours, which has no subject."""
     try:
-        return _NAMED.decode(record.line)
-    except (ValueError, RecursionError):  # no object of ours: it has no subject
-        return _Named()
+        return msgspec.json.decode(record.line, type=dict[str, object])
+    except UNREADABLE:
+        return {}
 
 
-def _type(record: Record, named: _Named) -> str:
+def _type(record: Record, fields: dict[str, object]) -> str:
     """`io.faultline.` and what it is; of an unknown schema with its version, as its meaning is not known here."""
-    word = {EVENT: named.transition, FAULT: named.change}.get(record.schema)
+    word = {EVENT: fields.get("transition"), FAULT: fields.get("change")}.get(record.schema)
     stem = {EVENT: "event", FAULT: "fault", HEALTH: "health", CLEARED: "cleared"}.get(record.schema)
     if stem is not None:
         return f"io.faultline.{stem}" + (f".{word}" if isinstance(word, str) and _WORD.fullmatch(word) else "")
@@ -85,16 +77,17 @@ def _type(record: Record, named: _Named) -> str:
     return f"io.faultline.{schema[1]}.v{schema[2]}" if schema else "io.faultline.record"
 
 
-def _subject(record: Record, named: _Named) -> str | None:
+def _subject(record: Record, fields: dict[str, object]) -> str | None:
     """The number of the fault; of an event the system, or the bundle that decided; None where it is of all."""
+    fault, numbers = fields.get("fault"), fields.get("numbers")
     subject: object = None
-    if record.schema == FAULT and isinstance(named.fault, dict):
-        number = named.fault.get("number")
+    if record.schema == FAULT and isinstance(fault, dict):
+        number = fault.get("number")
         subject = str(number) if isinstance(number, int) else None
-    elif record.schema == CLEARED and isinstance(named.numbers, list) and len(named.numbers) == 1:
-        subject = str(named.numbers[0])
+    elif record.schema == CLEARED and isinstance(numbers, list) and len(numbers) == 1:
+        subject = str(numbers[0])
     elif record.schema == EVENT:
-        subject = named.system or named.bundle
+        subject = fields.get("system") or fields.get("bundle")
     return subject if isinstance(subject, str) and subject else None
 
 

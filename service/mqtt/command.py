@@ -14,7 +14,7 @@ from faultline.service.mqtt.access import context, password
 from faultline.service.mqtt.bridge import Bridge
 from faultline.service.mqtt.config import load_config
 from faultline.service.mqtt.cursor import CursorFile
-from faultline.service.mqtt.patience import Said
+from faultline.service.mqtt.throttled import Said
 from faultline.service.systemd import Notifier, Supervisor
 
 EXAMPLE = """example:

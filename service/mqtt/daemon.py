@@ -5,14 +5,18 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.service.mqtt.patience import Backoff, Say
-from faultline.service.mqtt.records import Record, RecordError, read
-from faultline.service.mqtt.stream import Stream, StreamError
+from faultline.service.mqtt.throttled import Say
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.client import encode
+from faultline.service.protocol.reconnecting import Reconnecting
+from faultline.service.protocol.records import Record, RecordError, Subscription, read
 
 RETRY_S = 0.5, 5.0
 """Between two tries to connect: at first, and at most."""
 SHOWN = 120
 """Bytes that are shown of a line that is no record."""
+LONGEST = 1 << 20
+"""Bytes of a line; a longer one is left out, and its number is missing then."""
 
 
 class Daemon:
@@ -21,62 +25,47 @@ class Daemon:
     def __init__(self, path: Path, identifier: str | None, seq: int, say: Say) -> None:
         self._path, self._say = path, say
         self._id, self._seq = identifier, seq
-        self._stream: Stream | None = None
-        self._retry = Backoff(*RETRY_S)
-        self.epoch = 0
+        self._lines = Reconnecting(path, Backoff(*RETRY_S), self._subscription, LONGEST)
+
+    @property
+    def epoch(self) -> int:
         """How often it was connected."""
+        return self._lines.connections
 
     @property
     def is_there(self) -> bool:
-        """Whether it is connected."""
-        return self._stream is not None
+        """True while it is connected."""
+        return self._lines.is_connected
 
     @property
     def retry_at(self) -> float:
         """When the next try to connect is due [s]."""
-        return self._retry.at
+        return self._lines.retry.at
 
     def register(self, selector: selectors.BaseSelector) -> None:
-        """Puts the connection, if there is one, into the loop's selector for one turn."""
-        if self._stream is not None:
-            selector.register(self._stream, selectors.EVENT_READ)
+        """Put the connection, if there is one, into the loop's selector for one turn."""
+        if self.is_there:
+            selector.register(self._lines, selectors.EVENT_READ)
 
     def turn(self, now: float) -> list[Record]:
-        """Connects where that is due, and gives what has come."""
-        if self._stream is None and now >= self._retry.at:
-            self._connect(now)
-        if self._stream is None:
-            return []
-        try:
-            lines = self._stream.read()
-        except StreamError as error:
-            self.close()
-            self._away(error, now)
-            return []
+        """Connect where that is due; return what has come, no more than one chunk."""
+        epoch, failures = self.epoch, self._lines.failures
+        lines = self._lines.take(now)
+        if self.epoch != epoch:
+            self._say(f"connected to the daemon, after {self._id or 'nothing'}")
+        if self._lines.failures != failures:
+            self._say(f"the daemon is away: {self._lines.why}; looking for it")
         records = [record for line in lines if (record := self._record(line)) is not None]
         if records:
-            self._retry.well()
+            self._lines.retry.well()
         return records
 
     def close(self) -> None:
-        """Ends the connection."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        """End the connection."""
+        self._lines.close()
 
-    def _connect(self, now: float) -> None:
-        try:
-            self._stream = Stream(self._path, self._id if self._id is not None else 0)
-        except StreamError as error:
-            self._away(error, now)
-        else:
-            self.epoch += 1
-            self._retry.failed(now)  # until a record comes: who is sent away at once must not come back at once
-            self._say(f"connected to the daemon, after {self._id or 'nothing'}")
-
-    def _away(self, error: StreamError, now: float) -> None:
-        self._say(f"the daemon is away: {error}; looking for it")
-        self._retry.failed(now)
+    def _subscription(self) -> bytes:
+        return encode(Subscription(self._id if self._id is not None else 0))
 
     def _record(self, line: bytes) -> Record | None:
         """The record, which knows how many are missing before it; None where the line is none, or was read before."""

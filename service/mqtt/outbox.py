@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from faultline.service.mqtt.records import Record
+from faultline.service.protocol.records import Record
 
 IN_FLIGHT = 20
 """Publications that the broker has not acknowledged, at most."""

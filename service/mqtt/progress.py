@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable
 
 from faultline.service.mqtt.cursor import Cursor, CursorFile
 from faultline.service.mqtt.outbox import Passed
-from faultline.service.mqtt.patience import Say
+from faultline.service.mqtt.throttled import Say
 
 KEPT_S = 0.5
 """Between two writes at least."""

@@ -3,11 +3,11 @@
 from faultline.service.mqtt.ask import Remembered, State
 from faultline.service.mqtt.cursor import Cursor
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.patience import Say
-from faultline.service.mqtt.records import Record, RecordError
 from faultline.service.mqtt.states import FaultStates
+from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import Topics
 from faultline.service.mqtt.vehicle_health import VehicleHealth
+from faultline.service.protocol.records import Record, RecordError
 
 
 class Retained:

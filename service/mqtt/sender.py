@@ -10,10 +10,11 @@ from faultline.service.mqtt.answers import HANGS_UP, PATIENCE_S, Answers, name_o
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
 from faultline.service.mqtt.link import Answered, Link, Up
 from faultline.service.mqtt.outbox import IN_FLIGHT, Outbox, Passed, Publication
-from faultline.service.mqtt.patience import Backoff, Say
-from faultline.service.mqtt.records import Record
 from faultline.service.mqtt.retained import Retained
+from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import Topics
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.records import Record
 
 RETRY_S = 1.0, 60.0
 """Until what was refused is sent again: at first, and at most."""

@@ -6,10 +6,12 @@ to which number: what that contains already changes no retained topic any more.
 
 from collections.abc import Collection, Mapping
 
-from faultline.service.core.faults import ERASED
+from faultline.service.core.faults import CLEARED, ERASED
+from faultline.service.core.faults import SCHEMA as FAULT
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.records import CLEARED, FAULT, Record, cleared_in, fault_in
+from faultline.service.mqtt.records import cleared_in, fault_in
 from faultline.service.mqtt.topics import Topics
+from faultline.service.protocol.records import Record
 
 FOUND = 4096
 """Retained topics at the broker that are remembered until the daemon has said what is to be there."""

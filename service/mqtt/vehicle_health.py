@@ -2,10 +2,12 @@
 
 import msgspec
 
+from faultline.service.core.health import SCHEMA as HEALTH
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.records import HEALTH, Record, conditions_in
+from faultline.service.mqtt.records import conditions_in
 from faultline.service.mqtt.states import Moment
 from faultline.service.mqtt.topics import Topics
+from faultline.service.protocol.records import Record
 
 _UNKNOWN = msgspec.Raw(b"null")
 

@@ -58,7 +58,7 @@ class ControlClient:
     def __init__(self, path: Path, answer_s: float = ANSWER_S, longest: int = LONGEST) -> None:
         self._path, self._answer_s = path, answer_s
         try:
-            self._connection = Connection(path, longest=longest)
+            self._connection = Connection(path, longest=longest, connect_s=answer_s)
         except AwayError as error:
             raise AwayError(f"{error.message}{REMEDY}", path) from error
 

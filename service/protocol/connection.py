@@ -14,21 +14,23 @@ LONGEST = 16 << 20
 class Connection:
     """Connected to `path`, on which `first` was sent.
 
-    A line of more than `longest` bytes is left out and not kept.
+    A line of more than `longest` bytes is left out and not kept. Where the service is slow to accept, connecting takes
+    `connect_s` [s] at most.
 
     Raises:
         AwayError: nobody serves there.
     """
 
-    def __init__(self, path: Path, first: bytes = b"", longest: int = LONGEST) -> None:
+    def __init__(self, path: Path, first: bytes = b"", longest: int = LONGEST, connect_s: float = 0.0) -> None:
         self._path, self._longest = path, longest
         self._rest: list[bytes] = []  # of a line that has no end yet
         self._size = 0
         self._is_skipping = False  # in the middle of a line that is too long
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._sock.setblocking(False)
+            self._sock.settimeout(connect_s)
             self._sock.connect(str(path))
+            self._sock.setblocking(False)
             if first:
                 self._sock.sendall(first)  # fits into an empty buffer
         except OSError as error:

@@ -11,14 +11,15 @@ from faultline.service.protocol.errors import AwayError
 class Reconnecting:
     """Lines of the socket at `path`; `first` gives what is sent on each new connection, and `retry` when to try again.
 
-    `connections` counts them. `why` says why there is none, "" while there is one, or before the first try.
+    `connections` counts them, `failures` those that were lost or could not be made. `why` says why there is none, ""
+    while there is one, or before the first try. Who is content with what came calls `retry.well()`.
     """
 
     def __init__(self, path: Path, retry: Backoff, first: Callable[[], bytes] = bytes, longest: int = LONGEST) -> None:
         self._path, self._first, self._longest = path, first, longest
         self.retry = retry
         self._connection: Connection | None = None
-        self.connections = 0
+        self.connections = self.failures = 0
         self.why = ""
 
     @property
@@ -42,14 +43,11 @@ class Reconnecting:
                 self._connection = Connection(self._path, self._first(), self._longest)
                 self.connections += 1
                 self.why = ""
-                self.retry.failed(now)  # until a line comes: who is sent away at once must not come back at once
-            lines = [] if self._connection is None else self._connection.read()
+                self.retry.failed(now)  # until `retry.well()`: who is sent away at once must not come back at once
+            return [] if self._connection is None else self._connection.read()
         except AwayError as error:
             self._lost(error, now)
             return []
-        if lines:
-            self.retry.well()
-        return lines
 
     def send(self, line: bytes, now: float) -> bool:
         """True if the line was taken; who does not take one at once is lost."""
@@ -74,4 +72,5 @@ class Reconnecting:
 
     def _lost(self, error: AwayError, now: float) -> None:
         self.drop(now)
+        self.failures += 1
         self.why = str(error)

@@ -5,8 +5,9 @@ the line as it came, so that a client can hand on what it does not know.
 """
 
 import re
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -19,6 +20,7 @@ from faultline.service.protocol.errors import UNREADABLE
 RECORDS = (Event, FaultRecord, Cleared, Health)
 """The records of this version, by the schemas of docs/events.md."""
 
+T = TypeVar("T")
 _ID = re.compile(r"(.+?)(?:-[0-9a-f]{8})?-[0-9]+", re.DOTALL)
 
 
@@ -76,12 +78,22 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return _PARTS.decode(self.line)
 
 
+def part_of(parts: Mapping[str, msgspec.Raw], name: str, kind: type[T]) -> T:
+    """Return a field of what came as JSON, by field; raises RecordError where it is missing or of another type."""
+    if name not in parts:
+        raise RecordError(f"has no field `{name}`")
+    try:
+        return msgspec.json.decode(parts[name], type=kind)
+    except UNREADABLE as error:
+        raise RecordError(f"`{name}`: {error}") from error
+
+
 _HEADER = msgspec.json.Decoder(Header)
 _PARTS = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
 def read(line: bytes, epoch: int = 0) -> Record:
-    """Return the record in one line of JSON.
+    """Return the record in one line of JSON, which connection number `epoch` brought.
 
     Raises:
         RecordError: it is none: no UTF-8, no JSON, without an id or a number.

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("src", "service", "analysis", "training", "testbench", "dbc", "pyproject.toml")
 
 PLANTS = {
-    "a gateway of another one": ("service/mqtt/stream.py", "from faultline.service.web.asking import Control"),
+    "a gateway of another one": ("service/mqtt/daemon.py", "from faultline.service.web.asking import SharedControl"),
     "a command of another one": ("service/replay.py", "from faultline.service.bundles import main"),
     "a cycle of the steps of analysis": (
         "analysis/model/units.py",

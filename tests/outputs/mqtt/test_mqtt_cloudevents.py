@@ -16,7 +16,7 @@ from faultline.service.core.events import SCHEMA, Diagnosis, Event, encode
 from faultline.service.core.health import SCHEMA as HEALTH
 from faultline.service.core.health import Health, Standing, encode_health
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
-from faultline.service.mqtt.records import RecordError, read
+from faultline.service.protocol.records import RecordError, read
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "events.jsonl"
 

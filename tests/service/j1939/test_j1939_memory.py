@@ -9,8 +9,7 @@ from j1939_service import FakeService, fault
 
 from faultline.service.j1939.dm1 import Code
 from faultline.service.j1939.dtcs import Known
-from faultline.service.j1939.lines import LARGEST, RETRY_S, Lines
-from faultline.service.j1939.memory import ASK_BLIND_S, ASK_S, KEEP_S, OLDEST_S, PATIENCE_S, Memory
+from faultline.service.j1939.memory import ASK_BLIND_S, ASK_S, KEEP_S, OLDEST_S, PATIENCE_S, RETRY_S, Memory
 
 PUMP = fault(1, (4374, 0))
 NONE = Known((), (), amber=False)
@@ -225,44 +224,3 @@ def test_what_is_not_on_the_bus_is_said_once(service: FakeService, asker: Asker)
         "fault 1 (pump) has no SPN and FMI: no code of it is sent",
         "54 codes are more than a message has room for; the oldest faults' are sent",
     ]
-
-
-def test_lines_that_have_no_end_are_not_kept_for_ever(tmp_path: Path) -> None:
-    import socket
-
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
-        listener.bind(str(tmp_path / "s"))
-        listener.listen()
-        lines = Lines(tmp_path / "s")
-        assert lines.take(0.0) == []
-        client, _ = listener.accept()
-        client.settimeout(0.2)
-        sent = 0
-        with client, pytest.raises(OSError):  # noqa: PT012 it takes many
-            while True:
-                sent += client.send(bytes(1 << 16))
-                lines.take(0.0)
-        assert LARGEST <= sent < LARGEST + (1 << 22)
-        assert not lines.is_connected
-        lines.close()
-
-
-def test_whole_lines_before_the_end_are_taken_and_what_was_begun_is_not(tmp_path: Path) -> None:
-    import socket
-
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
-        listener.bind(str(tmp_path / "s"))
-        listener.listen()
-        lines = Lines(tmp_path / "s", b"{}\n")
-        lines.take(0.0)
-        client, _ = listener.accept()
-        assert client.recv(10) == b"{}\n"
-        client.sendall(b"one\ntw")
-        assert lines.take(0.0) == [b"one"]
-        client.sendall(b"o\nthree\nfo")
-        client.close()
-        assert lines.take(0.0) == [b"two", b"three"]
-        assert (lines.is_connected, lines.due) == (False, RETRY_S)
-        assert lines.take(RETRY_S) == []
-        assert lines.is_connected
-        lines.close()

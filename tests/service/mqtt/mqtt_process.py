@@ -29,7 +29,7 @@ broker.RETRY_S = sender.RETRY_S = 0.1, 6.0
 bridge.ASKED_S = 0.1, 1.0
 bridge.LEAVING_S = 2.0
 """
-"""Tries come ten times as fast; how long they wait is a matter of `patience`, which has tests of its own."""
+"""Tries come ten times as fast; how long they wait is a matter of `Backoff`, which has tests of its own."""
 
 PATIENCE_S = 20.0
 

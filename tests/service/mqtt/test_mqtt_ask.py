@@ -14,9 +14,13 @@ import pytest
 
 from faultline.service.core.errors import InputError
 from faultline.service.mqtt import ask
-from faultline.service.mqtt.ask import AskError, ask_faults, ask_state
+from faultline.service.mqtt.ask import ask_faults, ask_state
 from faultline.service.mqtt.broker_words import failed, lost
-from faultline.service.mqtt.stream import LONGEST, Stream, StreamError
+from faultline.service.mqtt.daemon import LONGEST
+from faultline.service.protocol.client import encode
+from faultline.service.protocol.connection import Connection
+from faultline.service.protocol.errors import AwayError, ProtocolError
+from faultline.service.protocol.records import Subscription
 
 Serve = Callable[[socket.socket], None]
 
@@ -69,20 +73,21 @@ def test_faults_are_as_they_were_written(serving: Callable[[Serve], Path]) -> No
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (b'{"error":{"code":"busy","message":"too many connections"}}\n', "'faults' is refused: too many connections"),
-        (b"{}\n", "'faults' is answered by what makes no sense: "),
-        (b"nothing\n", "makes no sense"),
-        (b"\xff\n", "makes no sense"),
-        (b"[" * 100_000 + b"\n", "makes no sense"),
+        (b'{"error":{"code":"busy","message":"too many connections"}}\n', "socket: too many connections"),
+        (b"{}\n", "sent no faults: has no field `faults`"),
+        (b"nothing\n", "sent no answer"),
+        (b"\xff\n", "sent no answer"),
+        (b"[" * 100_000 + b"\n", "answers as another version"),
+        (b'{"x":' + b"[" * 100_000 + b"\n", "sent no answer"),
         (b'{"faults":[{}],"seq":1}\n', "a fault without a number"),
         (b'{"faults":[{"number":-1}],"seq":1}\n', "a fault without a number"),
-        (b'{"faults":[],"seq":1}', "no whole answer came"),
-        (b"", "no whole answer came"),
+        (b'{"faults":[],"seq":1}', "it broke off"),
+        (b"", "the service has ended the connection"),
     ],
 )
 def test_an_answer_that_is_none_is_said(serving: Callable[[Serve], Path], answer: bytes, said: str) -> None:
     path = serving(answering(answer))
-    with pytest.raises(AskError, match=said) as caught:
+    with pytest.raises(ProtocolError, match=said) as caught:
         ask_faults(path)
     assert "\n" not in str(caught.value)
 
@@ -91,7 +96,7 @@ def test_an_answer_without_an_end_is_not_kept(
     serving: Callable[[Serve], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ask, "LARGEST", 1000)
-    with pytest.raises(AskError, match="no whole answer"):
+    with pytest.raises(ProtocolError, match="the service has ended the connection"):
         ask_state(serving(answering(b"x" * 300_000)))
 
 
@@ -109,17 +114,17 @@ def test_a_daemon_that_drips_does_not_hold_us_up(
 
     path = serving(drip)
     begun = time.monotonic()
-    with pytest.raises(AskError, match=r"timed out|no answer within"):
+    with pytest.raises(ProtocolError, match=r"no answer within 0.2 s"):
         ask_state(path)
     assert time.monotonic() - begun < 10  # it drips for ever
     ended.set()
 
 
 def test_a_daemon_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(AskError, match=r"none: No such file or directory"):
+    with pytest.raises(ProtocolError, match=r"none: No such file or directory"):
         ask_state(tmp_path / "none")
-    with pytest.raises(StreamError, match=r"none: No such file or directory"):
-        Stream(tmp_path / "none", 0)
+    with pytest.raises(AwayError, match=r"none: No such file or directory"):
+        Connection(tmp_path / "none")
 
 
 def test_lines_come_whole_however_they_were_cut(serving: Callable[[Serve], Path]) -> None:
@@ -131,7 +136,7 @@ def test_lines_come_whole_however_they_were_cut(serving: Callable[[Serve], Path]
             sock.sendall(part)
             time.sleep(0.01)
 
-    stream = Stream(serving(serve), "truck-17-1")
+    stream = Connection(serving(serve), encode(Subscription("truck-17-1")), LONGEST)
     lines = everything(stream)
     assert lines == [b"one", b"two", b"three"]  # what has no end is none
     assert asked == [{"after": "truck-17-1"}]
@@ -142,20 +147,20 @@ def test_a_line_that_is_too_long_is_left_out_and_not_kept(serving: Callable[[Ser
         sock.recv(4096)
         sock.sendall(b"one\n" + b"x" * (3 * LONGEST) + b"\ntwo\n")
 
-    stream = Stream(serving(serve), 0)
+    stream = Connection(serving(serve), encode(Subscription(0)), LONGEST)
     assert everything(stream) == [b"one", b"two"]
 
 
-def everything(stream: Stream) -> list[bytes]:
+def everything(stream: Connection) -> list[bytes]:
     """All lines until the end; of a line without one no more is kept than is read."""
     lines = list[bytes]()
     with closing(stream):
         while True:
             try:
                 lines += stream.read()
-            except StreamError:
+            except AwayError:
                 return lines
-            assert len(stream._rest) <= LONGEST
+            assert stream._size <= LONGEST
 
 
 def certificate_error() -> Exception:

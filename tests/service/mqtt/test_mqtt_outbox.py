@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import pytest
 
 from faultline.service.mqtt.outbox import WINDOW, Outbox, Passed, Publication
-from faultline.service.mqtt.records import Record
+from faultline.service.protocol.records import Record
 
 
 def record(seq: int, size: int = 10) -> Record:

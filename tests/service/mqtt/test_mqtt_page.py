@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.mqtt import answers, broker, cursor, outbox, patience, progress
+from faultline.service.mqtt import answers, broker, cursor, outbox, progress, throttled
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, DIGITS
 from faultline.service.mqtt.daemon import RETRY_S
 from faultline.service.mqtt.topics import LEVEL
@@ -42,7 +42,7 @@ def test_numbers_are_those_of_the_code() -> None:
         "the next twenty one by one": outbox.IN_FLIGHT == 20,
         "are 1 s, twice as long each time, 60 s at most": broker.RETRY_S == (1, 60),
         f"looked for every {RETRY_S[0]:g} to {RETRY_S[1]:g} s": True,
-        "the same once a minute at most": patience.SAID_S == 60,
+        "the same once a minute at most": throttled.SAID_S == 60,
         f"in {DIGITS} digits": True,
         "three are left": cursor.ASIDE == 3,
         "half a second": progress.KEPT_S == 0.5,

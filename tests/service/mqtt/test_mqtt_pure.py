@@ -1,4 +1,4 @@
-"""Topics, answers, names, patience: what is decided without a broker."""
+"""Topics, answers, names, back-off, throttled messages: what is decided without a broker."""
 
 import json
 
@@ -8,9 +8,10 @@ from faultline.service.mqtt import answers
 from faultline.service.mqtt.answers import PATIENCE_S, Answers, Verdict, name_of
 from faultline.service.mqtt.cloudevent import structured
 from faultline.service.mqtt.naming import Naming
-from faultline.service.mqtt.patience import SAID, SAID_S, Backoff, Said
-from faultline.service.mqtt.records import RecordError, read
+from faultline.service.mqtt.throttled import SAID, SAID_S, Said
 from faultline.service.mqtt.topics import LEVEL, TopicError, Topics, level, levels
+from faultline.service.protocol.backoff import Backoff
+from faultline.service.protocol.records import RecordError, read
 
 BAD_NAMES = ["a/b", "+", "#", "a+b", "a#", "a\0b", "a\nb", "", "../x", "$SYS", "Lkw-ü", "a b", "-a", "\ud800", "\x7f"]
 

@@ -6,10 +6,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from faultline.service.mqtt.records import Record, RecordError, read
 from faultline.service.mqtt.states import FOUND, FaultStates
 from faultline.service.mqtt.topics import Topics
 from faultline.service.mqtt.vehicle_health import VehicleHealth
+from faultline.service.protocol.records import Record, RecordError, read
 
 TOPICS = Topics("faultline", "truck-17")
 

@@ -279,7 +279,7 @@ def test_without_a_control_socket_records_name_the_vehicle_and_states_follow_the
     told = daemon.tell_fault(3)
     process = Process(write_config(tmp_path, broker.port))
     backend.wait(lambda: told in backend.ids() and backend.last(f"{BASE}/faults/3") is not None)
-    process.wait_said("is answered by what makes no sense")
+    process.wait_said("control.sock: sent no state: has no field")
     daemon.answers = None
     daemon.faults.clear()
     backend.wait(lambda: (one := backend.last(f"{BASE}/faults/3")) is not None and not one.payload)

@@ -1,6 +1,5 @@
-"""How long to wait before the next try, and how often the same is said."""
+"""Messages for a person, rate-limited: the same is not said too often."""
 
-import secrets
 from collections.abc import Callable
 from typing import Protocol
 
@@ -8,31 +7,6 @@ SAID_S = 60.0
 """The same is said once in so long."""
 SAID = 64
 """So many different sayings are remembered."""
-
-
-_chance = secrets.SystemRandom().random
-
-
-class Backoff:
-    """When to try again [s]: after `first`, then twice as long each time until `longest`, less up to half by chance.
-
-    The chance is for a fleet whose broker was away: it must not come back all at once.
-    """
-
-    def __init__(self, first: float, longest: float, chance: Callable[[], float] = _chance) -> None:
-        self._first, self._longest, self._chance = first, longest, chance
-        self._next = first
-        self.at = float("-inf")
-
-    def failed(self, now: float) -> float:
-        """A try failed at `now`; gives when the next one is due."""
-        self.at = now + self._next * (1 - 0.5 * self._chance())
-        self._next = min(2 * self._next, self._longest)
-        return self.at
-
-    def well(self) -> None:
-        """It is well again: the next failure waits for the shortest time."""
-        self._next, self.at = self._first, float("-inf")
 
 
 class Say(Protocol):
