@@ -6,9 +6,10 @@ AUTOSAR diagnostic management.
 
 import re
 from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
 SCHEMA = "faultline.event/1"
 
@@ -21,45 +22,94 @@ that nothing is known. cannot_tell: other tests than before cannot tell."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """One explanation of what is wrong: all of `faults` together; no name means that it is no known fault nor a pair.
+    """One explanation of what is wrong."""
 
-    `rank` starts at 1; explanations the data cannot separate share a rank. `p` is the probability, with three digits,
-    that it is this one if it is one of these; None before residuals have settled, and of two faults at once, for which
-    no calibration curve stands behind it. What is unknown is `near` the equation that what explains it enters, as a
-    leak does a balance; where nothing explains it, near those that all tests which deviate have in common.
-    """
-
-    faults: list[str]
-    rank: int
-    p: float | None
-    near: list[str] = []
+    faults: Annotated[
+        list[str],
+        Meta(
+            description="all of these together explain what is seen; empty: it is no fault of a component that the "
+            "model knows, nor two"
+        ),
+    ]
+    rank: Annotated[int, Meta(description="from 1; explanations that the data cannot separate share a rank")]
+    p: Annotated[
+        float | None,
+        Meta(
+            description="probability, with three digits, that it is this one if it is one of these ([how well that "
+            "holds](results/diagnosis.md)); null in the first 20 s, of two faults at once, of what comes "
+            "and goes, and of an unknown that nothing explains. It is of the moment of telling: a change "
+            "of `p` alone makes no event"
+        ),
+    ]
+    near: Annotated[
+        list[str],
+        Meta(
+            description="of what is unknown: with a `p`, the equation that explains it when something enters it that "
+            "is no component's fault, as a leak enters a balance; without, those that all tests which "
+            "deviate have in common (`faultline bundle show`)"
+        ),
+    ] = []
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """One transition of the diagnosis.
+    """One transition of the diagnosis. A test in neither `alarm` nor `cannot_tell` is quiet."""
 
-    `tick` and `t_s` [s] say when it was decided, in log time since the first tick; `since_tick` when the evidence began
-    (the alarmed tests' CUSUM last left zero; or the suspicion, where none alarms), None where nothing is wrong.
-    `suspected`: something is, and nothing is confirmed, whether a test alarms or not. `intermittent`: what is confirmed
-    comes and goes, and explanations are not ranked. `alarm` and `cannot_tell` name
-    tests; a test in neither is quiet. `wall` is the wall clock's time (RFC 3339) on a vehicle and None offline, so that
-    offline events compare byte by byte. `bundle` is the SHA-256 of the manifest.
-    """
-
-    schema: str
-    id: str
-    seq: int
-    tick: int
-    t_s: float
-    wall: str | None
-    transition: Transition
-    diagnoses: list[Diagnosis]
-    alarm: list[str]
-    cannot_tell: list[str]
-    since_tick: int | None
-    bundle: str
-    suspected: bool = False
-    intermittent: bool = False
+    schema: Annotated[str, Meta(description="`faultline.event/1`")]
+    id: Annotated[
+        str,
+        Meta(
+            description="`<source>-<run>-<seq>`: the vehicle's name, eight digits that each start of the service "
+            "draws, and the number; `<source>-<seq>` of a recording"
+        ),
+    ]
+    seq: Annotated[int, Meta(description="number of the event, from 1")]
+    tick: Annotated[int, Meta(description="sample at which it was decided, from 0")]
+    t_s: Annotated[
+        float,
+        Meta(
+            description="the same in seconds of log time since sample 0, which is 45 ms after all signals are first "
+            "known: up to some seconds after the log's first frame"
+        ),
+    ]
+    wall: Annotated[
+        str | None,
+        Meta(description="wall clock (RFC 3339) on a vehicle, null for a log: so events of a log compare byte by byte"),
+    ]
+    transition: Annotated[Transition, Meta(description="see below")]
+    diagnoses: Annotated[
+        list[Diagnosis],
+        Meta(description="explanations of a confirmed fault, best first; they stand until it has healed"),
+    ]
+    alarm: Annotated[list[str], Meta(description="tests that alarm")]
+    cannot_tell: Annotated[
+        list[str],
+        Meta(
+            description="tests that cannot tell (stale or invalid input, outside their operating region, or in the "
+            "warm-up after either)"
+        ),
+    ]
+    since_tick: Annotated[
+        int | None,
+        Meta(
+            description="sample at which the evidence began, or the suspicion where no test alarms; null where "
+            "nothing is wrong: a sum may have left zero by chance some seconds before the onset"
+        ),
+    ]
+    bundle: Annotated[str, Meta(description="SHA-256 of the manifest of the bundle that decided")]
+    suspected: Annotated[
+        bool,
+        Meta(
+            description="something is, and nothing is confirmed: a test alarms, or what is seen is unlike this day, "
+            "or any, though none does"
+        ),
+    ] = False
+    intermittent: Annotated[
+        bool,
+        Meta(
+            description="what is confirmed comes and goes: explanations are those that the tests allow, all of one "
+            "rank and without `p`"
+        ),
+    ] = False
 
 
 def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], int, tuple[str, ...]]]:

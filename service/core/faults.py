@@ -44,21 +44,21 @@ Count = Annotated[int, Meta(ge=0, lt=2**53)]
 class Dtc(msgspec.Struct, frozen=True, kw_only=True, order=True):
     """A diagnostic trouble code of SAE J1939-73: suspect parameter (19 bits) and failure mode (5 bits)."""
 
-    spn: Annotated[int, Meta(ge=0, lt=2**19)]
-    fmi: Annotated[int, Meta(ge=0, lt=2**5)]
+    spn: Annotated[int, Meta(ge=0, lt=2**19, description="suspect parameter number")]
+    fmi: Annotated[int, Meta(ge=0, lt=2**5, description="failure mode identifier")]
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
     """The bits of ISO 14229-1's status byte, the lowest first."""
 
-    test_failed: bool
-    test_failed_this_cycle: bool
-    pending: bool
-    confirmed: bool
-    not_completed_since_clear: bool
-    failed_since_clear: bool
-    not_completed_this_cycle: bool
-    warning: bool
+    test_failed: Annotated[bool, Meta(description="it is there now")]
+    test_failed_this_cycle: Annotated[bool, Meta(description="it was, in this operation cycle")]
+    pending: Annotated[bool, Meta(description="it failed in this cycle or the last")]
+    confirmed: Annotated[bool, Meta(description="it failed in as many cycles as confirm it")]
+    not_completed_since_clear: Annotated[bool, Meta(description="nobody could tell since all were erased")]
+    failed_since_clear: Annotated[bool, Meta(description="it failed since all were erased")]
+    not_completed_this_cycle: Annotated[bool, Meta(description="nobody could tell in this cycle")]
+    warning: Annotated[bool, Meta(description="it is warned of")]
 
     @property
     def mask(self) -> int:
@@ -69,61 +69,65 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
 class Seen(msgspec.Struct, frozen=True, kw_only=True):
     """When: the event that told it, the wall clock (RFC 3339), and the operation cycle."""
 
-    id: str
-    wall: str | None
-    cycle: Count
+    id: Annotated[str, Meta(description="of the event")]
+    wall: Annotated[str | None, Meta(description="wall clock (RFC 3339)")]
+    cycle: Annotated[Count, Meta(description="number of the operation cycle")]
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True):
-    """A remembered fault, or an ambiguity group: one thing that failed, with all that may explain it.
+    """A remembered fault, or an ambiguity group: one thing that failed, with all that may explain it."""
 
-    `number` (from 1) is its name as long as it is remembered, and no other's after that. `system` is the name of the
-    bundle that found it, `bundle` the SHA-256 of that one's manifest. `diagnoses` and `components` are the candidates
-    as they were told last, best first; `dtcs` what they are on a J1939 network; `tests` those that fired and `modes`
-    the operating modes that showed it: only where these were seen quiet in these, it has passed. `fdc` is the fault
-    detection counter (-128 to 127). `occurrences` counts how often it failed after it had passed, `trips` the cycles
-    in a row in which it failed, `healing` and `aging` those in which it passed.
-    """
-
-    number: Number
-    system: str
-    bundle: str
-    diagnoses: list[Diagnosis]
-    components: list[str]
-    dtcs: list[Dtc]
-    tests: list[str]
-    modes: list[str]
-    status: Status
-    mask: Annotated[int, Meta(ge=0, lt=2**8)]
-    fdc: Annotated[int, Meta(ge=-128, le=127)]
-    occurrences: Number
-    trips: Count
-    healing: Count
-    aging: Count
-    first: Seen
-    latest: Seen
+    number: Annotated[Number, Meta(description="its name as long as it is remembered, and no other's after that")]
+    system: Annotated[str, Meta(description="the bundle's name (`name@bus` where two have the same)")]
+    bundle: Annotated[str, Meta(description="SHA-256 of the manifest of the bundle that saw it last")]
+    diagnoses: Annotated[list[Diagnosis], Meta(description="the candidates as they were told last, as in an event")]
+    components: Annotated[list[str], Meta(description="those of the candidates, best first; none for what is unknown")]
+    dtcs: Annotated[
+        list[Dtc],
+        Meta(
+            description="`spn` and `fmi` (SAE J1939-73) of each fault where one explanation is left; 520192 with FMI "
+            "11 where several are, with FMI 31 where it is no known one. Empty where the model gives "
+            "none"
+        ),
+    ]
+    tests: Annotated[list[str], Meta(description="those that fired")]
+    modes: Annotated[
+        list[str],
+        Meta(
+            description="operating modes that showed it: only where its tests were seen quiet in these, it has passed"
+        ),
+    ]
+    status: Annotated[Status, Meta(description="the eight bits of ISO 14229-1, by name")]
+    mask: Annotated[int, Meta(ge=0, lt=2**8, description="the same as a byte")]
+    fdc: Annotated[int, Meta(ge=-128, le=127, description="fault detection counter, -128 (passed) to 127 (failed)")]
+    occurrences: Annotated[Number, Meta(description="how often it failed after it had passed, from 1")]
+    trips: Annotated[Count, Meta(description="operation cycles in a row in which it failed")]
+    healing: Annotated[Count, Meta(description="cycles in a row without it, while it is warned of")]
+    aging: Annotated[Count, Meta(description="and those after that")]
+    first: Annotated[Seen, Meta(description="when it was told first")]
+    latest: Annotated[Seen, Meta(description="and when last")]
 
 
 class FaultRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What has become of a fault; numbered with the events of the same source. `fault` is all of it after that."""
+    """What has become of a fault."""
 
-    schema: str
-    id: str
-    seq: int
-    wall: str | None
-    change: Change
-    fault: Fault
+    schema: Annotated[str, Meta(description="`faultline.fault/1`")]
+    id: Annotated[str, Meta(description="as of an event")]
+    seq: Annotated[int, Meta(description="as of an event")]
+    wall: Annotated[str | None, Meta(description="as of an event")]
+    change: Annotated[Change, Meta(description="see below")]
+    fault: Annotated[Fault, Meta(description="all of it, after that")]
 
 
 class Cleared(msgspec.Struct, frozen=True, kw_only=True):
-    """A person has erased these faults; schema `faultline.cleared/1`. `by` is who, as the control socket knows."""
+    """A person has erased faults."""
 
-    schema: str
-    id: str
-    seq: int
-    wall: str | None
-    numbers: list[int]
-    by: str
+    schema: Annotated[str, Meta(description="`faultline.cleared/1`")]
+    id: Annotated[str, Meta(description="as of an event")]
+    seq: Annotated[int, Meta(description="as of an event")]
+    wall: Annotated[str | None, Meta(description="as of an event")]
+    numbers: Annotated[list[int], Meta(description="of the faults that were erased")]
+    by: Annotated[str, Meta(description="the user who did it, as the kernel knows")]
 
 
 CLEARED = "faultline.cleared/1"

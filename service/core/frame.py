@@ -4,7 +4,10 @@ Source: snapshot and extended data of AUTOSAR diagnostic management; the excerpt
 engineer would have wanted to record.
 """
 
+from typing import Annotated
+
 import msgspec
+from msgspec import Meta
 
 from faultline.service.core.events import Diagnosis
 
@@ -12,59 +15,63 @@ SCHEMA = "faultline.frame/1"
 
 
 class Input(msgspec.Struct, frozen=True, kw_only=True):
-    """A signal [unit]: its last good value (None: never one), how old that is [s], and what it was worth then."""
+    """A signal."""
 
-    signal: str
-    unit: str
-    value: float | None
-    age_s: float | None
-    quality: str
+    signal: Annotated[str, Meta(description="its name")]
+    unit: Annotated[str, Meta(description="its unit")]
+    value: Annotated[float | None, Meta(description="the last good value; null: never one")]
+    age_s: Annotated[float | None, Meta(description="how old that is [s]")]
+    quality: Annotated[str, Meta(description="`good`, or why it cannot be used")]
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """A residual generator: residual, prediction and spread [unit of what it predicts], CUSUM in parts of threshold."""
+    """A residual generator."""
 
-    generator: str
-    test: str
-    predicts: str
-    residual: float
-    predicted: float
-    sigma: float
-    sum: float
-    verdict: str
+    generator: Annotated[str, Meta(description="its name")]
+    test: Annotated[str, Meta(description="the test it belongs to")]
+    predicts: Annotated[str, Meta(description="the signal that it predicts")]
+    residual: Annotated[float, Meta(description="in that signal's unit")]
+    predicted: Annotated[float, Meta(description="in the same unit")]
+    sigma: Annotated[float, Meta(description="spread of the residual without a fault, in the same unit")]
+    sum: Annotated[float, Meta(description="its detector in parts of the threshold, with the residual's sign")]
+    verdict: Annotated[str, Meta(description="`alarm`, `quiet` or `cannot tell`")]
 
 
 class Excerpt(msgspec.Struct, frozen=True, kw_only=True):
-    """The ticks around the event: numbers as columns, None where a signal could not be used or a test not tell."""
+    """The samples around the event, as columns."""
 
-    first_tick: int
-    period_s: float
-    mode: list[str]
-    signals: dict[str, list[float | None]]
-    residuals: dict[str, list[float | None]]
-    sums: dict[str, list[float]]
+    first_tick: Annotated[int, Meta(description="the first sample")]
+    period_s: Annotated[float, Meta(description="time between two [s]")]
+    mode: Annotated[list[str], Meta(description="operating mode, by sample")]
+    signals: Annotated[dict[str, list[float | None]], Meta(description="by name; null where it could not be used")]
+    residuals: Annotated[dict[str, list[float | None]], Meta(description="by generator; null where it could not tell")]
+    sums: Annotated[dict[str, list[float]], Meta(description="its detector in parts of the threshold")]
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True):
-    """All that was known when `event` (its id) was told at `tick`, `t_s` [s] of log time.
+    """All that was known when an event was told."""
 
-    `counters` are those of the bus since the service started, `conditions` what kept it from telling (`kind: of`).
-    `complete`: the excerpt reaches as far after the event as before it.
-    """
-
-    schema: str
-    event: str
-    wall: str | None
-    bundle: str
-    tick: int
-    t_s: float
-    mode: str
-    inputs: list[Input]
-    tests: list[Verdict]
-    diagnoses: list[Diagnosis]
-    alarm: list[str]
-    cannot_tell: list[str]
-    conditions: list[str]
-    counters: dict[str, int]
-    complete: bool
-    excerpt: Excerpt
+    schema: Annotated[str, Meta(description="`faultline.frame/1`")]
+    event: Annotated[str, Meta(description="id of the event")]
+    wall: Annotated[str | None, Meta(description="of the event")]
+    bundle: Annotated[str, Meta(description="of the event")]
+    tick: Annotated[int, Meta(description="of the event")]
+    t_s: Annotated[float, Meta(description="of the event")]
+    mode: Annotated[str, Meta(description="operating mode")]
+    inputs: Annotated[list[Input], Meta(description="every signal")]
+    tests: Annotated[list[Verdict], Meta(description="every residual generator")]
+    diagnoses: Annotated[list[Diagnosis], Meta(description="as in the event")]
+    alarm: Annotated[list[str], Meta(description="as in the event")]
+    cannot_tell: Annotated[list[str], Meta(description="as in the event")]
+    conditions: Annotated[list[str], Meta(description="what kept the service from telling, as `kind: of`")]
+    counters: Annotated[
+        dict[str, int],
+        Meta(description="of the bus since the service started: `frames`, `dropped`, `errors` and so on"),
+    ]
+    complete: Annotated[
+        bool,
+        Meta(
+            description="the excerpt reaches as far after the event as before it; else the service was stopped before"
+        ),
+    ]
+    excerpt: Annotated[Excerpt, Meta(description="the samples around the event")]

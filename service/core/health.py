@@ -111,13 +111,13 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Health(msgspec.Struct, frozen=True, kw_only=True):
-    """All conditions that stand, none where all is well; numbered with the events of the same source."""
+    """All conditions that stand."""
 
-    schema: str
-    id: str
-    seq: int
-    wall: str | None
-    conditions: list[Standing]
+    schema: Annotated[str, Meta(description="`faultline.health/1`")]
+    id: Annotated[str, Meta(description="as of an event")]
+    seq: Annotated[int, Meta(description="as of an event")]
+    wall: Annotated[str | None, Meta(description="as of an event")]
+    conditions: Annotated[list[Standing], Meta(description="all that stand; empty where all is well")]
 
 
 def encode_health(health: Health) -> bytes:

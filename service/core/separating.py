@@ -6,8 +6,10 @@ one of them. Where none does, only size and sign of the residuals in the operati
 
 from collections.abc import Collection, Iterable, Sequence
 from itertools import combinations
+from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
 from faultline.service.core.events import Diagnosis
 from faultline.service.core.manifest import Generator
@@ -16,11 +18,11 @@ MOST = 4  # explanations that are compared, the best ones: six pairs
 
 
 class Separation(msgspec.Struct, frozen=True, kw_only=True):
-    """Two explanations (their faults) and the tests that tell them apart: those that can now, and the others."""
+    """Two explanations, and the tests that tell them apart."""
 
-    between: list[list[str]]
-    telling: list[str]
-    waiting: list[str]
+    between: Annotated[list[list[str]], Meta(description="the faults of one explanation, and of the other")]
+    telling: Annotated[list[str], Meta(description="tests that tell them apart, and can now")]
+    waiting: Annotated[list[str], Meta(description="and those that cannot tell now")]
 
 
 def separations(

@@ -9,10 +9,8 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
-
 from faultline.service.core.events import schema_of
-from faultline.service.core.faults import CLEARED, SCHEMA, Change, decode_cleared, decode_record
+from faultline.service.core.faults import CLEARED, SCHEMA, Change, Cleared, FaultRecord, decode_cleared, decode_record
 from faultline.service.store.file import Record
 
 SOCKET = Path("/run/systemd/journal/socket")
@@ -75,7 +73,7 @@ def _fields(record: Record) -> dict[str, str] | None:
     if schema_of(record.line) == CLEARED:
         cleared = decode_cleared(record.line)
         return _entry(
-            None, record, f"{', '.join(map(str, cleared.numbers)) or 'nothing'}", {"FAULTLINE_BY": cleared.by}
+            None, cleared, f"{', '.join(map(str, cleared.numbers)) or 'nothing'}", {"FAULTLINE_BY": cleared.by}
         )
     if schema_of(record.line) != SCHEMA:
         return None
@@ -92,23 +90,18 @@ def _fields(record: Record) -> dict[str, str] | None:
     if len(fault.dtcs) == 1:
         fields |= {"SPN": str(fault.dtcs[0].spn), "FMI": str(fault.dtcs[0].fmi)}
     what = " or ".join(fault.components) or "something unknown"
-    return _entry(told.change, record, f"{fault.system}: {what}", fields)
+    return _entry(told.change, told, f"{fault.system}: {what}", fields)
 
 
-def _entry(change: Change | None, record: Record, what: str, fields: dict[str, str]) -> dict[str, str]:
+def _entry(change: Change | None, told: FaultRecord | Cleared, what: str, fields: dict[str, str]) -> dict[str, str]:
     message, priority, words = MESSAGES[change]
-    named = msgspec.json.decode(record.line, type=_Named).id
     return {
         "MESSAGE": f"{what} {words}",
         "MESSAGE_ID": message,
         "PRIORITY": str(priority),
         "SYSLOG_IDENTIFIER": "faultline",
-        "FAULTLINE_ID": named,
-        "FAULTLINE_SEQ": str(record.seq),
+        "FAULTLINE_ID": told.id,
+        "FAULTLINE_SEQ": str(told.seq),
         "FAULTLINE_CHANGE": change or "cleared",
         **fields,
     }
-
-
-class _Named(msgspec.Struct):
-    id: str

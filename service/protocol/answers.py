@@ -28,7 +28,7 @@ class BusStatus(msgspec.Struct, frozen=True, kw_only=True):
     """A bus, with its counts since the service started."""
 
     name: Annotated[str, Meta(description="as in the configuration")]
-    interface: Annotated[str, Meta(description="of the system")] = ""
+    interface: Annotated[str, Meta(description="as `socketcan:can0`; of a recording its file")] = ""
     frames: Annotated[int, Meta(description="received")] = 0
     dropped: Annotated[int, Meta(description="lost")] = 0
     errors: Annotated[int, Meta(description="error frames")] = 0
@@ -63,9 +63,9 @@ class ServiceState(msgspec.Struct, frozen=True, kw_only=True):
     cycle: Annotated[int, Meta(description="number of the operation cycle")] = 0
     seq: Annotated[int, Meta(description="number of the last record")]
     conditions: Annotated[list[Standing], Meta(description="what stands, as in [health](events.md#health)")] = []
-    store: StoreStatus | None = None
-    buses: list[BusStatus] = []
-    systems: list[SystemStatus] = []
+    store: Annotated[StoreStatus | None, Meta(description="where records are kept")] = None
+    buses: Annotated[list[BusStatus], Meta(description="what it listens to")] = []
+    systems: Annotated[list[SystemStatus], Meta(description="what it watches")] = []
 
 
 class FaultList(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,15 +18,7 @@ UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """Raised by decoding what is no message: of another type, no UTF-8, no JSON, nested without end."""
 
 Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
-CODES: dict[Code, str] = {
-    "bad-request": "no JSON, no such question, a field of another type",
-    "unknown": "no such fault or system",
-    "not-allowed": "who asks may not clear: only root, the daemon's own user and those in `[control] clear` may "
-    "(the kernel says who it is)",
-    "not-kept": "cleared, but the disk did not take it: after a restart it may be there again",
-    "busy": "too many connections; or the service is starting; or there is no store to read from, or not now",
-}
-"""Codes of a refusal, and when each is given."""
+"""Why a question is refused (docs/control.md)."""
 
 
 class Refusal(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,7 +41,7 @@ class Rejection(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProtocolError(InputError):
-    """There is no answer; `code` is one of `CODES`, *away* or *garbled*, `message` the reason without the path."""
+    """There is no answer; `code` is one of `Code`, *away* or *garbled*, `message` the reason without the path."""
 
     def __init__(self, code: str, message: str, where: object = "") -> None:
         super().__init__(f"{where}: {message}" if where else message)
@@ -71,4 +63,4 @@ class GarbledError(ProtocolError):
 
 
 class RefusedError(ProtocolError):
-    """The service answers that it cannot; `code` is one of `CODES`, or one of a newer service."""
+    """The service answers that it cannot; `code` is one of `Code`, or one of a newer service."""

@@ -38,8 +38,8 @@ class FaultMeaning(msgspec.Struct, frozen=True, kw_only=True):
     """What a fault's name means."""
 
     name: Annotated[str, Meta(description="its name")]
-    component: Annotated[str, Meta(description="the component that fails")] = ""
-    description: Annotated[str, Meta(description="how")] = ""
+    component: Annotated[str | None, Meta(description="the component that fails")] = None
+    description: Annotated[str | None, Meta(description="how")] = None
     spn: Annotated[int | None, Meta(description="suspect parameter number (SAE J1939-73)")] = None
     fmi: Annotated[int | None, Meta(description="failure mode identifier")] = None
 
@@ -68,12 +68,12 @@ class SystemDescription(msgspec.Struct, frozen=True, kw_only=True):
     sensor_set: Annotated[str, Meta(description="which sensors the vehicle has")] = ""
     period_s: Annotated[float, Meta(description="time between two samples [s]")]
     modes: Annotated[list[str], Meta(description="names of the operating modes")] = []
-    inputs: list[Signal]
-    generators: list[GeneratorMeaning]
+    inputs: Annotated[list[Signal], Meta(description="signals, in the order of `z` and `quality`")]
+    generators: Annotated[list[GeneratorMeaning], Meta(description="in the order of `y_hat` to `usable`")]
     detectors: Annotated[list[dict[str, object]], Meta(description="with their thresholds, as in the manifest")] = []
-    faults: list[FaultMeaning]
-    disturbances: list[DisturbanceMeaning] = []
-    equations: list[EquationMeaning] = []
+    faults: Annotated[list[FaultMeaning], Meta(description="those that the model knows")]
+    disturbances: Annotated[list[DisturbanceMeaning], Meta(description="what may enter equations besides")] = []
+    equations: Annotated[list[EquationMeaning], Meta(description="those that what is unknown can be near")] = []
 
     @property
     def tests(self) -> list[str]:

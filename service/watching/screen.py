@@ -78,7 +78,7 @@ def _explanations(tick: LiveTick | None, system: SystemDescription | None) -> li
     """Each with its probability, its component and what it is; then what would tell them apart."""
     if tick is None:
         return []
-    descriptions = {} if system is None else {each.name: each.description for each in system.faults}
+    descriptions = {} if system is None else {each.name: each.description or "" for each in system.faults}
     lines = []
     for each in tick.diagnoses:
         p = "  p = ?    " if each.p is None else f"  p = {each.p:.3f}  "

@@ -103,7 +103,7 @@ def _coverage(result: Result) -> Table:
 
 
 def _tests(result: Result, system: SystemDescription) -> Table:
-    means = {fault.name: fault.component for fault in system.faults}
+    means = {fault.name: fault.component or fault.name for fault in system.faults}
     rows = [
         (
             each.test,

@@ -9,7 +9,7 @@ from faultline.service.core.events import Diagnosis
 from faultline.service.core.faults import Fault as Remembered
 from faultline.service.core.health import Standing, meaning
 from faultline.service.core.separating import Separation
-from faultline.service.protocol.live import SystemDescription
+from faultline.service.protocol.live import FaultMeaning, SystemDescription
 from faultline.service.workshop.cycle import Cycle, End, Episode
 from faultline.service.workshop.hindrance import hindrances, instead
 from faultline.service.workshop.plan import QUIET_S, REQUIRED
@@ -26,22 +26,12 @@ ENDS: Mapping[End, str] = {
 }
 
 
-class Named(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault with what it means; its code on a J1939 network where the model gives one."""
-
-    name: str
-    component: str | None
-    description: str | None
-    spn: int | None
-    fmi: int | None
-
-
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
     """One explanation: all of `faults` together, none where it is unknown, then `near` equations, each in words."""
 
     rank: int
     p: float | None
-    faults: list[Named]
+    faults: list[FaultMeaning]
     near: list[str]
 
 
@@ -77,20 +67,10 @@ def named(system: SystemDescription, diagnosis: Diagnosis) -> Candidate:
     faults = {each.name: each for each in system.faults}
     disturbed = {each.equation: f": {each.description}?" for each in system.disturbances}
     equations = {each.name: f" ({each.description}{disturbed.get(each.name, '')})" for each in system.equations}
-    known = [(name, faults.get(name)) for name in diagnosis.faults]
     return Candidate(
         rank=diagnosis.rank,
         p=diagnosis.p,
-        faults=[
-            Named(
-                name=name,
-                component=fault.component if fault else None,
-                description=fault.description if fault else None,
-                spn=fault.spn if fault else None,
-                fmi=fault.fmi if fault else None,
-            )
-            for name, fault in known
-        ],
+        faults=[faults.get(name, FaultMeaning(name=name)) for name in diagnosis.faults],
         near=[f"{name}{equations.get(name, '')}" for name in diagnosis.near],
     )
 
