@@ -15,7 +15,7 @@ from typing import cast
 import msgspec
 
 from faultline.service.outputs.lines import Client, LineServer
-from faultline.service.protocol.records import Subscription
+from faultline.service.protocol.records import Subscription, number_in
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Page
 
@@ -104,18 +104,18 @@ class EventSocket(LineServer):
 
     def _look_up(self, client: _Subscriber, named: str) -> None:
         """The number of what is in the store under this id, which ends with it."""
-        tail = named.rpartition("-")[2]
-        if self._read_store is None or not (tail.isascii() and tail.isdecimal() and len(tail) < 19):
+        number = number_in(named)
+        if self._read_store is None or number is None:
             client.last = 0
             return
 
         def found(records: list[Record] | None) -> None:
             client.is_waiting = False
-            client.last = int(tail) if records and _is(records[0], named) else 0
+            client.last = number if records and _is(records[0], named) else 0
             self._flush(client)
 
         client.is_waiting = True
-        self._read_store(Page(1, after=int(tail) - 1), found)
+        self._read_store(Page(1, after=number - 1), found)
 
     def _next(self, client: Client) -> bytes | None:
         subscriber = cast(_Subscriber, client)

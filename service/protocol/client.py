@@ -2,6 +2,7 @@
 
 import select
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -57,6 +58,8 @@ class ControlClient:
 
     def __init__(self, path: Path, answer_s: float = ANSWER_S, longest: int = LONGEST) -> None:
         self._path, self._answer_s = path, answer_s
+        self._came: deque[bytes] = deque()
+        self._end = 0.0  # when the next line must have come [s, monotonic]
         try:
             self._connection = Connection(path, longest=longest, connect_s=answer_s)
         except AwayError as error:
@@ -77,7 +80,9 @@ class ControlClient:
             AwayError, RefusedError, GarbledError: there is none.
         """
         self._send(question)
-        return decode(next(self._lines()), kind, self._path)
+        line = self._line()
+        assert line is not None
+        return decode(line, kind, self._path)
 
     def ask_json(self, ask: Ask, **fields: Any) -> dict[str, Any]:
         """As `ask`, the answer as it came: with what a newer service says besides."""
@@ -85,26 +90,41 @@ class ControlClient:
 
     def live(self, name: str | None) -> Iterator[LiveTick]:
         """The ticks of a system as they come; raises as `ask`, caused by a TimeoutError where none comes for long."""
+        return (tick for tick in self.live_or_silent(name, None) if isinstance(tick, LiveTick))
+
+    def live_or_silent(self, name: str | None, silent_s: float | None) -> Iterator[LiveTick | float]:
+        """As `live`, and between ticks `silent_s` [s] each time that none has come for so long."""
         self._send(Question(ask="live", name=name))
-        for line in self._lines():
-            yield decode(line, LiveTick, self._path)
+        while True:
+            line = self._line(silent_s)
+            yield silent_s or 0.0 if line is None else decode(line, LiveTick, self._path)
+
+    @property
+    def is_behind(self) -> bool:
+        """True if more has come than was taken."""
+        return bool(self._came) or _is_readable(self._connection, 0.0)
 
     def _send(self, question: Question) -> None:
+        self._end = time.monotonic() + self._answer_s
         try:
             self._connection.send(encode(question))
         except AwayError as error:
             raise AwayError(f"{error.message}{REMEDY}", self._path) from error
 
-    def _lines(self) -> Iterator[bytes]:
-        """Lines as they come, each within `answer_s` of the one before."""
-        while True:
+    def _line(self, silent_s: float | None = None) -> bytes | None:
+        """The next line, within `answer_s` of the one before; None where none came for `silent_s`."""
+        if not self._came:
+            until = self._end if silent_s is None else min(self._end, time.monotonic() + silent_s)
             try:
-                lines = _within(self._connection, time.monotonic() + self._answer_s)
+                self._came.extend(_within(self._connection, until))
             except TimeoutError as error:
+                if until < self._end:
+                    return None
                 raise AwayError(f"no answer within {self._answer_s:g} s{REMEDY}", self._path) from error
             except AwayError as error:
                 raise AwayError(f"{error.message}{REMEDY}", self._path) from error
-            yield from lines
+        self._end = time.monotonic() + self._answer_s
+        return self._came.popleft()
 
 
 def subscribe(path: Path, after: int | str | None, wait_s: float = 0.0) -> Iterator[bytes]:
@@ -138,13 +158,16 @@ def _connected(path: Path, first: bytes, wait_s: float) -> Connection:
 
 def _within(connection: Connection, end: float | None) -> list[bytes]:
     """The next lines, one at least; raises TimeoutError at the monotonic time `end` [s], AwayError as `read`."""
-    poll = select.poll()
-    poll.register(connection, select.POLLIN)
-    while True:
-        left_ms = None if end is None else 1000.0 * (end - time.monotonic())
-        if left_ms is not None and (left_ms <= 0 or not poll.poll(left_ms)):
+    while True:  # what is there is read, however late it is asked for
+        if not _is_readable(connection, None if end is None else max(0.0, end - time.monotonic())):
             raise TimeoutError
-        if left_ms is None:
-            poll.poll()
         if lines := connection.read():
             return lines
+        if end is not None and time.monotonic() >= end:
+            raise TimeoutError
+
+
+def _is_readable(connection: Connection, within_s: float | None) -> bool:
+    poll = select.poll()
+    poll.register(connection, select.POLLIN)
+    return bool(poll.poll(None if within_s is None else 1000.0 * within_s))

@@ -33,6 +33,12 @@ class Subscription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
     ] = None
 
 
+def number_in(identifier: str) -> int | None:
+    """Return the number that an id of a record ends with; None where it has another form."""
+    tail = identifier.rpartition("-")[2]
+    return int(tail) if tail.isascii() and tail.isdecimal() and len(tail) < 16 else None
+
+
 class RecordError(ValueError):
     """A line that is no record."""
 

@@ -16,7 +16,7 @@ from faultline.service.protocol.backoff import Backoff
 from faultline.service.protocol.client import encode
 from faultline.service.protocol.errors import AwayError, GarbledError, ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
-from faultline.service.protocol.records import Record, RecordError, Subscription
+from faultline.service.protocol.records import Record, RecordError, Subscription, number_in
 from faultline.service.web.asking import SharedControl
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import SIZE, Ring, told
@@ -196,8 +196,8 @@ async def _number(hub: Hub, after: int | str | None) -> int:
     """
     if not isinstance(after, str):
         return after if after is not None and after <= hub.ring.newest else 0
-    tail = after.rpartition("-")[2]
-    if not (tail.isascii() and tail.isdecimal() and len(tail) < 16):
+    number = number_in(after)
+    if number is None:
         return 0
-    found = await hub.page(max(0, int(tail) - 1), 1)
-    return int(tail) if found and found[0].id == after else 0
+    found = await hub.page(max(0, number - 1), 1)
+    return number if found and found[0].id == after else 0

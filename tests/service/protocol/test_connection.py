@@ -12,10 +12,15 @@ from faultline.service.protocol.backoff import Backoff
 from faultline.service.protocol.client import ControlClient, subscribe
 from faultline.service.protocol.connection import CHUNK, Connection
 from faultline.service.protocol.errors import AwayError, RefusedError
+from faultline.service.protocol.live import LiveTick
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.reconnecting import Reconnecting
 
 RETRY_S = 0.5
+TICK = (
+    b'{"system":"uds4","bundle":"ab","tick":1,"t_s":0.2,"mode":"idle","z":[],"quality":[],"y_hat":[],"r":[],"sigma":[],'
+    b'"sums":[],"usable":[],"alarm":[],"cannot_tell":[],"suspected":false,"anomaly":false,"diagnoses":[]}\n'
+)
 
 
 @pytest.fixture
@@ -97,6 +102,26 @@ def test_the_blocking_client_gives_up_an_answer_that_drips(tmp_path: Path, liste
         assert time.monotonic() - begun < 10
         ended.set()
         thread.join()
+        client.close()
+
+
+def test_live_ticks_and_the_silence_between_them(tmp_path: Path, listener: socket.socket) -> None:
+    with ControlClient(tmp_path / "s", answer_s=0.3) as control:
+        client, _ = listener.accept()
+        came = control.live_or_silent("uds4", 0.1)
+        assert next(came) == 0.1
+        assert client.recv(100) == b'{"ask":"live","name":"uds4"}\n'
+        client.sendall(TICK + TICK)
+        assert isinstance(next(came), LiveTick)
+        assert control.is_behind
+        time.sleep(0.4)  # what is there is read, however late
+        assert isinstance(next(came), LiveTick)
+        assert not control.is_behind
+        silent = []
+        with pytest.raises(AwayError, match=r"no answer within 0\.3 s") as away:
+            silent.extend(each for each in came)
+        assert silent == [0.1, 0.1]
+        assert isinstance(away.value.__cause__, TimeoutError)
         client.close()
 
 
