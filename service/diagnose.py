@@ -12,7 +12,7 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.events import encode
 from faultline.service.core.monitor import Monitor
 from faultline.service.logs import Log, open_log
-from faultline.service.watch import describe, meanings
+from faultline.service.watching.records import describe, meanings
 
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle

@@ -5,17 +5,11 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-import msgspec
-
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Diagnosis, Event, decode, schema_of
-from faultline.service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.health import SCHEMA as HEALTH
-from faultline.service.core.health import Health, decode_health, meaning
-from faultline.service.core.manifest import Equation, Fault, Manifest
+from faultline.service.core.manifest import Equation, Fault
 from faultline.service.protocol.client import subscribe
+from faultline.service.watching.records import described, meanings
 
 EXAMPLE = """The screen needs the control socket: --control, or control.sock beside the socket of
 events. Keys: q ends, Tab shows the next system. Events are printed on a terminal too
@@ -27,33 +21,6 @@ examples:
 """
 CONTROL = "control.sock"
 """Of the control socket, where it is beside the other."""
-
-WORDS = {
-    "started": "started",
-    "suspected": "suspected",
-    "dismissed": "suspicion dismissed",
-    "occurred": "FAULT",
-    "refined": "FAULT, refined",
-    "healed": "healed",
-    "withdrawn": "WITHDRAWN",
-    "cannot_tell": "cannot tell",
-}
-"""How a transition reads."""
-
-
-CHANGES: dict[Change, str] = {
-    "pending": "is pending",
-    "confirmed": "is confirmed",
-    "failed": "is there again",
-    "refined": "has other candidates",
-    "withdrawn": "was not it",
-    "revoked": "is erased: it was another one, or rested on samples that are doubted",
-    "passed": "is not there any more",
-    "settled": "was not there for a cycle",
-    "aged": "is forgotten",
-    "displaced": "is forgotten, for want of room",
-}
-"""How what has become of a remembered fault reads."""
 
 
 def main(argv: list[str]) -> int:
@@ -81,7 +48,7 @@ def main(argv: list[str]) -> int:
         if options.json:
             sys.stdout.buffer.write(line)
         else:
-            print(_described(line, options.socket, faults, equations))
+            print(described(line, options.socket, faults, equations))
         sys.stdout.flush()
         if options.once:
             return 0
@@ -107,103 +74,14 @@ def _show(
     from faultline.service.watching.hearing import Hearing  # what only a screen needs
     from faultline.service.watching.show import show
 
-    def described(line: bytes) -> str:
-        parts = (part.strip() for part in _described(line, events, faults, equations).splitlines())
+    def in_one_line(line: bytes) -> str:
+        parts = (part.strip() for part in described(line, events, faults, equations).splitlines())
         return "; ".join(parts).replace(":;", ":")
 
-    return show(Hearing(control, system, lambda after: subscribe(events, after), described))
-
-
-def _described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
-    try:
-        schema = schema_of(line)
-        if schema == HEALTH:
-            return describe_health(decode_health(line))
-        if schema == FAULT:
-            return describe_fault(decode_record(line))
-        if schema == CLEARED:
-            cleared = decode_cleared(line)
-            return f"{'':9}    erased by {cleared.by}: {', '.join(map(str, cleared.numbers)) or 'nothing'}"
-        return describe(decode(line), faults, equations)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise InputError(f"{path}: sent no event: {line[:80]!r} ({error})") from error
+    return show(Hearing(control, system, lambda after: subscribe(events, after), in_one_line))
 
 
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
     from faultline.service.bundle import load_bundle  # brings in the inference library, which watching does without
 
     return meanings(load_bundle(folder).manifest)
-
-
-def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    """What the names of faults and equations mean, by name; of a disturbed equation, what may disturb it too."""
-    equations = {one.name: one for one in manifest.equations}
-    for each in manifest.disturbances:
-        was = equations[each.equation]
-        equations[was.name] = msgspec.structs.replace(was, description=f"{was.description}: {each.description}?")
-    return {fault.name: fault for fault in manifest.faults}, equations
-
-
-def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, Equation] | None = None) -> str:
-    """The event for a person; `faults` and `equations` explain names, and may be empty."""
-    blind_no_more = event.transition == "cannot_tell" and not event.cannot_tell
-    head = f"{event.t_s:9.1f} s  {'all tests can tell' if blind_no_more else WORDS[event.transition]}"
-    if event.since_tick is not None and event.tick:
-        since = event.since_tick * event.t_s / event.tick
-        head += f", evidence since {since:.1f} s"
-    if event.intermittent:
-        head += ", comes and goes"
-    lines = [head, *(_candidate(diagnosis, faults, equations or {}) for diagnosis in event.diagnoses)]
-    if not event.diagnoses:
-        lines.append(_nothing(event))
-    if event.alarm:
-        lines.append(f"fired: {' '.join(event.alarm)}")
-    if event.cannot_tell:
-        lines.append(f"cannot tell: {' '.join(event.cannot_tell)}")
-    return "\n             ".join(lines)
-
-
-def describe_health(health: Health) -> str:
-    """What stands, for a person."""
-    if not health.conditions:
-        return f"{'':9}    all is well with buses and signals"
-    lines = [f"{each.of} {meaning(each.kind)}, since {each.since}" for each in health.conditions]
-    return "\n             ".join([f"{'':9}    buses and signals:", *lines])
-
-
-def describe_fault(record: FaultRecord) -> str:
-    """What has become of a remembered fault, for a person."""
-    fault = record.fault
-    names = " or ".join(" and ".join(each.faults) or "unknown" for each in fault.diagnoses)
-    return f"{'':9}    fault {fault.number} {CHANGES[record.change]}: {names}, status 0x{fault.mask:02X}"
-
-
-def _nothing(event: Event) -> str:
-    """No candidate is not the same as no fault."""
-    if event.transition == "withdrawn":
-        return "what was told rests on samples that are doubted now: whether there is a fault is not known"
-    if event.transition == "dismissed":
-        if event.alarm:
-            return "nothing was confirmed: it is taken for what this day is like, though a test alarms"
-        return "nothing is suspected any more, and nothing was confirmed"
-    if event.alarm or event.suspected:
-        why = "" if event.alarm else "no test alarms, but this is unlike the drive so far, or unlike any: "
-        return f"{why}not confirmed yet: what is seen now decides"
-    if event.cannot_tell:
-        return "no alarm, but not known to be free of faults: some tests cannot tell"
-    return "no fault so far: every test is quiet"
-
-
-def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
-    likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
-    if not diagnosis.faults:
-        known = (f"{name} ({equations[name].description})" if name in equations else name for name in diagnosis.near)
-        where = f", near {', '.join(known)}" if diagnosis.near else ""
-        why = "no fault of the model explains what is seen" if diagnosis.p is None else "no fault of a component"
-        return f"{diagnosis.rank}. unknown: {why}{where}{likelihood}"
-    names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
-    return f"{diagnosis.rank}. {names}{likelihood}"
-
-
-def _meaning(fault: Fault | None) -> str:
-    return f" ({fault.component}: {fault.description})" if fault else ""

@@ -12,7 +12,8 @@ from faultline.service.bundle import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.events import SCHEMA, Diagnosis, Event, encode
 from faultline.service.core.manifest import Equation, Fault
-from faultline.service.watch import describe, main, meanings
+from faultline.service.watch import main
+from faultline.service.watching.records import describe, meanings
 
 QUIET = Event(
     schema=SCHEMA,
