@@ -3,16 +3,11 @@
 from collections.abc import Callable, Iterable
 
 import msgspec
-import numpy as np
 
 from faultline.service.core.health import Standing
-from faultline.service.core.manifest import MODES
-from faultline.service.core.separating import separations
-from faultline.service.core.signals import Quality, Vector
 from faultline.service.distribution import installed_version
 from faultline.service.outputs.control import Asker, Live, Then, refusal
 from faultline.service.protocol.answers import (
-    BusStatus,
     Erased,
     FaultDetail,
     FaultList,
@@ -20,24 +15,14 @@ from faultline.service.protocol.answers import (
     RecordPage,
     ServiceState,
     StoreStatus,
-    SystemStatus,
 )
 from faultline.service.protocol.errors import RefusedError
-from faultline.service.protocol.live import (
-    DisturbanceMeaning,
-    EquationMeaning,
-    FaultMeaning,
-    GeneratorMeaning,
-    LiveTick,
-    Signal,
-    SystemDescription,
-)
 from faultline.service.protocol.questions import Question
 from faultline.service.remembering import Observed, Remembering
 from faultline.service.scribe import now
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal, Page
-from faultline.service.watched import Line
+from faultline.service.views import bus_status, description, live_tick, system_status
 
 VERSION = installed_version()
 LARGEST_PAGE = 500
@@ -71,7 +56,7 @@ class Answerer:
             case "records":
                 self._records(question, then)
             case "system":
-                then(_description(self._observed(question.name)))
+                then(description(self._observed(question.name)))
             case "history":
                 raise RefusedError("unknown", "a service on the vehicle keeps no history; a recording has one")
             case "live":
@@ -81,7 +66,7 @@ class Answerer:
         """What gives the newest tick of a system; raises `RefusedError`."""
         here = self._observed(name)
         before = here.recorder.latest  # however old it is: who asks now is told what comes from now on
-        return lambda sent: None if here.recorder.latest is before else _live(here, sent)
+        return lambda sent: None if here.recorder.latest is before else live_tick(here, sent)
 
     def told(self, record: Record) -> None:
         """A record was told: who erased faults with it may know whether that is kept."""
@@ -132,8 +117,8 @@ class Answerer:
                 kept=journal.kept_up_to,
                 failing=any(each.kind == "store-failed" for each in journal.conditions),
             ),
-            buses=[_bus_status(line) for line in self._remembering.lines],
-            systems=[_system_status(each) for each in self._remembering.observed.values()],
+            buses=[bus_status(line) for line in self._remembering.lines],
+            systems=[system_status(each) for each in self._remembering.observed.values()],
         )
 
     def _records(self, question: Question, then: Then) -> None:
@@ -172,87 +157,3 @@ def page_of(question: Question) -> Page:
 def page_with(records: Iterable[Record]) -> RecordPage:
     """The answer with these records."""
     return RecordPage(records=[msgspec.Raw(record.line.rstrip()) for record in records])
-
-
-def _bus_status(line: Line) -> BusStatus:
-    counts = line.bus.counts
-    return BusStatus(
-        name=line.name,
-        interface=line.interface,
-        frames=counts.frames,
-        dropped=line.bus.dropped,
-        errors=counts.errors,
-        trouble=line.bus.trouble,
-    )
-
-
-def _system_status(here: Observed) -> SystemStatus:
-    latest = here.recorder.latest
-    named = SystemStatus(
-        name=here.name,
-        bundle=here.bundle.id,
-        bus=here.line.name,
-        cannot_tell=[generator.test for generator in here.bundle.manifest.generators],
-    )
-    if latest is None:
-        return named
-    return msgspec.structs.replace(
-        named,
-        tick=latest.tick,
-        alarm=latest.alarm,
-        cannot_tell=latest.cannot_tell,
-        suspected=latest.suspected,
-        anomaly=latest.suspicious,
-        diagnoses=latest.diagnoses,
-    )
-
-
-def _description(here: Observed) -> SystemDescription:
-    """What the names of a bundle mean, for who shows live values."""
-    manifest = here.bundle.manifest
-    return SystemDescription(
-        name=here.name,
-        bundle=here.bundle.id,
-        version=manifest.version,
-        sensor_set=manifest.sensor_set,
-        period_s=manifest.period_s,
-        modes=[*MODES],
-        inputs=msgspec.convert(manifest.inputs, list[Signal], from_attributes=True),
-        generators=msgspec.convert(manifest.generators, list[GeneratorMeaning], from_attributes=True),
-        detectors=msgspec.to_builtins(manifest.detectors),
-        faults=msgspec.convert(manifest.faults, list[FaultMeaning], from_attributes=True),
-        disturbances=msgspec.convert(manifest.disturbances, list[DisturbanceMeaning], from_attributes=True),
-        equations=msgspec.convert(manifest.equations, list[EquationMeaning], from_attributes=True),
-    )
-
-
-def _live(here: Observed, sent: int) -> tuple[int, bytes] | None:
-    latest = here.recorder.latest
-    if latest is None or latest.tick == sent:
-        return None
-    manifest = here.bundle.manifest
-    tick = LiveTick(
-        system=here.name,
-        bundle=here.bundle.id,
-        tick=latest.tick,
-        t_s=round(latest.tick * manifest.period_s, 3),
-        mode=MODES[latest.mode],
-        z=_numbers(latest.z),
-        quality=[Quality(each).name.lower() for each in latest.quality],
-        y_hat=_numbers(latest.y_hat),
-        r=_numbers(latest.r),
-        sigma=_numbers(latest.sigma),
-        sums=_numbers(latest.sums),
-        usable=latest.usable.tolist(),
-        alarm=latest.alarm,
-        cannot_tell=latest.cannot_tell,
-        suspected=latest.suspected,
-        anomaly=latest.suspicious,
-        diagnoses=latest.diagnoses,
-        separating=separations(manifest.generators, latest.diagnoses, latest.cannot_tell),
-    )
-    return latest.tick, msgspec.json.encode(tick) + b"\n"
-
-
-def _numbers(values: Vector) -> list[float | None]:
-    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

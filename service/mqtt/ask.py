@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from faultline.service.mqtt.records import number_of
 from faultline.service.protocol.client import ControlClient
 from faultline.service.protocol.errors import UNREADABLE, GarbledError
 from faultline.service.protocol.questions import Question
-from faultline.service.protocol.records import part_of
+from faultline.service.protocol.records import RecordError, part_of
 
 TIMEOUT_S = 1.0
 """For the whole answer: our own loop stands still meanwhile."""
@@ -51,6 +50,17 @@ def ask_faults(path: Path) -> Remembered:
         return Remembered({number_of(fault): bytes(fault) for fault in faults}, part_of(parts, "seq", int))
     except UNREADABLE as error:
         raise GarbledError(f"sent no faults: {error}", path) from error
+
+
+def number_of(fault: msgspec.Raw) -> int:
+    """Return the number of a fault in JSON; raises RecordError where it has none, or one that is no topic's."""
+    try:
+        number = part_of(msgspec.json.decode(fault, type=dict[str, msgspec.Raw]), "number", int)
+    except UNREADABLE as error:
+        raise RecordError(f"a fault without a number: {error}") from error
+    if not 1 <= number < 10**10:
+        raise RecordError(f"a fault without a number: {number} is none")
+    return number
 
 
 def _ask(path: Path, question: Question) -> dict[str, msgspec.Raw]:

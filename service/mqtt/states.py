@@ -6,12 +6,14 @@ to which number: what that contains already changes no retained topic any more.
 
 from collections.abc import Collection, Mapping
 
+import msgspec
+
 from faultline.service.core.faults import CLEARED, ERASED
 from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.mqtt.ask import number_of
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.records import cleared_in, fault_in
 from faultline.service.mqtt.topics import Topics
-from faultline.service.protocol.records import Record
+from faultline.service.protocol.records import Record, part_of
 
 FOUND = 4096
 """Retained topics at the broker that are remembered until the daemon has said what is to be there."""
@@ -54,11 +56,13 @@ class FaultStates:
         if record.schema not in (FAULT, CLEARED) or self._moment.contains(record):
             return []
         if record.schema == CLEARED:
-            return [self._erased(number, topics) for number in cleared_in(record) if number in self.there]
-        fault = fault_in(record)
-        if fault.change in ERASED:
-            return [self._erased(fault.number, topics)]
-        return [self._told(fault.number, fault.content, topics)]
+            cleared = part_of(record.parts, "numbers", list[int])
+            return [self._erased(number, topics) for number in cleared if number in self.there]
+        fault = part_of(record.parts, "fault", msgspec.Raw)
+        number = number_of(fault)
+        if part_of(record.parts, "change", str) in ERASED:
+            return [self._erased(number, topics)]
+        return [self._told(number, bytes(fault), topics)]
 
     def remembered(self, faults: Mapping[int, bytes], epoch: int, seq: int, topics: Topics) -> list[Publication]:
         """What is to be published when the daemon says that these are remembered, up to number `seq`."""

@@ -4,10 +4,9 @@ import msgspec
 
 from faultline.service.core.health import SCHEMA as HEALTH
 from faultline.service.mqtt.outbox import Publication
-from faultline.service.mqtt.records import conditions_in
 from faultline.service.mqtt.states import Moment
 from faultline.service.mqtt.topics import Topics
-from faultline.service.protocol.records import Record
+from faultline.service.protocol.records import Record, part_of
 
 _UNKNOWN = msgspec.Raw(b"null")
 
@@ -33,7 +32,7 @@ class VehicleHealth:
     def after(self, record: Record) -> None:
         """Takes the conditions of a record on health, if it is news; raises RecordError where it has none."""
         if record.schema == HEALTH and not self._moment.contains(record):
-            self._conditions = conditions_in(record)
+            self._conditions = part_of(record.parts, "conditions", msgspec.Raw)
 
     def now(self, conditions: msgspec.Raw, epoch: int, seq: int) -> None:
         """The daemon says what stands now, up to number `seq`."""

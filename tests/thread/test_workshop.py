@@ -12,7 +12,6 @@ import msgspec
 import pytest
 from ports import multicast
 
-from faultline.service.answers import _description, _live
 from faultline.service.bundle import load_bundle
 from faultline.service.core.decision import Decision
 from faultline.service.core.freeze import Sample
@@ -20,6 +19,7 @@ from faultline.service.core.monitor import Monitor
 from faultline.service.core.observer import Tick as Observed
 from faultline.service.logs import open_log
 from faultline.service.protocol.live import LiveTick, SystemDescription
+from faultline.service.views import description, live_tick
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.plan import plan
 from faultline.service.workshop.result import Result
@@ -49,14 +49,12 @@ def followed(path: Path) -> tuple[Cycle, Verdict]:
     """What every tick of the log says, as the control socket would send it."""
     bundle = load_bundle(GOLDEN / "bundle")
     here: Any = SimpleNamespace(name="uds4", bundle=bundle, recorder=SimpleNamespace(latest=None))
-    cycle = Cycle(
-        msgspec.convert(json.loads(msgspec.json.encode(_description(here))), SystemDescription), plan(), 600.0
-    )
+    cycle = Cycle(msgspec.convert(json.loads(msgspec.json.encode(description(here))), SystemDescription), plan(), 600.0)
 
     def watch(tick: Observed, decision: Decision) -> None:
         here.recorder.latest = Sample.of(tick, decision)
         if cycle.ended is None:
-            sent = cast("tuple[int, bytes]", _live(here, -1))
+            sent = cast("tuple[int, bytes]", live_tick(here, -1))
             cycle.take(msgspec.json.decode(sent[1], type=LiveTick))
 
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, "truck", bundle.id, watch)

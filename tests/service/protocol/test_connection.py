@@ -117,7 +117,7 @@ def test_live_ticks_and_the_silence_between_them(tmp_path: Path, listener: socke
         time.sleep(0.4)  # what is there is read, however late
         assert isinstance(next(came), LiveTick)
         assert [*behind, control.is_behind] == [True, False]
-        silent = []
+        silent: list[LiveTick | float] = []
         with pytest.raises(AwayError, match=r"no answer within 0\.3 s") as away:
             silent.extend(each for each in came)
         assert silent == [0.1, 0.1]
