@@ -2,9 +2,7 @@
 
 import argparse
 import json
-import shutil
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
@@ -19,11 +17,12 @@ from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
 from faultline.options import Parser
-from faultline.service.bundle import Bundle, Golden, graph_metadata, load_bundle, verify_golden
+from faultline.service.bundle import Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from faultline.service.core.consistency import FILE_NAME
 from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
+from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
@@ -57,12 +56,14 @@ def main(argv: list[str]) -> int:
     _check_networks(tuning, runnable, options.tuning)
     dbc = _dbc(options.dbc, bank)
     _check_room(options.out, options.force)
+    check_folder(options.out.parent)
     _check_golden(tuning, bank, options.tuning)
     try:
         files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
-    bundle = _put(files, options.out)
+    write_folder(options.out, files, _check_bundle)
+    bundle = load_bundle(options.out)
     size = sum(file.size for file in bundle.manifest.files.values())
     print(f"wrote {options.out}: {len(runnable.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
     return 0
@@ -112,20 +113,8 @@ def _golden(runnable: Runnable, tuning: Tuning) -> bytes:
     return msgspec.json.encode(Golden(z=tuning.golden_z, r=r, shift=residuals[-1].shift.tolist()))
 
 
-def _put(files: dict[str, bytes], out: Path) -> Bundle:
-    """Writes the folder, whole or not at all: a bundle that was there is gone only when the new one has proved good."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with writing(out), TemporaryDirectory(prefix=".faultline-", dir=out.parent) as scratch:
-        new = Path(scratch) / out.name
-        new.mkdir()
-        for name, content in files.items():
-            (new / name).write_bytes(content)
-        bundle = load_bundle(new)
-        verify_golden(bundle)
-        if out.exists():
-            shutil.rmtree(out)
-        new.rename(out)
-    return bundle
+def _check_bundle(folder: Path) -> None:
+    verify_golden(load_bundle(folder))
 
 
 def _check_networks(tuning: Tuning, runnable: Runnable, where: Path) -> None:

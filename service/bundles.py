@@ -14,6 +14,7 @@ from faultline.service.bundle import Bundle, load_bundle, verify_golden
 from faultline.service.bundle_files import MANIFEST, Trust
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import brief
+from faultline.writing import write_file
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -120,7 +121,7 @@ def _sign(options: argparse.Namespace) -> int:
     comment = options.comment or f"{bundle.manifest.name} version {bundle.manifest.version} id {bundle.id}"
     if "\n" in comment or "\r" in comment:
         raise InputError("--comment: is one line; give one")
-    _write(path, sign((options.bundle / MANIFEST).read_bytes(), private, comment))
+    write_file(path, sign((options.bundle / MANIFEST).read_bytes(), private, comment))
     print(f"wrote {path}: {comment}")
     return 0
 
@@ -129,7 +130,7 @@ def _public(options: argparse.Namespace) -> int:
     from faultline.service.signing import public_of, public_text
 
     key = public_of(_private(options.key))
-    _write(options.out, public_text(key))
+    write_file(options.out, public_text(key))
     print(f"wrote {options.out}: key {key.label}")
     return 0
 
@@ -144,14 +145,6 @@ def _private(path: Path) -> "Ed25519PrivateKey":
         if "is encrypted" not in str(error) or not sys.stdin.isatty():
             raise
         return load_private(path, getpass.getpass(f"password of {path}: ").encode())
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give another place") from error
 
 
 def _summary(bundle: Bundle) -> str:

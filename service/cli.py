@@ -7,7 +7,6 @@ output any more. All of them, by command: docs/exit-codes.md.
 
 import ast
 import difflib
-import errno
 import os
 import re
 import sys
@@ -16,10 +15,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from importlib.util import find_spec
+from io import FileIO, TextIOWrapper
 from pathlib import Path
+from typing import Any
 
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
+from faultline.writing import FULL
 
 GROUP = "faultline.commands"
 
@@ -42,8 +44,6 @@ INTERNAL = 3
 INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
 UNREAD = 141  # 128 + SIGPIPE
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
 
 def main(argv: list[str] | None = None) -> int:
     """Runs `faultline argv...` and returns its exit code."""
@@ -56,18 +56,29 @@ def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by who called us: what is written goes nowhere, not into another file
             setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115 for as long as the process lives
+    if sys.stderr is sys.__stderr__ and sys.stderr is not None:
+        messages = _Messages(sys.stderr.fileno(), "w", closefd=False)
+        sys.stderr = TextIOWrapper(messages, sys.stderr.encoding, "backslashreplace", write_through=True)
     code, said = _outcome(arguments, commands)
-    trouble = _trouble("stdout")
+    trouble = _trouble()
     if isinstance(trouble, BrokenPipeError):
         code, said = UNREAD, ""
     elif trouble is not None:
         code, said = INTERNAL, f"error: {_no_room(trouble)}"
     if said:
         who = f"faultline {arguments[0]}" if arguments and arguments[0] in commands else "faultline"
-        with suppress(OSError):
-            print(f"{who}: {said}", file=sys.stderr, flush=True)
-    _trouble("stderr")
+        print(f"{who}: {said}", file=sys.stderr)
     return code
+
+
+class _Messages(FileIO):
+    """Standard error: what cannot be written, as nobody reads it or its disk is full, is dropped and no error."""
+
+    def write(self, data: Any) -> int:
+        """Write the bytes or drop them; returns how many."""
+        with suppress(OSError):
+            super().write(data)
+        return len(data)
 
 
 def _outcome(arguments: list[str], commands: Mapping[str, EntryPoint]) -> tuple[int, str]:
@@ -102,7 +113,7 @@ def _of_system(error: OSError) -> tuple[int, str]:
     """Of an error of the operating system that nobody caught: of a file, of our own output, or unexpected."""
     full = error.errno in FULL
     if error.filename is not None:
-        remedy = "free some, or give another path" if full else "give another path"
+        remedy = f"free some space at {Path(error.filename).parent}, or " * full + "give another path"
         return REFUSED, f"error: {error.filename}: {error.strerror}; {remedy}"
     if isinstance(error, BrokenPipeError):
         return UNREAD, ""
@@ -110,24 +121,22 @@ def _of_system(error: OSError) -> tuple[int, str]:
 
 
 def _no_room(error: OSError) -> str:
-    return f"the output cannot be written: {error.strerror}; free some, or send it elsewhere"
+    return f"the output cannot be written: {error.strerror}; free some space, or send it elsewhere"
 
 
 def _internal(error: Exception) -> tuple[int, str]:
-    with suppress(OSError):
-        traceback.print_exception(error)
+    traceback.print_exception(error)
     words = " ".join(str(error).split())
     return INTERNAL, f"internal error: {type(error).__name__}: {words}; please report it with the lines above"
 
 
-def _trouble(name: str) -> OSError | None:
-    """Why the stream cannot be written; None where it can. What it holds then is dropped."""
-    stream = getattr(sys, name)
+def _trouble() -> OSError | None:
+    """Why standard output cannot be written; None where it can. What it holds then is dropped."""
     try:
-        stream.flush()
+        sys.stdout.flush()
     except OSError as error:
         # The interpreter flushes once more at its end, and would exit with 120: give it something that takes the rest.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return error
     return None
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
+from faultline.writing import write_file
 
 EXAMPLE = """example, on the vehicle as root, or with --root while its image is made:
   python3 -m venv --copies /opt/faultline
@@ -135,8 +136,7 @@ def _text(name: str, words: dict[str, str]) -> str:
 def _write(path: Path, text: str) -> None:
     _made(path.parent)
     try:
-        path.write_text(text)
-        path.chmod(0o644)  # whatever the umask: the service runs as a user of its own
+        write_file(path, text, 0o644)  # whatever the umask: the service runs as a user of its own
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; be root, or give another --root") from error
 

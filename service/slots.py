@@ -23,9 +23,11 @@ from msgspec import Meta
 
 from faultline.service.bundle_files import Trust, Whole, whole
 from faultline.service.core.errors import InputError
+from faultline.writing import write_file, write_folder
 
 SLOTS = ("a", "b")
 CURRENT, FLOOR, LOCK = "current", "floor.json", "lock"
+READABLE = 0o644
 
 
 class SlotError(InputError):
@@ -105,7 +107,6 @@ class Slots:
             self._raise_floor(given)
             self._swap(slot)
         except OSError as error:
-            shutil.rmtree(_new(path), ignore_errors=True)  # a disk that is full is not to stay so
             raise SlotError(
                 f"{error.filename or path}: cannot be written: {error.strerror}; is the disk full?"
             ) from error
@@ -151,19 +152,12 @@ class Slots:
 
     def _raise_floor(self, given: Whole) -> None:
         floor = _Floor(given.manifest.name, given.manifest.version, given.id)
-        _written(self._folder / FLOOR, msgspec.json.encode(floor))
+        write_file(self._folder / FLOOR, msgspec.json.encode(floor), READABLE)
 
     def _put(self, given: Whole, path: Path) -> None:
         """The bundle's files and its signatures, whole on the disk."""
-        new = _new(path)
-        for folder in (new, path):
-            shutil.rmtree(folder, ignore_errors=True)
-        _made(new)
-        for name, content in given.contents.items():
-            _written(new / name, content)
-        _synced(new)
-        new.rename(path)
-        _synced(self._folder)
+        shutil.rmtree(path, ignore_errors=True)  # the disk may have no room for three
+        write_folder(path, given.contents, mode=READABLE)
 
     def _swap(self, slot: str) -> None:
         new = self._folder / f".{CURRENT}.new"
@@ -195,29 +189,12 @@ def spare(link: Path) -> Path | None:
     return path if (found.name, found.version <= floor.version) == (floor.name, True) else None
 
 
-def _new(path: Path) -> Path:
-    """Where it is made before it gets its name."""
-    return path.with_name(f".{path.name}.new")
-
-
 def _made(folder: Path) -> None:
     """The folder and those above it, which everybody may look into where they are made here."""
     for each in (*reversed(folder.parents), folder):
         if not each.exists():
             each.mkdir()
             each.chmod(0o755)
-
-
-def _written(path: Path, content: bytes) -> None:
-    """The file, on the disk, whole or not at all."""
-    new = _new(path)
-    with new.open("wb") as file:
-        os.fchmod(file.fileno(), 0o644)
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    new.rename(path)
-    _synced(path.parent)
 
 
 def _synced(folder: Path) -> None:

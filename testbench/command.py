@@ -19,10 +19,11 @@ from faultline.testbench.effects import EFFECTS, PROFILE_TEXTS
 from faultline.testbench.errors import RigError
 from faultline.testbench.faults import FAULTS
 from faultline.testbench.options import add_logger, add_run, number, requested
-from faultline.testbench.recording import record, write_truth
+from faultline.testbench.recording import record, truth_of
 from faultline.testbench.request import Kind
 from faultline.testbench.sizes import frozen
 from faultline.testbench.vehicles import VEHICLES
+from faultline.writing import write_file
 
 EXAMPLES = """examples:
   faultline rig list
@@ -139,7 +140,7 @@ def _play(arguments: argparse.Namespace) -> int:
     dbc = load_dbc(arguments.dbc)
     with on_bus(arguments.bus) as send:
         if arguments.truth:
-            write_truth(request, arguments.truth)
+            write_file(arguments.truth, truth_of(request))
         played = play(live(request, dbc), send, arguments.speed, _say)
     _say(
         f"{played.frames} frames of {played.time_s:.1f} s in {played.wall_s:.1f} s, "

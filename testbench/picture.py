@@ -1,5 +1,6 @@
 """The picture of a recording, as thesis fig. 5.8: pressures, pump speed and dose over time, with the faults shaded."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from faultline.testbench.errors import RigError
 from faultline.testbench.faults import Fault
 from faultline.testbench.recorded import Recorded, read_toml
 from faultline.testbench.units import BAR
+from faultline.writing import write_file
 
 PANELS = (
     (("y_p_tp",), "bar", 1 / BAR),
@@ -29,7 +31,7 @@ def draw(recorded: Recorded, truth: Path | None, path: Path) -> None:
     """Writes the picture as a PNG; `truth` is the recording's truth file.
 
     Raises:
-        RigError: the truth is about another recording, or a file cannot be read or written.
+        RigError: the truth is about another recording, or a file cannot be read.
     """
     mpl.use("Agg")
     about = _about(truth, recorded.id) if truth else {}
@@ -46,11 +48,9 @@ def draw(recorded: Recorded, truth: Path | None, path: Path) -> None:
     rows[-1].set_xlabel(_time(recorded))
     told = ", ".join(f"{f.name} {f.size:g} from {f.onset_s:g} s ({f.profile})" for f in faults) or "no fault"
     figure.suptitle(f"{recorded.id} (simulated)" + (f"\n{told}" if truth else ""))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise RigError(f"{path}: {error.strerror}; give another --out") from error
+    png = BytesIO()
+    figure.savefig(png, dpi=110, format="png")
+    write_file(path, png.getvalue())
 
 
 def _about(path: Path, recording: str) -> dict[str, Any]:

@@ -8,8 +8,6 @@ Equal requests give equal bytes, but for the head of ASC and TRC logs, where pyt
 """
 
 import json
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -24,6 +22,7 @@ from faultline.testbench.simulation import MARGIN, simulate
 from faultline.testbench.streams import stream
 from faultline.testbench.traffic import frames
 from faultline.testbench.vehicles import Vehicle
+from faultline.writing import check_folder, write_file, write_folder
 
 
 def record(
@@ -42,31 +41,17 @@ def record(
     for path in (folder, truth_file):
         if path.exists() and not force:
             raise RigError(f"{path} exists; remove it or use --force")
+    check_folder(out)
+    check_folder(truth)
     files, truth_text = _contents(request, dbc, progress)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        truth.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".rig-") as temporary:
-            whole = Path(temporary) / request.name
-            whole.mkdir()
-            for name, content in files.items():
-                (whole / name).write_bytes(content)
-            if folder.exists():
-                shutil.rmtree(folder)
-            whole.rename(folder)
-        truth_file.write_text(truth_text)
-    except OSError as error:
-        raise RigError(f"{error.filename or folder}: {error.strerror}; give another --out and --truth") from error
+    write_folder(folder, files)
+    write_file(truth_file, truth_text)
     return folder, truth_file
 
 
-def write_truth(request: Request, path: Path) -> None:
-    """Writes the truth about a run without a second logger; raises `RigError` where that cannot be."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_truth_toml(request, None))
-    except OSError as error:
-        raise RigError(f"{error.filename or path}: {error.strerror}; give another --truth") from error
+def truth_of(request: Request) -> str:
+    """The truth about a run without a second logger."""
+    return _truth_toml(request, None)
 
 
 def _contents(request: Request, dbc: Dbc, progress: Callable[[float], None]) -> tuple[dict[str, bytes], str]:

@@ -1,9 +1,12 @@
 """An interrupted training goes on where it stopped: its state in one file, written whole or not at all."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any
 
 import msgspec
 import torch
@@ -14,6 +17,7 @@ from faultline.training.layout import Layout
 from faultline.training.loop import Begin, Training
 from faultline.training.recipe import Recipe
 from faultline.training.samples import Samples
+from faultline.writing import write_file
 
 FILE = "checkpoint.pt"
 
@@ -38,18 +42,15 @@ def key_of(layout: Layout, samples: Samples, recipe: Recipe, seed: int, begin: B
 
 
 def save_checkpoint(folder: Path, key: str, training: Training) -> None:
-    """Keeps the state of a training.
+    """Keeps the state of a training."""
+    write_file(folder / FILE, encoded({"key": key, **training.state()}))
 
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        new = folder / f"{FILE}.new"
-        torch.save({"key": key, **training.state()}, new)
-        new.replace(folder / FILE)
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"{folder}: cannot be written: {reason(error)}; give --out another place") from error
+
+def encoded(state: Mapping[str, Any]) -> bytes:
+    """The state as torch writes it."""
+    raw = BytesIO()
+    torch.save(state, raw)
+    return raw.getvalue()
 
 
 def load_checkpoint(folder: Path, key: str, training: Training) -> bool:

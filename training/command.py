@@ -7,11 +7,11 @@ from pathlib import Path
 import msgspec
 
 from faultline.analysis.graph.bank import inputs_of
-from faultline.analysis.graph.networks import Networks, save_networks
+from faultline.analysis.graph.networks import Networks, files_of
 from faultline.analysis.model import Model
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator
 from faultline.training.bank import HELD, networks_of
 from faultline.training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
@@ -22,7 +22,9 @@ from faultline.training.picture import picture
 from faultline.training.progress import Progress
 from faultline.training.recipe import RECIPES, Recipe
 from faultline.training.samples import load_samples
-from faultline.training.saved import load_weights, save_weights
+from faultline.training.saved import FILE as WEIGHTS
+from faultline.training.saved import load_weights, weights_of
+from faultline.writing import check_folder, write_files
 
 EXAMPLE = """example:
   faultline train uds4 logs/bench-training-s1 --out networks
@@ -60,6 +62,7 @@ def main(argv: list[str]) -> int:
             raise InputError(f"--{name} {value}: at least 1")
         if value is not None and options.begin:
             raise InputError(f"--{name}: networks that are adapted have their own; leave it out")
+    check_folder(options.out)
     model = sound_model(options.model)
     networks = _trained(options, model)
     described = msgspec.json.encode(networks.description).decode()
@@ -89,10 +92,9 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
                 "the best weights until then are kept"
             )
         networks = networks_of(training, samples, options.seed)
-    save_networks(options.out, networks)
-    with writing(options.out):
-        save_weights(options.out, training, networks.description)
-        (options.out / "training.png").write_bytes(picture(training))
+    files = {WEIGHTS: weights_of(training, networks.description), "training.png": picture(training)}
+    files |= files_of(networks)
+    write_files({options.out / name: content for name, content in files.items()})
     drop_checkpoint(options.out)
     return networks
 

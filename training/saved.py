@@ -11,7 +11,7 @@ from torch import Tensor
 
 from faultline.analysis.graph.networks import GRAPH, Description
 from faultline.service.core.errors import InputError
-from faultline.training.checkpoint import UNREADABLE, reason
+from faultline.training.checkpoint import UNREADABLE, encoded, reason
 from faultline.training.layout import Layout
 from faultline.training.loop import Training
 from faultline.training.network import Networks
@@ -39,29 +39,21 @@ class Saved:
         return replace(self.recipe, phases=PHASES, rate=RATE)
 
 
-def save_weights(folder: Path, training: Training, description: Description) -> None:
-    """Writes the weights of a training that is over, of which networks were made.
-
-    Raises:
-        InputError: they cannot be written.
-    """
+def weights_of(training: Training, description: Description) -> bytes:
+    """Content of the file of weights, of a training that is over and of which networks were made."""
     recipe, layout = training.recipe, training.layout
-    scaling = {name: torch.tensor(value) for name, value in asdict(training.scaling).items()}
-    shape = {"recipe": recipe.name, "hidden": list(recipe.hidden), "members": recipe.members}
-    try:
-        torch.save(
-            {
-                "weights": {name: value.cpu() for name, value in training.best.items()},
-                "scaling": scaling,
-                **shape,
-                "functions": _functions(layout),
-                "recordings": list(description.recordings),
-                "graph_sha256": description.graph_sha256,
-            },
-            folder / FILE,
-        )
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"{folder / FILE}: cannot be written: {error}; give --out another place") from error
+    return encoded(
+        {
+            "weights": {name: value.cpu() for name, value in training.best.items()},
+            "scaling": {name: torch.tensor(value) for name, value in asdict(training.scaling).items()},
+            "recipe": recipe.name,
+            "hidden": list(recipe.hidden),
+            "members": recipe.members,
+            "functions": _functions(layout),
+            "recordings": list(description.recordings),
+            "graph_sha256": description.graph_sha256,
+        }
+    )
 
 
 def load_weights(folder: Path, layout: Layout) -> Saved:

@@ -22,12 +22,15 @@ from faultline.analysis.simulation import system_of
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
 from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
 from faultline.service.logs import Log
+from faultline.writing import check_file, check_folder, write_files
 
 EXAMPLE = """example:
   faultline calibrate uds4 logs/bench-training-s1 --validate logs/bench-validation-s2 --out calibrated.toml --report out
 """
+
+PICTURE = "free-run.png"
 
 
 def main(argv: list[str]) -> int:
@@ -46,10 +49,12 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     model = sound_model(options.model)
     other = sound_model(options.beside) if options.beside else None
+    check_file(options.out)
+    if options.report:
+        check_folder(options.report)
     with Progress(f"calibrating {model.name}") as progress:
         data = _Data(model, options.recording, options.validate, progress)
         beside = _Data(other, options.recording, options.validate, progress) if other else None
-        _room(options.out, options.report)
         result = fit(data.system, data.fitted, progress.say)
         calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
         progress.say("free runs")
@@ -58,17 +63,15 @@ def main(argv: list[str]) -> int:
         told = report(model, data.vehicle, data.sources, result, identify(result), runs)
         text = dump_model(calibrated)
         good = options.force or not told.doubts
-        if good:
-            with writing(options.out):
-                options.out.write_text(text)
+        files = {options.out: text.encode()} if good else {}
         if options.report:
             progress.say("report")
             drawn = {model.name: runs}
             if other and beside:  # what is of valve and sensors is not of a model
                 drawn[other.name] = beside.run(other, nuisance)
             told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
-            with writing(options.report):
-                _write(told, model, drawn, options.report)
+            files |= _report(told, model, drawn, options.report)
+        write_files(files)
     if options.json:
         print(msgspec.json.encode(told).decode())
     else:
@@ -76,16 +79,6 @@ def main(argv: list[str]) -> int:
         digest = hashlib.sha256(text.encode()).hexdigest()[:12]
         print(f"wrote {options.out} (sha256 {digest})" if good else f"{options.out} is not written (--force does)")
     return 0 if good else 1
-
-
-def _room(out: Path, folder: Path | None) -> None:
-    """Makes the folders of what will be written, before a minute is spent on it."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if folder:
-            folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}; give --out and --report other places") from error
 
 
 class _Data:
@@ -122,9 +115,11 @@ class _Data:
         return {name: validate(self.system, found, values, nuisance) for name, found in self._found.items()}
 
 
-def _write(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> None:
-    picture = folder / "free-run.png"
+def _report(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> dict[Path, bytes]:
+    """Content of the report's files."""
     by_recording = {r: {name: runs[r] for name, runs in drawn.items()} for r in drawn[model.name]}
-    draw(told, model, by_recording, picture)
-    (folder / "report.md").write_text(page(told, model.known, picture.name))
-    (folder / "calibration.json").write_bytes(msgspec.json.format(msgspec.json.encode(told)) + b"\n")
+    return {
+        folder / PICTURE: draw(told, model, by_recording),
+        folder / "report.md": page(told, model.known, PICTURE).encode(),
+        folder / "calibration.json": msgspec.json.format(msgspec.json.encode(told)) + b"\n",
+    }

@@ -1,7 +1,7 @@
 """What a calibration found, as JSON, as text and as a picture like the thesis's Fig. 5.10."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from io import BytesIO
 from typing import Any
 
 import matplotlib as mpl
@@ -181,8 +181,8 @@ def page(r: Report, known: Mapping[str, Known], picture: str) -> str:
     return f"# Calibration of {r.model}{of}\n\n{origin}![Free run]({picture})\n\n{table}\n\n```\n{body}\n```\n"
 
 
-def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]], path: Path) -> None:
-    """Writes the free runs as a PNG: for each recording (a column) its outputs, measured and predicted, and its inputs.
+def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]]) -> bytes:
+    """The free runs as a PNG: for each recording (a column) its outputs, measured and predicted, and its inputs.
 
     `runs` are by recording and by the model's name.
     """
@@ -200,8 +200,9 @@ def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]
         grid[0, column].set_title(recording, fontsize=11)
         grid[-1, column].set_xlabel("log time [s]")
     figure.suptitle(f"Free run on {' and '.join(inputs)} alone; {'; '.join(told.sources)}", fontsize=12)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
+    png = BytesIO()
+    figure.savefig(png, format="png", dpi=100)
+    return png.getvalue()
 
 
 def _output(axes: Axes, name: str, known: Known, by_model: Mapping[str, Validation]) -> None:

@@ -11,7 +11,8 @@ from faultline.analysis.codegen.sequence import ComputationSequence, Form, compu
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
 from faultline.options import Parser
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
+from faultline.writing import write_files
 
 PERIOD_S = 0.2
 
@@ -59,11 +60,8 @@ def main(argv: list[str]) -> int:
     for name, sequence in chosen.items():
         program = residual_program(model, sequence, name=name, period=options.period, filter_s=options.filter)
         written[name] = {f"{name}.py": python_source(program), **c99_sources(program)}
-    options.out.mkdir(parents=True, exist_ok=True)  # all could be made: nothing is left half written
+    write_files({options.out / file: text for files in written.values() for file, text in files.items()})
     for name, files in written.items():
-        for file, text in files.items():
-            with writing(options.out / file):
-                (options.out / file).write_text(text)
         print(f"wrote {', '.join(files)}: residual {chosen[name].residual}, {chosen[name].causality} causality")
     return 0
 

@@ -27,7 +27,7 @@ from faultline.analysis.discrepancy.name.gauge import Gauge, gauge
 from faultline.analysis.discrepancy.name.work import workers
 from faultline.analysis.discrepancy.show.document import encoded
 from faultline.analysis.discrepancy.show.extras import Extras
-from faultline.analysis.discrepancy.show.report import DOCUMENT, write
+from faultline.analysis.discrepancy.show.report import DOCUMENT, PICTURES, files_of
 from faultline.analysis.discrepancy.show.sentences import sentences
 from faultline.analysis.discrepancy.show.told import document_of, origin_of
 from faultline.analysis.model import Model, dump_model
@@ -36,6 +36,7 @@ from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.pages import check_engine
+from faultline.writing import check_folder, write_file, write_files
 
 EXAMPLE = """examples:
   faultline discover uds4 logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
@@ -106,9 +107,7 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
         raise InputError("--undo takes a model only; leave the recordings away")
     before = undone(sound_model(model))
     _not_over(model, out)
-    _room(out)
-    with _writing(out / MODEL):
-        (out / MODEL).write_text(dump_model(before))
+    write_file(out / MODEL, dump_model(before))
     print(f"wrote {out / MODEL}: {before.name} as it was before its last discovery")
     return 0
 
@@ -117,8 +116,7 @@ def _discover(options: argparse.Namespace) -> int:
     check_engine()
     model, library = sound_model(options.model), _library(options.library, options.without)
     _not_over(options.model, options.out)
-    _room(options.out)
-    ours = (options.out / DOCUMENT).exists()
+    check_folder(options.out)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
@@ -146,8 +144,7 @@ def _discover(options: argparse.Namespace) -> int:
         )
         document = document_of(found, runs, origin_of(data, options.without), extras)
         progress.say("report")
-        written = write(options.out, found, document, runs)
-        written += _results(options, new, extras, ours)
+        written = _written(options.out, files_of(found, document, runs) | _results(new, extras))
     if options.json:
         print(encoded(document).decode())
     else:
@@ -201,23 +198,23 @@ def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress
     return bundle_effect(before, new.model, recordings, progress)
 
 
-def _results(options: argparse.Namespace, new: Adoption, extras: Extras, ours: bool) -> list[Path]:
-    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help.
-
-    In a folder of `ours` what an earlier call has left goes, as it is not of this one.
-    """
+def _results(new: Adoption, extras: Extras) -> dict[str, bytes]:
+    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help."""
     files = {}
     if extras.applied and new.model is not None:
-        files[MODEL] = dump_model(new.model)
+        files[MODEL] = dump_model(new.model).encode()
     if extras.plans and extras.plans[0].told:
-        files[EXPERIMENT] = extras.plans[0].experiment.cycle()
-    for name in ({MODEL, EXPERIMENT} if ours else set()) - {*files}:
-        with _writing(options.out / name):
-            (options.out / name).unlink(missing_ok=True)
-    for name, text in files.items():
-        with _writing(options.out / name):
-            (options.out / name).write_text(text)
-    return [options.out / name for name in files]
+        files[EXPERIMENT] = extras.plans[0].experiment.cycle().encode()
+    return files
+
+
+def _written(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """The paths written; what an earlier call has left and is not of this one goes."""
+    ours = (folder / DOCUMENT).exists()
+    write_files({folder / name: content for name, content in files.items()})
+    for name in ({MODEL, EXPERIMENT, *(f"{each}.png" for each in PICTURES)} if ours else set()) - {*files}:
+        (folder / name).unlink(missing_ok=True)
+    return [folder / name for name in files]
 
 
 @contextmanager
@@ -230,25 +227,9 @@ def _resumable(folder: Path) -> Iterator[None]:
         raise
 
 
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give --out another place") from error
-
-
 def _not_over(model: str, folder: Path) -> None:
     if Path(model).resolve() == (folder / MODEL).resolve():
         raise InputError(f"{model}: --out {folder} would write over it; give --out another place")
-
-
-def _room(folder: Path) -> None:
-    """Makes the folder, before a minute is spent on what goes into it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}; give --out another place") from error
 
 
 @dataclass

@@ -16,13 +16,13 @@ from faultline.analysis.evaluation.measure.facts import Facts, facts, labelled
 from faultline.analysis.evaluation.report.document import isolating
 from faultline.analysis.evaluation.sentence import sentence, summary
 from faultline.analysis.evaluation.story import Story, tell
-from faultline.analysis.places import check_folder
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
 from faultline.service.bundle import Bundle, load_bundle
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
 from faultline.service.core.events import Event
 from faultline.service.pages import check_engine
+from faultline.writing import check_file, check_folder
 
 EXAMPLE = """example:
   faultline evaluate out/demo/bundle out/demo/logs/validation-7-fA_t \\
@@ -46,9 +46,11 @@ def main(argv: list[str]) -> int:
     bundle = load_bundle(options.bundle)
     chosen = given(bundle, options.recording, options.truth, options.fault)
     shown = detailed(options.detail, chosen)
+    if options.picture:
+        check_file(options.picture)
     if options.report:
         _check_required(options.require, bundle, chosen)
-        check_folder(options.report, "--report")
+        check_folder(options.report)
         check_reportable(chosen, bundle)
     judged: list[Facts] = []
     stories: list[Story] = []
@@ -180,8 +182,7 @@ def _judged(
 def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) -> None:
     from faultline.analysis.evaluation.picture import draw  # matplotlib takes a second to import
 
-    with writing(path):
-        draw(story, live, verdict, path)
+    draw(story, live, verdict, path)
 
 
 def _report(

@@ -1,6 +1,7 @@
 """The story of a recording at a glance: pressures, residuals, CUSUM and what was told, over one time axis."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.story import Story
 from faultline.service.core.events import Event
 from faultline.service.core.modes import PARTIAL
+from faultline.writing import write_file
 
 UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}
 """What a signal is drawn in, by its unit: how much one is, and its name."""
@@ -47,8 +49,9 @@ def draw(story: Story, live: Sequence[Event] | None, verdict: Verdict, path: Pat
             axes.axvline(verdict.onset_s, color=ONSET, linestyle="--", linewidth=1)
     rows[-1].set_xlabel("log time [s]")
     figure.suptitle(_title(verdict, story.source), fontsize=13, fontweight="bold")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    png = BytesIO()
+    figure.savefig(png, format="png", dpi=110)
+    write_file(path, png.getvalue())
 
 
 def _title(v: Verdict, source: str | None) -> str:

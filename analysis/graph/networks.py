@@ -53,19 +53,10 @@ class Networks(msgspec.Struct, frozen=True):
     graph: bytes
 
 
-def save_networks(folder: Path, networks: Networks) -> None:
-    """Writes the folder's two files, the description last.
-
-    Raises:
-        InputError: they cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / GRAPH).write_bytes(networks.graph)
-        raw = msgspec.json.format(msgspec.json.encode(networks.description), indent=1)
-        (folder / FILE).write_bytes(raw + b"\n")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; give --out another place") from error
+def files_of(networks: Networks) -> dict[str, bytes]:
+    """Content of the folder's two files, the description last."""
+    raw = msgspec.json.format(msgspec.json.encode(networks.description), indent=1)
+    return {GRAPH: networks.graph, FILE: raw + b"\n"}
 
 
 def load_networks(folder: Path, model: Model) -> Networks:

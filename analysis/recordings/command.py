@@ -2,8 +2,6 @@
 
 import argparse
 import math
-import shutil
-import tempfile
 from pathlib import Path
 
 import msgspec
@@ -13,6 +11,7 @@ from faultline.analysis.recordings.ingest import ingest
 from faultline.analysis.recordings.report import sentences
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
+from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:
   faultline ingest recordings/bench-training-s1 --out logs
@@ -56,6 +55,7 @@ def main(argv: list[str]) -> int:
     if (hPa := options.ambient_hpa) is not None and not low <= hPa <= high:
         raise InputError(f"--ambient-hpa {hPa:g}: give an absolute pressure between {low:g} and {high:g} hPa")
     ambient = None if hPa is None else 100.0 * hPa
+    check_folder(options.out)
     with Progress(f"ingesting {options.recording}") as progress:
         result = ingest(options.recording, progress.say, by_hand, ambient)
         folder = _write(result.files, options.out / result.report.id, options.recording, force=options.force)
@@ -80,16 +80,5 @@ def _write(files: dict[str, bytes], folder: Path, bench: Path, *, force: bool) -
         raise InputError(f"{folder}: would replace the bench recording itself; give another --out")
     if folder.exists() and not force:
         raise InputError(f"{folder}: exists; remove it or use --force")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ingest-") as temporary:
-            whole = Path(temporary) / folder.name
-            whole.mkdir()
-            for name, content in files.items():
-                (whole / name).write_bytes(content)
-            if folder.exists():
-                shutil.rmtree(folder)
-            whole.rename(folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+    write_folder(folder, files)
     return folder

@@ -18,7 +18,8 @@ from faultline.analysis.structure.sensors import add_sensors, check_unknowns, dr
 from faultline.analysis.structure.structure import Structure, structure_of
 from faultline.analysis.structure.supports import find_tests
 from faultline.options import Parser
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
+from faultline.writing import write_files
 
 EXAMPLE = """examples:
   faultline structure uds4 --tests
@@ -74,22 +75,32 @@ def main(argv: list[str]) -> int:
         text = "" if options.json == "-" else report(model, computations=options.tests, positions=positions)
         data = json.dumps(document(model, positions), indent=1) if options.json else ""
     print(text or data)
-    if options.json and text:
-        _write(Path(options.json), data + "\n")
-    if options.written:
-        if not isinstance(model, Model):
-            raise InputError(f"{options.model}: a structural model has no formulas to write; give a model file")
-        _write(options.written, dump_model(model))
-    if options.figures:
-        from faultline.analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
-
-        with Progress("drawing"), writing(options.figures):
-            written = draw_all(model, options.figures, name)
-        print(f"wrote {len(written)} pictures to {options.figures}", file=sys.stderr)
+    files = _files(options, model, data if text else "")
+    pictures = _pictures(model, options.figures, name) if options.figures else {}
+    write_files(files | pictures)
+    if pictures:
+        print(f"wrote {len(pictures)} pictures to {options.figures}", file=sys.stderr)
     wrong = [f for f in lint(model) if f.severity == "error"] if isinstance(model, Model) else []
     for finding in wrong:
         print(f"faultline structure: error: {options.model}: {finding.place}: {finding.message}", file=sys.stderr)
     return 2 if wrong else 0 if find_tests(model) else 1
+
+
+def _files(options: argparse.Namespace, model: Model | Structure, data: str) -> dict[Path, bytes]:
+    """Content of the files of --json and --model."""
+    files = {Path(options.json): data.encode() + b"\n"} if data else {}
+    if options.written:
+        if not isinstance(model, Model):
+            raise InputError(f"{options.model}: a structural model has no formulas to write; give a model file")
+        files[options.written] = dump_model(model).encode()
+    return files
+
+
+def _pictures(model: Model | Structure, folder: Path, name: str) -> dict[Path, bytes]:
+    from faultline.analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
+
+    with Progress("drawing"):
+        return {folder / file: content for file, content in draw_all(model, name).items()}
 
 
 def open_model(path: str) -> Model | Structure:
@@ -130,11 +141,3 @@ def _positions(words: list[str], structure: Structure) -> dict[str, float]:
             raise InputError(f"--positions {word}: {cost!r} is no cost; write it like p_tp=2.5") from error
     check_unknowns(structure, costs)
     return costs
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give another file") from error

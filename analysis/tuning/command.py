@@ -14,7 +14,6 @@ from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.graph.networks import load_networks
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import dump_model
-from faultline.analysis.places import check_file
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.modes import modes_of, stand_ins
 from faultline.analysis.recordings.observe import START_WITHIN_S
@@ -30,8 +29,9 @@ from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule
 from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from faultline.options import Parser
-from faultline.service.core.errors import InputError, writing
+from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Evidence, brief
+from faultline.writing import check_file, write_file
 
 Array = npt.NDArray[np.float64]
 
@@ -61,9 +61,7 @@ def main(argv: list[str]) -> int:
             kinds: tuple[Kind, ...] = (options.detector, "spread") if options.spread else (options.detector,)
             given = Given(also=also, target=options.target, kinds=kinds, claim=True)
             tuning = tune(runnable, options.recording, progress, given)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    with writing(options.out):
-        options.out.write_bytes(msgspec.json.encode(tuning))
+    write_file(options.out, msgspec.json.encode(tuning))
     print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
     return 0
 
@@ -102,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(options: argparse.Namespace) -> None:
-    check_file(options.out, "--out")
+    check_file(options.out)
     if options.target is not None and not 0.0 < options.target < np.inf:
         raise InputError(f"--target {options.target:g}: a rate is a positive number of suspicions per hour; give one")
     for also in options.also:

@@ -9,20 +9,6 @@
 verdict *cannot tell*.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 
 class InputError(Exception):
     """What the user gave is wrong: the message names file, place and remedy in one line."""
-
-
-@contextmanager
-def writing(path: object) -> Iterator[None]:
-    """Name the path in an error of writing to it or into it: a full disk is met in a write, which names no file."""
-    try:
-        yield
-    except OSError as error:
-        if error.filename is not None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error

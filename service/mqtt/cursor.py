@@ -8,7 +8,6 @@ import errno
 import fcntl
 import os
 import zlib
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from faultline.service.core.errors import InputError
+from faultline.writing import write_file
 
 VERSION = 1
 ASIDE = 3
@@ -85,24 +85,7 @@ class CursorFile:
 
     def save(self, cursor: Cursor) -> None:
         """Keeps it; on return it is on the disk. Raises OSError where it is not, and what was kept before is."""
-        new = self._path.with_name(f"{self._path.name}.new")
-        handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-        try:
-            try:
-                _write(handle, _encoded(cursor))
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-            new.replace(self._path)
-        except OSError:
-            with suppress(OSError):
-                new.unlink()
-            raise
-        folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_file(self._path, _encoded(cursor), 0o600)
 
     def _put_aside(self) -> str:
         """Renames the file; of older ones the latest are left. What has become of it."""
@@ -136,11 +119,6 @@ def _decoded(content: bytes) -> Cursor:
         return msgspec.json.decode(msgspec.json.decode(line, type=_File).cursor, type=Cursor)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise ValueError(f"is no cursor: {error}") from error
-
-
-def _write(handle: int, content: bytes) -> None:
-    while content:
-        content = content[os.write(handle, content) :]
 
 
 def _locked(path: Path) -> int | None:

@@ -32,6 +32,7 @@ from faultline.service.workshop.result import Frame, Result, result
 from faultline.service.workshop.screen import Live, Plain, Screen, printable
 from faultline.service.workshop.verdict import Kind, Seen
 from faultline.service.workshop.words import HEADLINES, candidate_line, separation_line
+from faultline.writing import check_file, write_file
 
 EXAMPLE = """examples:
   faultline workshop
@@ -225,20 +226,19 @@ def _default(begun: Begun, now: str) -> Path:
 
 def _check(path: Path, *, replace: bool) -> None:
     """Raises InputError where the report could not be written after a test of ten minutes."""
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: cannot be written there; give --report a file in a folder that you may write to")
-    if path.exists() and replace and not os.access(path, os.W_OK):
-        raise InputError(f"{path}: may not be replaced by you; give another --report")
+    try:
+        check_file(path.parent.resolve(strict=True) / path.name)  # a typing error shall make no folder
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; give another --report") from error
     if path.exists() and not replace:
         raise InputError(f"{path}: is already there; give another --report, or --force to replace it")
 
 
 def _write(path: Path, text: str, *, replace: bool) -> None:
+    if path.exists() and not replace:
+        raise InputError(f"{path}: somebody has written it meanwhile; give another --report")
     try:
-        with path.open("w" if replace else "x", encoding="utf-8", errors="replace") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise InputError(f"{path}: somebody has written it meanwhile; give another --report") from error
+        write_file(path, text.encode(errors="replace"))
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"{path}: the report could not be written: {why}; the verdict is what was printed") from error

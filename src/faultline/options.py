@@ -20,6 +20,10 @@ class Parser(argparse.ArgumentParser):
         self._given = list(sys.argv[1:] if args is None else args)
         return super().parse_known_args(self._given, namespace)
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Write as argparse does, which however hides that the output is full or closed."""
+        (file or sys.stderr).write(message)
+
     def error(self, message: str) -> NoReturn:
         """Exit with 2 and one line on standard error, after the usage."""
         super().error("; ".join([message, *self._suggestions()]))

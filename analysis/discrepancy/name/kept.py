@@ -7,24 +7,14 @@ import msgspec
 import numpy as np
 
 from faultline.analysis.discrepancy.name.attempt import Attempt, Glance
-from faultline.service.core.errors import InputError
+from faultline.writing import write_file
 
 Kept = TypeVar("Kept", Attempt, Glance)
 
 
 def keep(path: Path, result: Attempt | Glance) -> None:
-    """Writes it whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        new = path.with_suffix(".new")
-        new.write_bytes(msgspec.json.encode(result, enc_hook=_plain))
-        new.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give --out another place") from error
+    """Writes it whole or not at all."""
+    write_file(path, msgspec.json.encode(result, enc_hook=_plain))
 
 
 def kept(path: Path, kind: type[Kept]) -> Kept | None:

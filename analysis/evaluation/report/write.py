@@ -11,7 +11,7 @@ from faultline.analysis.evaluation.report.page import page
 from faultline.analysis.evaluation.report.pictures import pictures
 from faultline.analysis.evaluation.story import Story
 from faultline.service.bundle import Bundle
-from faultline.service.core.errors import InputError
+from faultline.writing import write_files
 
 PAGE, DATA = "report.html", "report.json"
 
@@ -23,20 +23,11 @@ def write(
     stories: Sequence[Story],
     required: Sequence[tuple[str, str | None]] = (),
 ) -> Evaluation:
-    """Writes `report.html` and `report.json`; `stories` are those of the recordings shown over time.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Writes `report.html` and `report.json`; `stories` are those of the recordings shown over time."""
     document = evaluation(bundle, judged, required)
     files = {
         PAGE: page(document, pictures(document, judged, stories)).encode(),
         DATA: msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n",
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{error.filename or folder}: {error.strerror}; give --report another place") from error
+    write_files({folder / name: content for name, content in files.items()})
     return document

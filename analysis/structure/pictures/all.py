@@ -1,6 +1,4 @@
-"""All pictures of a model in one folder."""
-
-from pathlib import Path
+"""All pictures of a model."""
 
 from matplotlib.figure import Figure
 
@@ -14,7 +12,7 @@ from faultline.analysis.structure.pictures import (
     draw_isolability,
     draw_model,
     draw_signatures,
-    save,
+    drawn,
 )
 from faultline.analysis.structure.structure import Structure, structure_of
 from faultline.analysis.structure.supports import Test, find_tests
@@ -22,11 +20,11 @@ from faultline.analysis.structure.supports import Test, find_tests
 MANY_ROWS, MANY_GRAPHS = 120, 40
 
 
-def draw_all(model: Model | Structure, folder: Path, name: str) -> list[Path]:
+def draw_all(model: Model | Structure, name: str) -> dict[str, bytes]:
     """Draws structure, decomposition, isolability, fault signatures and the graph of every test that can be run.
 
-    Each is an SVG and a PNG with the model's `name`; the paths written. Pictures that would show nothing are left out.
-    Of many tests the first are drawn, those that can be run before others: a longer picture nobody reads.
+    Each is an SVG and a PNG with the model's `name`; their content by file name. Pictures that would show nothing are
+    left out. Of many tests the first are drawn, those that can be run before others: a longer picture nobody reads.
     """
     structure, tests = structure_of(model), find_tests(model)
     figures: dict[str, Figure] = {
@@ -38,9 +36,9 @@ def draw_all(model: Model | Structure, folder: Path, name: str) -> list[Path]:
         figures["isolability"] = draw_isolability(relations, name)
     runnable = [test for test in tests if isinstance(test, Test)]
     if tests:
-        drawn = tests if len(tests) <= MANY_ROWS else (runnable or tests)[:MANY_ROWS]
-        of_all = name if len(drawn) == len(tests) else f"{name} (of its {len(tests)} tests)"
-        figures["signatures"] = draw_signatures(drawn, structure.faults, of_all)
+        shown = tests if len(tests) <= MANY_ROWS else (runnable or tests)[:MANY_ROWS]
+        of_all = name if len(shown) == len(tests) else f"{name} (of its {len(tests)} tests)"
+        figures["signatures"] = draw_signatures(shown, structure.faults, of_all)
     for test in runnable[:MANY_GRAPHS]:
         figures[f"graph-{test.name}"] = draw_graph(structure, test, name)
-    return [path for title, figure in figures.items() for path in save(figure, folder, title)]
+    return {file: raw for title, figure in figures.items() for file, raw in drawn(figure, title).items()}

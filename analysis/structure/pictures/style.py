@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.textpath import TextPath
+
+from faultline.writing import write_files
 
 # Okabe and Ito, Color universal design (2008): told apart with every kind of colour blindness.
 BLUE, ORANGE, GREEN, VERMILION, SKY, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7"
@@ -103,14 +106,19 @@ def tint(colour: str, share: float) -> Colour:
 
 
 def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
-    """Writes NAME.svg and NAME.png, the same bytes for the same picture; the folder is made. Returns the paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = folder / f"{name}.svg", folder / f"{name}.png"
+    """Writes NAME.svg and NAME.png; the folder is made. Returns the paths."""
+    write_files({folder / file: content for file, content in drawn(figure, name).items()})
+    return folder / f"{name}.svg", folder / f"{name}.png"
+
+
+def drawn(figure: Figure, name: str) -> dict[str, bytes]:
+    """Content of NAME.svg and of NAME.png, the same bytes for the same picture."""
+    svg, png = BytesIO(), BytesIO()
     dpi = min(DPI, MOST_PIXELS / max(figure.get_size_inches()))
     with mpl.rc_context(STYLE):
-        figure.savefig(paths[0], metadata={"Date": None, "Creator": None})
-        figure.savefig(paths[1], dpi=dpi, metadata={"Software": None})
-    return paths
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(png, format="png", dpi=dpi, metadata={"Software": None})
+    return {f"{name}.svg": svg.getvalue(), f"{name}.png": png.getvalue()}
 
 
 def _legend_columns(handles: Sequence[Artist], width: float) -> int:

@@ -17,7 +17,6 @@ from faultline.analysis.evaluation.report import traces
 from faultline.analysis.evaluation.report.document import SCHEMA, Evaluation, evaluation
 from faultline.analysis.evaluation.report.page import page
 from faultline.analysis.evaluation.report.pictures import pictures
-from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Detector, LowPassDetector
 
 
@@ -172,7 +171,7 @@ def test_a_short_recording_and_a_fault_that_does_not_come_are_no_obstacle(
 def test_a_folder_that_cannot_be_written_is_told(made: Made, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     arguments = [str(BUNDLE), str(made.logs / "free"), "--truth", str(made.truths)]
-    with pytest.raises(InputError, match="give --report another place"):
+    with pytest.raises(NotADirectoryError, match=f"'{tmp_path}/file'"):
         main([*arguments, "--report", str(tmp_path / "file" / "below")])
 
 

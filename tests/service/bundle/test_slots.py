@@ -11,7 +11,6 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from made_bundle import edit, put
 
-from faultline.service import slots as module
 from faultline.service.bundle_files import BundleError, whole
 from faultline.service.bundles import main
 from faultline.service.core.errors import InputError
@@ -130,36 +129,38 @@ def test_what_fails_its_trial_is_not_swapped_in(slots: Slots, tmp_path: Path) ->
 
 
 def test_a_full_disk_leaves_the_current_one(slots: Slots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, _content: bytes) -> None:
-        raise OSError(28, "No space left on device", str(path))
+    def full(_file: int) -> None:
+        raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_written", full)
+        patch.setattr(os, "fsync", full)
         with pytest.raises(SlotError, match="No space left on device; is the disk full"):
             slots.install(version(tmp_path, 6), TRUST, passes)
     assert there(tmp_path / "slots")["current"] == 5
     slots.install(version(tmp_path, 6), TRUST, passes)
 
 
-@pytest.mark.parametrize("step", ["_written", "_synced"])
+@pytest.mark.parametrize("step", [(os, "fsync"), (Path, "rename"), (Path, "replace")], ids=lambda step: step[1])
 @pytest.mark.parametrize("after", range(14))
-def test_power_may_fail_at_any_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, after: int) -> None:
+def test_power_may_fail_at_any_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: tuple[object, str], after: int
+) -> None:
     """Whatever was done until then, the current bundle is whole, and the next attempt goes through."""
     made, count = Slots(tmp_path / "slots"), [0]
     made.install(version(tmp_path, 5), TRUST, passes)
-    real = getattr(module, step)
+    real = getattr(*step)
 
     class PowerCutError(BaseException):
         pass
 
-    def cut(*arguments: object) -> None:
+    def cut(*arguments: object) -> object:
         if count[0] == after:
             raise PowerCutError
         count[0] += 1
-        real(*arguments)
+        return real(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, step, cut)
+        patch.setattr(*step, cut)
         with contextlib.suppress(PowerCutError):
             made.install(version(tmp_path, 6), TRUST, passes)
     assert whole(tmp_path / "slots" / "current", TRUST).manifest.version in (5, 6)

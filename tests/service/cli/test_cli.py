@@ -162,7 +162,10 @@ def test_wrong_use_and_help_keep_argparses_codes(package: Path) -> None:
 @pytest.mark.parametrize(
     ("body", "line"),
     [
-        ("raise OSError(28, 'No space left on device', 'a.csv')", "a.csv: No space left on device; free some, or give"),
+        (
+            "raise OSError(28, 'No space left on device', 'a.csv')",
+            "a.csv: No space left on device; free some space at ., or",
+        ),
         ("raise PermissionError(13, 'Permission denied', 'b.csv')", "b.csv: Permission denied; give another path"),
         ("open('/nowhere/x')", "/nowhere/x: No such file or directory; give another path"),
     ],
@@ -183,7 +186,7 @@ def _run(package: Path, body: str, redirection: str, *, unbuffered: bool) -> sub
         "import sys; from importlib.metadata import EntryPoint; from faultline.service.cli import dispatch\n"
         "sys.exit(dispatch(sys.argv[1:], {'talk': EntryPoint('talk', 'fakecommands.talk:main', 'g')}))"
     )
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}", "PYTHONUNBUFFERED": "1" * unbuffered}
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}:{package.parent}", "PYTHONUNBUFFERED": "1" * unbuffered}
     shell = f'exec {sys.executable} -c "$1" talk {redirection}'
     words = ["sh", "-c", shell, "sh", script]
     return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
@@ -195,7 +198,7 @@ def test_an_output_that_cannot_be_written_is_no_answer(package: Path, body: str,
     done = _run(package, f"import sys; {body}", "> /dev/full", unbuffered=unbuffered)
     assert (done.returncode, done.stdout) == (3, "")
     why = "the output cannot be written: No space left on device"
-    assert done.stderr == f"faultline talk: error: {why}; free some, or send it elsewhere\n"
+    assert done.stderr == f"faultline talk: error: {why}; free some space, or send it elsewhere\n"
 
 
 @pytest.mark.parametrize("unbuffered", [False, True])
@@ -225,7 +228,7 @@ def test_a_closed_pipe_ends_quietly(package: Path) -> None:
         "import sys; from importlib.metadata import EntryPoint; from faultline.service.cli import dispatch\n"
         f"sys.exit(dispatch(['talk'], {{'talk': EntryPoint('talk', {value!r}, 'g')}}))"
     )
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{package.parent}"}
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}:{package.parent}"}
     with subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
     ) as talker:

@@ -128,7 +128,7 @@ def test_a_folder_that_takes_nothing_more_is_said_and_events_come_all_the_same(
     assert process.stop() == 0
     assert backend.ids() == told
     assert not (tmp_path / "cursor").exists()
-    assert not (tmp_path / "cursor.new").exists()
+    assert not [*tmp_path.glob(".cursor.*")]
 
 
 def test_a_daemon_that_dies_in_the_middle_is_found_again(
