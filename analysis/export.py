@@ -46,8 +46,10 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     if options.version < 0:
         raise InputError(f"--version {options.version}: counts up from 0")
-    tuning = load_tuning(options.tuning)
+    _check_room(options.out, options.force)
+    check_folder(options.out.parent)
     bank = build_bank(sound_model(options.model))
+    tuning = load_tuning(options.tuning)
     runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
     if tuning.model_sha256 != model_digest(dump_model(bank.model)):
         raise InputError(
@@ -55,8 +57,6 @@ def main(argv: list[str]) -> int:
         )
     _check_networks(tuning, runnable, options.tuning)
     dbc = _dbc(options.dbc, bank)
-    _check_room(options.out, options.force)
-    check_folder(options.out.parent)
     _check_golden(tuning, bank, options.tuning)
     try:
         files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version)

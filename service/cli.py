@@ -61,7 +61,9 @@ def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
         sys.stderr = TextIOWrapper(messages, sys.stderr.encoding, "backslashreplace", write_through=True)
     code, said = _outcome(arguments, commands)
     trouble = _trouble()
-    if isinstance(trouble, BrokenPipeError):
+    if isinstance(trouble, KeyboardInterrupt):
+        code, said = INTERRUPTED, "interrupted"
+    elif isinstance(trouble, BrokenPipeError):
         code, said = UNREAD, ""
     elif trouble is not None:
         code, said = INTERNAL, f"error: {_no_room(trouble)}"
@@ -130,11 +132,14 @@ def _internal(error: Exception) -> tuple[int, str]:
     return INTERNAL, f"internal error: {type(error).__name__}: {words}; please report it with the lines above"
 
 
-def _trouble() -> OSError | None:
-    """Why standard output cannot be written; None where it can. What it holds then is dropped."""
+def _trouble() -> OSError | KeyboardInterrupt | None:
+    """Why standard output cannot be written; None where it can. What it holds then is dropped.
+
+    An interrupt ends the wait for a reader, such as a pager, that takes no more.
+    """
     try:
         sys.stdout.flush()
-    except OSError as error:
+    except (OSError, KeyboardInterrupt) as error:
         # The interpreter flushes once more at its end, and would exit with 120: give it something that takes the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return error

@@ -137,7 +137,7 @@ def _write(path: Path, text: str) -> None:
     _made(path.parent)
     try:
         write_file(path, text, 0o644)  # whatever the umask: the service runs as a user of its own
-    except OSError as error:
+    except PermissionError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; be root, or give another --root") from error
 
 

@@ -70,8 +70,8 @@ class Slots:
 
         Raises:
             BundleError, SignatureError: it is not whole or not signed.
-            SlotError: it is older than the floor or of another name, another one is being installed, or it cannot be
-                written.
+            SlotError: it is older than the floor or of another name, or another one is being installed.
+            OSError: it cannot be written.
             InputError: it fails its trial. The current bundle is untouched in every case.
         """
         given = whole(source, trust)
@@ -106,10 +106,6 @@ class Slots:
             trial(path)
             self._raise_floor(given)
             self._swap(slot)
-        except OSError as error:
-            raise SlotError(
-                f"{error.filename or path}: cannot be written: {error.strerror}; is the disk full?"
-            ) from error
         except InputError:
             shutil.rmtree(path, ignore_errors=True)
             raise

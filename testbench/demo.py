@@ -15,6 +15,7 @@ from pathlib import Path
 
 from faultline.options import Parser
 from faultline.testbench.promise import RECORDINGS, Recording, Verdict, problems, sentence
+from faultline.writing import check_folder, write_file
 
 EXAMPLE = """example:
   faultline demo --out out/demo
@@ -68,13 +69,10 @@ def _make_room(out: Path) -> None:
         raise DemoError(f"{out} exists and is no demo's folder; name another with --out, or remove it")
     if Path.cwd().is_relative_to(out.resolve()):
         raise DemoError(f"{out} is the folder you are in, or above it; name another with --out")
-    try:
-        if out.exists():
-            shutil.rmtree(out)
-        out.mkdir(parents=True)
-        (out / MARKER).touch()
-    except OSError as error:
-        raise DemoError(f"{error.filename or out}: {error.strerror}; name another folder with --out") from error
+    check_folder(out)
+    if out.exists():
+        shutil.rmtree(out)
+    write_file(out / MARKER, "")
 
 
 class Demo:

@@ -47,11 +47,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--force", action="store_true", help="write it even if it does not describe the data")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     options = parser.parse_args(argv)
-    model = sound_model(options.model)
-    other = sound_model(options.beside) if options.beside else None
     check_file(options.out)
     if options.report:
         check_folder(options.report)
+    model = sound_model(options.model)
+    other = sound_model(options.beside) if options.beside else None
     with Progress(f"calibrating {model.name}") as progress:
         data = _Data(model, options.recording, options.validate, progress)
         beside = _Data(other, options.recording, options.validate, progress) if other else None

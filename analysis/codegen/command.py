@@ -12,7 +12,7 @@ from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests, over_determined, redundancy, sound_model, structure_of
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.writing import write_files
+from faultline.writing import check_folder, write_files
 
 PERIOD_S = 0.2
 
@@ -54,6 +54,7 @@ def main(argv: list[str]) -> int:
             f"{options.model}: a structural model has no formulas, and code is made of them; "
             "write its equations as formulas in a TOML model file"
         )
+    check_folder(options.out)
     model = sound_model(options.model)
     chosen = _chosen(model, options.test, options.residual, options.form)
     written = {}

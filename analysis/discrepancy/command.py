@@ -114,9 +114,9 @@ def _undo(model: str, recordings: Sequence[Path], out: Path) -> int:
 
 def _discover(options: argparse.Namespace) -> int:
     check_engine()
-    model, library = sound_model(options.model), _library(options.library, options.without)
     _not_over(options.model, options.out)
     check_folder(options.out)
+    model, library = sound_model(options.model), _library(options.library, options.without)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():

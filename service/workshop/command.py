@@ -225,11 +225,10 @@ def _default(begun: Begun, now: str) -> Path:
 
 
 def _check(path: Path, *, replace: bool) -> None:
-    """Raises InputError where the report could not be written after a test of ten minutes."""
-    try:
-        check_file(path.parent.resolve(strict=True) / path.name)  # a typing error shall make no folder
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give another --report") from error
+    """Raises InputError or OSError where the report could not be written after a test of ten minutes."""
+    if not path.parent.is_dir():  # a typing error shall make no folder
+        raise InputError(f"{path}: cannot be written there; give --report a file in a folder that is there")
+    check_file(path)
     if path.exists() and not replace:
         raise InputError(f"{path}: is already there; give another --report, or --force to replace it")
 

@@ -173,7 +173,7 @@ def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, caps
         main([str(back), "--undo", "--out", str(tmp_path / "back")])
     with pytest.raises(InputError, match="--undo takes a model only"):
         main([str(found.out / "model.toml"), str(found.training), "--undo"])
-    with pytest.raises(NotADirectoryError, match=f"'{found.model}'"):
+    with pytest.raises(NotADirectoryError, match=f"'{found.model}/o'"):
         refused(found.out / "model.toml", "--undo", "--out", found.model / "o")
 
 

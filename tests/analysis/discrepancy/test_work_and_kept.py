@@ -90,7 +90,7 @@ def test_what_is_no_attempt_is_not_there(tmp_path: Path) -> None:
 
 def test_what_cannot_be_kept_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(NotADirectoryError, match=f"'{tmp_path}/file"):
+    with pytest.raises(FileExistsError, match=f"'{tmp_path}/file'"):
         keep(tmp_path / "file" / "first.json", inline()[0])
 
 
