@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.writing import write_file
+from faultline.writing import write_files
 
 EXAMPLE = """example, on the vehicle as root, or with --root while its image is made:
   python3 -m venv --copies /opt/faultline
@@ -62,6 +62,7 @@ def main(argv: list[str]) -> int:
     add("--dry-run", action="store_true", help="print what would be written, and write nothing")
     options = parser.parse_args(argv)
     _check(options)
+    written = {}
     for file in _files(options):
         path = options.root / file.path.relative_to("/")
         kept = file.keep and path.exists()
@@ -70,9 +71,11 @@ def main(argv: list[str]) -> int:
         elif kept:
             print(f"kept   {path}")
         else:
-            _write(path, file.text)
-            print(f"wrote  {path}")
+            written[path] = file.text
     if not options.dry_run:
+        _write(written)
+        for path in written:
+            print(f"wrote  {path}")
         keys, incoming = (options.root / path.relative_to("/") for path in (KEYS, BUNDLES / "incoming"))
         for folder in (keys, incoming.parent, incoming):
             _made(folder)
@@ -133,12 +136,13 @@ def _text(name: str, words: dict[str, str]) -> str:
     return text
 
 
-def _write(path: Path, text: str) -> None:
-    _made(path.parent)
+def _write(files: dict[Path, str]) -> None:
+    for path in files:
+        _made(path.parent)
     try:
-        write_file(path, text, 0o644)  # whatever the umask: the service runs as a user of its own
+        write_files(files, 0o644)  # whatever the umask: the service runs as a user of its own
     except PermissionError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; be root, or give another --root") from error
+        raise InputError(f"{error.filename}: {error.strerror}; be root, or give another --root") from error
 
 
 def _made(folder: Path) -> None:

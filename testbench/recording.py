@@ -44,8 +44,7 @@ def record(
     check_folder(out)
     check_folder(truth)
     files, truth_text = _contents(request, dbc, progress)
-    write_folder(folder, files)
-    write_file(truth_file, truth_text)
+    write_folder(folder, files, lambda _: write_file(truth_file, truth_text))  # both fit on the disk, or neither is new
     return folder, truth_file
 
 

@@ -71,7 +71,6 @@ def test_a_folder_that_is_not_a_demos_is_left_alone(tmp_path: Path, capsys: pyte
         (".", "is the folder you are in, or above it"),
         ("..", "is the folder you are in, or above it"),
         ("../link", "exists and is no demo's folder"),
-        ("file/out", "Not a directory; name another folder with --out"),
     ],
 )
 def test_what_cannot_be_replaced_is_left_alone(
@@ -87,6 +86,12 @@ def test_what_cannot_be_replaced_is_left_alone(
     assert demo.main(["--out", given]) == 2
     assert message in capsys.readouterr().err
     assert (inside / "file").read_text() == "kept"
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError, match=f"'{tmp_path}/file'"):
+        demo.main(["--out", str(tmp_path / "file" / "out")])
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "inf", "nan"])
