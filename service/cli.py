@@ -115,11 +115,16 @@ def _of_system(error: OSError) -> tuple[int, str]:
     """Of an error of the operating system that nobody caught: of a file, of our own output, or unexpected."""
     full = error.errno in FULL
     if error.filename is not None:
-        remedy = f"free some space at {Path(error.filename).parent}, or " * full + "give another path"
+        remedy = f"{_space(error.filename)}, or give another path" if full else "give another path"
         return REFUSED, f"error: {error.filename}: {error.strerror}; {remedy}"
     if isinstance(error, BrokenPipeError):
         return UNREAD, ""
     return (INTERNAL, f"error: {_no_room(error)}") if full else _internal(error)
+
+
+def _space(filename: str) -> str:
+    place = next(each for each in Path(filename).absolute().parents if each.exists())
+    return f"free some space at {place}"
 
 
 def _no_room(error: OSError) -> str:

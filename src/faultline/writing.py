@@ -97,17 +97,22 @@ def check_file(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not path.exists() or path.is_file():
-        check_folder(Path(os.path.realpath(path)).parent)
+        _probe(Path(os.path.realpath(path)).parent, path)
 
 
 def check_folder(folder: Path) -> None:
     """Raise the OSError now that writing into `folder`, which need not exist, would raise; as `check_file`."""
+    _probe(folder, folder)
+
+
+def _probe(folder: Path, target: Path) -> None:
+    """Write a block into the nearest folder there is, without a name; an error names it, or a target without room."""
     place = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     try:
         with TemporaryFile(dir=place) as probe:
             probe.write(PROBE)
     except OSError as error:  # its file name is that of the probe
-        raise OSError(error.errno, error.strerror, str(folder if error.errno in FULL else place)) from error
+        raise OSError(error.errno, error.strerror, str(target if error.errno in FULL else place)) from error
 
 
 @contextmanager

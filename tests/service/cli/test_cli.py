@@ -164,7 +164,7 @@ def test_wrong_use_and_help_keep_argparses_codes(package: Path) -> None:
     [
         (
             "raise OSError(28, 'No space left on device', 'a.csv')",
-            "a.csv: No space left on device; free some space at ., or",
+            "a.csv: No space left on device; free some space at /",
         ),
         ("raise PermissionError(13, 'Permission denied', 'b.csv')", "b.csv: Permission denied; give another path"),
         ("open('/nowhere/x')", "/nowhere/x: No such file or directory; give another path"),
