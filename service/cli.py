@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from importlib.util import find_spec
-from io import FileIO, TextIOWrapper
+from io import BufferedWriter, FileIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +57,8 @@ def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
         if getattr(sys, name) is None:  # closed by who called us: what is written goes nowhere, not into another file
             setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115 for as long as the process lives
     if sys.stderr is sys.__stderr__ and sys.stderr is not None:
-        messages = _Messages(sys.stderr.fileno(), "w", closefd=False)
-        sys.stderr = TextIOWrapper(messages, sys.stderr.encoding, "backslashreplace", write_through=True)
+        messages = BufferedWriter(_Messages(sys.stderr.fileno(), "w", closefd=False))
+        sys.stderr = TextIOWrapper(messages, sys.stderr.encoding, "backslashreplace", line_buffering=True)
     code, said = _outcome(arguments, commands)
     trouble = _trouble()
     if isinstance(trouble, KeyboardInterrupt):
