@@ -49,6 +49,7 @@ from faultline.service.protocol.live import (
 )
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.records import Subscription
+from faultline.writing import write_file, write_files
 
 Message = type[msgspec.Struct]
 
@@ -155,10 +156,8 @@ def _plural(words: str) -> str:
 def main(argv: list[str]) -> int:
     """Write all of it; `argv` names the folder of the pages."""
     for page in (Path(argv[0]) / name for name in PAGES):
-        page.write_text(documented(page.read_text()))
-    SCHEMAS.mkdir(exist_ok=True)
-    for name in SENT:
-        file_of(name).write_bytes(schema(name))
+        write_file(page, documented(page.read_text()))
+    write_files({file_of(name): schema(name) for name in SENT})
     return 0
 
 
