@@ -17,11 +17,11 @@ from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
 from faultline.options import Parser
-from faultline.service.bundle import Golden, graph_metadata, load_bundle, verify_golden
-from faultline.service.bundle_files import MANIFEST, SEAL, BundleError, decode_manifest, seal
-from faultline.service.core.consistency import FILE_NAME
-from faultline.service.core.dbc import compile_dbc
+from faultline.service.bundle.files import MANIFEST, SEAL, BundleError, decode_manifest, seal
+from faultline.service.bundle.load import Golden, graph_metadata, load_bundle, verify_golden
+from faultline.service.core.decision.consistency import FILE_NAME
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:

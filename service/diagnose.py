@@ -6,11 +6,11 @@ from collections.abc import Collection
 from pathlib import Path
 
 from faultline.options import Parser
-from faultline.service.bundle import Bundle, load_bundle, verify_golden
-from faultline.service.core.decision import Decision
+from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import encode
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import encode
 from faultline.service.logs import Log, open_log
 from faultline.service.watching.records import describe, meanings
 

@@ -10,9 +10,9 @@ import msgspec
 
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Fault
-from faultline.service.core.frame import Frame
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Fault
+from faultline.service.core.records.freeze_frame import Frame
 from faultline.service.protocol.client import ControlClient
 from faultline.service.protocol.errors import ProtocolError
 

@@ -20,12 +20,12 @@ import numpy as np
 
 from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import load_model
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.bus.interface import Interface
 from faultline.service.bus.reader import CLASSIC, SO_TIMESTAMPNS
 from faultline.service.bus.socketcan import EFF_FLAG, SocketCan
-from faultline.service.core.generators import Graph
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.residuals.generators import Graph
 from faultline.service.logs import open_log
 from faultline.testbench.command import main as rig
 
@@ -111,7 +111,8 @@ def networks() -> None:
 def added_mib(graph: bytes, other: bytes, states: int) -> float:
     """What a graph adds to a process that runs another one already."""
     code = (
-        "import sys, numpy as np; from pathlib import Path; from faultline.service.core.generators import Graph\n"
+        "import sys, numpy as np; from pathlib import Path\n"
+        "from faultline.service.core.residuals.generators import Graph\n"
         "def rss(): return int(Path('/proc/self/statm').read_text().split()[1]) * 4096 / 2**20\n"
         "a = Graph(Path(sys.argv[1]).read_bytes()); before = rss(); b = Graph(Path(sys.argv[2]).read_bytes())\n"
         "for _ in range(100): b(z=np.ones((1, 5)), x=np.ones((1, int(sys.argv[3]))))\n"

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from faultline.service.core.observer import Decoder
-from faultline.service.core.signals import Quality
+from faultline.service.core.residuals.observer import Decoder
+from faultline.service.core.signals.values import Quality
 from faultline.service.logs import Frame
 
 PHASES, STARTS = 3, 4

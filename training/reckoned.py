@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from faultline.analysis.graph.bank import Bank, bank_of
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 from faultline.training.layout import Layout
 from faultline.training.samples import Samples
 

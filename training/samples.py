@@ -11,10 +11,10 @@ from faultline.analysis.calibration.provenance import check_vehicle
 from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
-from faultline.service.core.observer import Tick
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.training.phases import starts
 
 Array = npt.NDArray[np.float64]

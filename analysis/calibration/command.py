@@ -21,8 +21,8 @@ from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import system_of
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Log
 from faultline.writing import check_file, check_folder, write_files
 

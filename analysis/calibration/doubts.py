@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from faultline.analysis.calibration.fit import Fit
 from faultline.analysis.calibration.validate import STEADY, Validation
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: what is further away is not what the model file says."""

@@ -8,8 +8,8 @@ from faultline.analysis.recordings.observe import observe
 from faultline.analysis.recordings.pulse import estimate_pulse
 from faultline.analysis.recordings.pulse_input import InputChoice, choose_input
 from faultline.analysis.recordings.track import tracks_of
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Log
 
 AFTER_PUMP, IN_UNIT = "y_p_ap", "y_p_du"

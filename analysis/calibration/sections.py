@@ -19,10 +19,10 @@ from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.simulation import Drive, System
-from faultline.service.core.decode import DecodeTable
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
-from faultline.service.core.modes import ModeTracker
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from faultline.analysis.calibration.problem import Nuisance, runs
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.simulation import System, Trajectory
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

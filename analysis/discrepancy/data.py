@@ -13,10 +13,10 @@ from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.model import Model, dump_model
 from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import System
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log
 
 STEP_S = 0.1

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from faultline.analysis.evaluation.story import Story
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
-from faultline.service.core.signals import Mask
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Mask
 
 BLOCK_S = 60.0
 LEAST_TICKS = 10

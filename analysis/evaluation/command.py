@@ -18,9 +18,9 @@ from faultline.analysis.evaluation.sentence import sentence, summary
 from faultline.analysis.evaluation.story import Story, tell
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
-from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Event
+from faultline.service.core.records.event import Event
 from faultline.service.pages import check_engine
 from faultline.writing import check_file, check_folder
 

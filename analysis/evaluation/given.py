@@ -9,10 +9,10 @@ from typing import NamedTuple
 from faultline.analysis.evaluation.blocks import BLOCK_S
 from faultline.analysis.evaluation.truth import Truth, find_truth
 from faultline.analysis.recordings.observe import open_known, samples_of
-from faultline.service.bundle import Bundle
+from faultline.service.bundle.load import Bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Origin
-from faultline.service.core.modes import MAXIMUM
+from faultline.service.core.signals.modes import MAXIMUM
 from faultline.service.logs import Log, Recording, load_recording
 
 

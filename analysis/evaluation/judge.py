@@ -7,7 +7,7 @@ import msgspec
 
 from faultline.analysis.evaluation.truth import Truth
 from faultline.analysis.evaluation.weights import UNNAMED, true_explanation
-from faultline.service.core.events import Event
+from faultline.service.core.records.event import Event
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):

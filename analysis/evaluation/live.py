@@ -4,9 +4,9 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.service.bundle import Bundle
+from faultline.service.bundle.load import Bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Event, decode, is_about, is_other
+from faultline.service.core.records.event import Event, decode, is_about, is_other
 from faultline.service.logs import Log
 
 

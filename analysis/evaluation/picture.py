@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.events import Event
-from faultline.service.core.modes import PARTIAL
+from faultline.service.core.records.event import Event
+from faultline.service.core.signals.modes import PARTIAL
 from faultline.writing import write_file
 
 UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}

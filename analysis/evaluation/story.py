@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.bundle import Bundle
-from faultline.service.core.decision import Decision
+from faultline.service.bundle.load import Bundle
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Event
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.observer import Tick
-from faultline.service.core.signals import Mask
+from faultline.service.core.records.event import Event
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.values import Mask
 from faultline.service.logs import Log
 
 Array = npt.NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 
-from faultline.service.core.events import Diagnosis
+from faultline.service.core.records.event import Diagnosis
 
 Explanation = frozenset[str]
 """Names of the faults that are there together; none: no known fault explains it."""

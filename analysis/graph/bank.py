@@ -15,8 +15,8 @@ from faultline.analysis.graph.step import OF_FORMULAS, STACKED, Region, Stacked,
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
 from faultline.service.core.manifest import Generator, Input, State
+from faultline.service.core.residuals.generators import Graph
 
 PERIOD_S = 0.2
 GRAPH = "ode.onnx"

@@ -14,10 +14,10 @@ import numpy as np
 from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
-from faultline.service.bundle import GRAPH_ERRORS
+from faultline.service.bundle.load import GRAPH_ERRORS
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
 from faultline.service.core.manifest import Generator, Sha256
+from faultline.service.core.residuals.generators import Graph
 
 FILE, GRAPH = "networks.json", "rnn.onnx"
 SCHEMA: Final = "faultline.networks/1"

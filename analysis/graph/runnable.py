@@ -9,8 +9,8 @@ import numpy.typing as npt
 from faultline.analysis.graph import networks as trained
 from faultline.analysis.graph.bank import GRAPH, Bank
 from faultline.analysis.graph.networks import Networks
-from faultline.service.core.generators import GeneratorBank
 from faultline.service.core.manifest import Evidence, Generator, GraphFile
+from faultline.service.core.residuals.generators import GeneratorBank
 
 TOLERANCE = 1e-6
 """Of sigma, for golden vectors of the equations, which are float64."""

@@ -11,8 +11,8 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from faultline.service.core.generators import Graph
-from faultline.service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
+from faultline.service.core.residuals.generators import Graph
+from faultline.service.core.residuals.graph_file import IR_VERSIONS, OPERATORS, OPSETS
 
 Array = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 
 class Grid(NamedTuple):

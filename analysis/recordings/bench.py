@@ -8,10 +8,10 @@ import numpy as np
 
 from faultline.analysis.recordings.external import Samples, read_external
 from faultline.analysis.recordings.track import Track, known_part
-from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.decode import DecodeTable
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Quality, Vector
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.values import Quality, Vector
 from faultline.service.logs import Frame, LogReport, Recording, load_recording, read_log
 
 REFERENCE = "y_p_ap"

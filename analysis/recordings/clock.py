@@ -19,7 +19,7 @@ from faultline.analysis.recordings.steps import shared
 from faultline.analysis.recordings.track import Track
 from faultline.analysis.recordings.windows import STEP_S, Pressures, pressures
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 REACH_S = 0.5  # of the coarse lag, besides the drift
 PROBES_S = (0.2, 0.4)

@@ -7,7 +7,7 @@ import numpy as np
 
 from faultline.analysis.recordings.rows import read_rows
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 from faultline.service.logs.recording import External, Table
 
 OTHER_UNIT = 20.0  # times the table's highest voltage: no sensor gives that, another unit does

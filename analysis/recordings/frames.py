@@ -8,7 +8,7 @@ from cantools.database.can.signal import Signal
 
 from faultline.analysis.recordings.track import Mask
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 from faultline.service.logs import Frame
 
 MESSAGE = "UDS_SENSORS"

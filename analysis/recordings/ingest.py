@@ -20,7 +20,7 @@ from faultline.analysis.recordings.track import known_part
 from faultline.analysis.recordings.uniform import uniform
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 SAME_PRESSURE = 0.9
 """Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""

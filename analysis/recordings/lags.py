@@ -12,7 +12,7 @@ from scipy.signal import correlate
 
 from faultline.analysis.recordings.band import Grid, gridded
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 STEP_S = 0.1  # of the lags
 SLOW_S = 2.0  # slower changes do not help to find a time

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from faultline.analysis.recordings.windows import Window
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 STRAY = 12.0  # log likelihood: further from its best a window says no more than that it disagrees
 CLEAR = 6.0  # log likelihood: a window whose best is not this far above its median tells nothing

@@ -3,7 +3,7 @@
 from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model, OperatingModes
 from faultline.service.core.manifest import Modes
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 
 def modes_of(model: Model) -> Modes:

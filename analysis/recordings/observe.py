@@ -9,13 +9,13 @@ from faultline.analysis.graph.bank import PERIOD_S, Bank
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
-from faultline.service.core.decode import DecodeTable
-from faultline.service.core.generators import Generators, Residuals
 from faultline.service.core.manifest import Input, Manifest
-from faultline.service.core.modes import ModeTracker
-from faultline.service.core.observer import Decoder, Observer, Tick
-from faultline.service.core.sampling import Sampler
-from faultline.service.core.signals import Mask, Vector
+from faultline.service.core.residuals.generators import Generators, Residuals
+from faultline.service.core.residuals.observer import Decoder, Observer, Tick
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.modes import ModeTracker
+from faultline.service.core.signals.sampling import Sampler
+from faultline.service.core.signals.values import Mask, Vector
 from faultline.service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from faultline.analysis.recordings.track import Track
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 LOWEST_HZ, HIGHEST_HZ = 1.0, 9.0
 PARTIAL = (0.05, 0.95)  # doses with a ripple to speak of

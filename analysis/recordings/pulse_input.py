@@ -14,9 +14,9 @@ import numpy as np
 from faultline.analysis.graph.bank import PERIOD_S, Bank
 from faultline.analysis.recordings.pulse import Pulse, PulseError
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.modes import PARTIAL
-from faultline.service.core.observer import Tick
-from faultline.service.core.signals import Vector
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.modes import PARTIAL
+from faultline.service.core.signals.values import Vector
 
 BLOCK = 50  # ticks, 10 s, which hardly know of each other
 MATTERS = 0.02  # of the variance

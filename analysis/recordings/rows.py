@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 from faultline.service.logs import LogError
 
 SEPARATORS = (";", "\t", ",")

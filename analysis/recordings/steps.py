@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from faultline.analysis.recordings.band import gridded
 from faultline.analysis.recordings.track import Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 GRID_S = 0.1
 SMOOTH_S = 0.3

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.decode import DecodeTable
-from faultline.service.core.signals import Quality, Vector
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.values import Quality, Vector
 from faultline.service.logs import Frame
 
 SILENT_S = 1.0

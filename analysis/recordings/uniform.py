@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import filtfilt, firwin
 
 from faultline.analysis.recordings.track import Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 PERIOD_S = 0.2
 _FINE = 10  # points of the intermediate grid per output sample

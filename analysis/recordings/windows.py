@@ -14,7 +14,7 @@ import numpy as np
 
 from faultline.analysis.recordings.band import Grid, gridded
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 STEP_S = 0.02  # of the offsets
 SMOOTH_S = 0.15  # of p_ap, one or two samples of the second logger

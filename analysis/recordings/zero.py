@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 ATMOSPHERE = 101_325.0  # Pa, what the project's model takes for the tank too
 TURNING = 0.5  # rev/s, from which the pump runs

@@ -27,7 +27,7 @@ from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
 from faultline.analysis.tuning.thresholds import Seen, more_of
 from faultline.analysis.tuning.vehicles import Vehicle, offsets, read
-from faultline.service.core.consistency import of_evidence
+from faultline.service.core.decision.consistency import of_evidence
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES, Detector, Evidence
 

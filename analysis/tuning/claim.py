@@ -28,9 +28,9 @@ from faultline.analysis.tuning.vehicles import (
     pooled,
     pooled_left_out,
 )
-from faultline.service.core.decision import Decision
-from faultline.service.core.generators import Generators
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.manifest import Claim, Count, Detector, Evidence, Manifest
+from faultline.service.core.residuals.generators import Generators
 
 Array = npt.NDArray[np.float64]
 

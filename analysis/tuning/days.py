@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from faultline.analysis.tuning.thresholds import Seen
-from faultline.service.core.day import Day
+from faultline.service.core.decision.day import Day
 from faultline.service.core.manifest import Evidence
 
 

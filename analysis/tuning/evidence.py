@@ -15,9 +15,9 @@ from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
 from faultline.analysis.model import Model
 from faultline.analysis.tuning.thresholds import OWN, Seen
+from faultline.service.core.decision.straying import MINIMUM_TICKS
 from faultline.service.core.manifest import MODES, Evidence, Follower, Hypothesis
-from faultline.service.core.modes import EDGE
-from faultline.service.core.straying import MINIMUM_TICKS
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.decode import DecodeTable
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals import Quality
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.values import Quality
 from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Whether a drive that is said to be fault-free may be: how far its residuals lie, in standard deviations.
 
-They are looked at by what other drives show of ticks, visits and days (`service.core.straying`), never by its own: a
+They are looked at by what other drives show of ticks, visits and days (`core.decision.straying`), never by its own: a
 drive with a fault in it would make itself plausible.
 """
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from faultline.analysis.tuning.claim import Fold
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
 from faultline.service.core.manifest import MODES, Evidence
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

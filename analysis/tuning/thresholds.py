@@ -17,8 +17,8 @@ from faultline.analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kin
 from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES, Detector, kind_of
-from faultline.service.core.modes import EDGE
-from faultline.service.core.observer import Tick
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.observe import open_for, ticks_of
 from faultline.analysis.tuning.numbers import limited
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES, Input
-from faultline.service.core.observer import Tick
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.dbc import compile_dbc
 
 Array = npt.NDArray[np.float64]
 

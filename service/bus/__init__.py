@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from ipaddress import AddressValueError, IPv4Address
 
 from faultline.service.bus.base import Bus, BusError
-from faultline.service.core.decode import Wanted
+from faultline.service.core.signals.decode import Wanted
 
 __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 

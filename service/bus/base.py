@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal
 
-from faultline.service.core.decode import Wanted
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.decode import Wanted
 from faultline.service.logs import Frame
 
 BATCH = 512

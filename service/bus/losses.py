@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from faultline.service.bus.base import Bus
-from faultline.service.core.decode import DecodeTable, Rejected
+from faultline.service.core.signals.decode import DecodeTable, Rejected
 
 
 class Losses:

@@ -14,7 +14,7 @@ from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
 from faultline.service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
 from faultline.service.bus.interface import Interface, interface, losses
 from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
-from faultline.service.core.decode import Wanted
+from faultline.service.core.signals.decode import Wanted
 from faultline.service.logs import Frame
 
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5

@@ -1,7 +1,7 @@
 """The one family of errors that a user can cause and cure.
 
 `InputError`
-  +-- `service.bundle.BundleError`   a bundle that must not be run
+  +-- `service.bundle.load.BundleError`   a bundle that must not be run
   +-- `service.bus.BusError`         a bus that is not there or cannot be used
   +-- `service.logs.LogError`        a file that is not a log, or a recording that is not whole
 

@@ -1,9 +1,9 @@
 """The manifest of a bundle: everything the vehicle knows about its tests, as frozen data.
 
-`service.bundle` reads it from a folder; the core computes with it. Units are SI: Pa, 1/s, 1 for ratios, s.
+`service.bundle.load` reads it from a folder; the core computes with it. Units are SI: Pa, 1/s, 1 for ratios, s.
 
 The types here say what a single value may be, and decoding enforces it; what values must say of each other is in
-`service.core.consistency`.
+`core.decision.consistency`.
 """
 
 from typing import Annotated, Final, Literal, TypeVar
@@ -244,7 +244,7 @@ class Evidence(_Part, frozen=True):
     [Pa] is the fault-free mean, `spread` that of a tick within a drive, `noise` (mode, generator, generator) [Pa^2]
     the covariance of ticks, `visit` that of visits to the mode besides. From one day to the next a mean strays by
     `allowance` (mode, generator) [Pa], and all together by `drifts` (drift, mode, generator) [Pa], a standard deviation
-    each (`service.core.straying`). These move the `followers` too.
+    each (`core.decision.straying`). These move the `followers` too.
     """
 
     generators: NotEmpty[Name]

@@ -5,16 +5,16 @@ Live, in replay and offline the same frames at the same times give the same even
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from faultline.service.core.decision import Decision
-from faultline.service.core.decode import DecodeTable
-from faultline.service.core.events import Event
-from faultline.service.core.generators import GeneratorBank
+from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.telling import Teller
 from faultline.service.core.manifest import Manifest
-from faultline.service.core.modes import ModeTracker
-from faultline.service.core.observer import Observer, Tick
-from faultline.service.core.sampling import Sampler
-from faultline.service.core.signals import Qualities
-from faultline.service.core.telling import Teller
+from faultline.service.core.records.event import Event
+from faultline.service.core.residuals.generators import GeneratorBank
+from faultline.service.core.residuals.observer import Observer, Tick
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.modes import ModeTracker
+from faultline.service.core.signals.sampling import Sampler
+from faultline.service.core.signals.values import Qualities
 
 
 class Monitor:
@@ -64,7 +64,7 @@ class Monitor:
             yield from self.advance(t_s)
 
     def rename(self, bundle_id: str) -> None:
-        """Goes on under another bundle that decides alike (`service.core.alike`)."""
+        """Goes on under another bundle that decides alike (`core.compatibility`)."""
         self._teller.bundle = bundle_id
 
     def doubt(self, ages: Mapping[str, float]) -> None:

@@ -7,7 +7,7 @@ as no fault, and DM1 must not say so.
 from collections.abc import Callable
 from pathlib import Path
 
-from faultline.service.core.faults import Fault
+from faultline.service.core.records.fault import Fault
 from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 from faultline.service.protocol.answers import FaultList
 from faultline.service.protocol.backoff import Backoff

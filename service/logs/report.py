@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import NamedTuple
 
-from faultline.service.core.decode import EXTENDED, STANDARD
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.decode import EXTENDED, STANDARD
 
 STEP_BACK_S = 1.0
 """Frames of two interfaces may be written this far out of order [s]; more is a clock that was set back."""

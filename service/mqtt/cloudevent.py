@@ -9,10 +9,10 @@ import re
 
 import msgspec
 
-from faultline.service.core.events import SCHEMA as EVENT
-from faultline.service.core.faults import CLEARED
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.records.event import SCHEMA as EVENT
+from faultline.service.core.records.fault import CLEARED
+from faultline.service.core.records.fault import SCHEMA as FAULT
+from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.protocol.errors import UNREADABLE
 from faultline.service.protocol.records import Record
 

@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping
 
 import msgspec
 
-from faultline.service.core.faults import CLEARED, ERASED
-from faultline.service.core.faults import SCHEMA as FAULT
+from faultline.service.core.records.fault import CLEARED, ERASED
+from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.mqtt.ask import number_of
 from faultline.service.mqtt.outbox import Publication
 from faultline.service.mqtt.topics import Topics

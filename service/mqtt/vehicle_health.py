@@ -2,7 +2,7 @@
 
 import msgspec
 
-from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.mqtt.outbox import Publication
 from faultline.service.mqtt.states import Moment
 from faultline.service.mqtt.topics import Topics

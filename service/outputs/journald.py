@@ -9,8 +9,16 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from faultline.service.core.events import schema_of
-from faultline.service.core.faults import CLEARED, SCHEMA, Change, Cleared, FaultRecord, decode_cleared, decode_record
+from faultline.service.core.records.event import schema_of
+from faultline.service.core.records.fault import (
+    CLEARED,
+    SCHEMA,
+    Change,
+    Cleared,
+    FaultRecord,
+    decode_cleared,
+    decode_record,
+)
 from faultline.service.store.file import Record
 
 SOCKET = Path("/run/systemd/journal/socket")

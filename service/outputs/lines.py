@@ -19,7 +19,7 @@ from types import TracebackType
 import msgspec
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.health import Condition
+from faultline.service.core.records.health import Condition
 from faultline.service.protocol.errors import Rejection
 
 CLIENTS = 32  # at most

@@ -5,9 +5,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Fault
-from faultline.service.core.health import Standing
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Fault
+from faultline.service.core.records.health import Standing
 
 STATE = "faultline.state/2"
 """Schema of `ServiceState`; 1, in which `suspected` was what `anomaly` is now, had no `schema`."""

@@ -13,15 +13,15 @@ from pathlib import Path
 import msgspec
 from msgspec import inspect
 
-from faultline.service.core.events import SCHEMA as EVENT
-from faultline.service.core.events import Diagnosis, Event
-from faultline.service.core.faults import CLEARED, Cleared, Dtc, Fault, FaultRecord, Seen, Status
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.frame import SCHEMA as FRAME
-from faultline.service.core.frame import Excerpt, Frame, Input, Verdict
-from faultline.service.core.health import SCHEMA as HEALTH
-from faultline.service.core.health import Health, Standing
-from faultline.service.core.separating import Separation
+from faultline.service.core.records.discrimination import Separation
+from faultline.service.core.records.event import SCHEMA as EVENT
+from faultline.service.core.records.event import Diagnosis, Event
+from faultline.service.core.records.fault import CLEARED, Cleared, Dtc, Fault, FaultRecord, Seen, Status
+from faultline.service.core.records.fault import SCHEMA as FAULT
+from faultline.service.core.records.freeze_frame import SCHEMA as FRAME
+from faultline.service.core.records.freeze_frame import Excerpt, Frame, Input, Verdict
+from faultline.service.core.records.health import SCHEMA as HEALTH
+from faultline.service.core.records.health import Health, Standing
 from faultline.service.protocol.answers import (
     STATE,
     BusStatus,

@@ -5,8 +5,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.separating import Separation
+from faultline.service.core.records.discrimination import Separation
+from faultline.service.core.records.event import Diagnosis
 
 LIVE = "faultline.live/2"
 """Schema of `LiveTick`; in 1 `suspected` was what `anomaly` is now."""

@@ -12,9 +12,9 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.events import Event
-from faultline.service.core.faults import Cleared, FaultRecord
-from faultline.service.core.health import Health
+from faultline.service.core.records.event import Event
+from faultline.service.core.records.fault import Cleared, FaultRecord
+from faultline.service.core.records.health import Health
 from faultline.service.protocol.errors import UNREADABLE
 
 RECORDS = (Event, FaultRecord, Cleared, Health)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.logs import open_log
 from faultline.service.recorded.service import Recording, Serving

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from faultline.service.core.freeze import Sample
 from faultline.service.core.manifest import MODES, Manifest
-from faultline.service.core.separating import separations
-from faultline.service.core.signals import Quality
+from faultline.service.core.memory.freeze import Sample
+from faultline.service.core.records.discrimination import separations
+from faultline.service.core.signals.values import Quality
 from faultline.service.protocol.live import Column, History, Stand
 
 Columns = npt.NDArray[np.float32]

@@ -7,10 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from faultline.service.answers import Answerer, page_of, page_with
-from faultline.service.bundle import Bundle
-from faultline.service.config import MemoryConfig
-from faultline.service.core.events import Event
+from faultline.service.bundle.load import Bundle
+from faultline.service.core.records.event import Event
+from faultline.service.daemon.answers import Answerer, page_of, page_with
+from faultline.service.daemon.config import MemoryConfig
+from faultline.service.daemon.remembering import Remembering
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import LAG_S, Line, Watched, watched
 from faultline.service.logs import Log
 from faultline.service.outputs.control import Asker, ControlSocket, Then
 from faultline.service.outputs.socket import EventSocket
@@ -19,11 +22,8 @@ from faultline.service.protocol.live import History
 from faultline.service.protocol.questions import Question
 from faultline.service.recorded.bus import LogBus
 from faultline.service.recorded.history import Ticks
-from faultline.service.remembering import Remembering
-from faultline.service.scribe import Scribe
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal
-from faultline.service.watched import LAG_S, Line, Watched, watched
 
 LARGEST = 2**53 - 1
 MOST_TICKS = 5000  # of one answer

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from faultline.service.core.health import Condition
+from faultline.service.core.records.health import Condition
 from faultline.service.store.file import NOTHING, Record, StoreFile, is_damage
 
 OPENED_S = 10.0

@@ -6,12 +6,12 @@ from pathlib import Path
 import msgspec
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Diagnosis, Event, decode, schema_of
-from faultline.service.core.faults import CLEARED, Change, FaultRecord, decode_cleared, decode_record
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.health import SCHEMA as HEALTH
-from faultline.service.core.health import Health, decode_health, meaning
 from faultline.service.core.manifest import Equation, Fault, Manifest
+from faultline.service.core.records.event import Diagnosis, Event, decode, schema_of
+from faultline.service.core.records.fault import CLEARED, Change, FaultRecord, decode_cleared, decode_record
+from faultline.service.core.records.fault import SCHEMA as FAULT
+from faultline.service.core.records.health import SCHEMA as HEALTH
+from faultline.service.core.records.health import Health, decode_health, meaning
 
 WORDS = {
     "started": "started",

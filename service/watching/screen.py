@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from textwrap import wrap
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.health import meaning
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.health import meaning
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import PLAIN, Line, Look, Piece, Section, fitted, line, rendered
 from faultline.service.watching.seen import Seen, at

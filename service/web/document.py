@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
-from faultline.service.core.events import Event
-from faultline.service.core.faults import Cleared, FaultRecord
-from faultline.service.core.health import Health
+from faultline.service.core.records.event import Event
+from faultline.service.core.records.fault import Cleared, FaultRecord
+from faultline.service.core.records.health import Health
 from faultline.service.web import metrics, queries, shapes
 from faultline.service.web.faults import AGGREGATED, STATUS_KEYS
 from faultline.service.web.problems import MEDIA_TYPE

@@ -7,8 +7,8 @@ fault library, ros2_medkit): camelCase status with "0" and "1", filters by full 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Fault, Status
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Fault, Status
 from faultline.service.protocol.answers import NO_FRAME, FreezeFrames
 from faultline.service.protocol.live import FaultMeaning
 from faultline.service.web.shapes import (

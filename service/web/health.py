@@ -1,6 +1,6 @@
 """How the daemon is, in one word, from its state: pure."""
 
-from faultline.service.core.health import Standing, meaning
+from faultline.service.core.records.health import Standing, meaning
 from faultline.service.protocol.answers import ServiceState
 from faultline.service.web.shapes import HealthBody
 

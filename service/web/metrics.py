@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeVar
 
-from faultline.service.core.faults import Fault
+from faultline.service.core.records.fault import Fault
 from faultline.service.protocol.answers import BusStatus, ServiceState, SystemStatus
 
 Kind = Literal["gauge", "counter"]

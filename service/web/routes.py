@@ -7,7 +7,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
-from faultline.service.core.faults import Fault
+from faultline.service.core.records.fault import Fault
 from faultline.service.protocol.errors import ProtocolError
 from faultline.service.web import metrics
 from faultline.service.web.document import document

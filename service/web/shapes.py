@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Dtc, Seen
-from faultline.service.core.health import Standing
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Dtc, Seen
+from faultline.service.core.records.health import Standing
 from faultline.service.protocol.answers import BusStatus, StoreStatus, SystemStatus
 
 Bit = Literal["0", "1"]

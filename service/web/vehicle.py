@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from faultline.service.core.faults import Fault
+from faultline.service.core.records.fault import Fault
 from faultline.service.protocol.answers import Erased, FaultDetail, FaultList, RecordPage, ServiceState
 from faultline.service.protocol.errors import GarbledError, RefusedError
 from faultline.service.protocol.live import FaultMeaning, SystemDescription

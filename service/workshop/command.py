@@ -16,7 +16,7 @@ import msgspec
 
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.service.core.health import meaning
+from faultline.service.core.records.health import meaning
 from faultline.service.pages import NoEngineError, check_engine
 from faultline.service.protocol.answers import FaultList, ServiceState
 from faultline.service.protocol.client import ControlClient

@@ -7,9 +7,9 @@ by who listens.
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from faultline.service.core.events import Diagnosis, candidates
 from faultline.service.core.manifest import MODES
-from faultline.service.core.separating import Separation
+from faultline.service.core.records.discrimination import Separation
+from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
 from faultline.service.workshop.progress import NEAR, Progress

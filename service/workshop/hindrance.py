@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from faultline.service.core.health import KINDS
+from faultline.service.core.records.health import KINDS
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.workshop.units import shown
 

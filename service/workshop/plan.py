@@ -6,7 +6,7 @@ A step is a mode that the service observes on the bus, held for so long that all
 from typing import NamedTuple
 
 # A suspicion is looked at afresh once residuals have settled, 20 s (the warm-up of the tests) after it; the level that
-# the last 30 to 60 s show is compared with other days (`service.core.window.Recent`); an alarm that goes heals after
+# the last 30 to 60 s show is compared with other days (`core.decision.window.Recent`); an alarm that goes heals after
 # 15 s in the mode that showed it. A minute of a mode is enough of each.
 HOLD_S = 60.0
 # Means of a mode differ from visit to visit by more than noise does (`Evidence.visit`), and what shows only in one mode

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from faultline.service.core.faults import Fault as Remembered
-from faultline.service.core.health import Standing, meaning
+from faultline.service.core.records.fault import Fault as Remembered
+from faultline.service.core.records.health import Standing, meaning
 from faultline.service.pages import Table, render
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop import svg

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import msgspec
 
-from faultline.service.core.faults import Fault as Remembered
-from faultline.service.core.health import Standing
+from faultline.service.core.records.fault import Fault as Remembered
+from faultline.service.core.records.health import Standing
 from faultline.service.protocol.answers import ServiceState
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle, End

@@ -5,10 +5,10 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Fault as Remembered
-from faultline.service.core.health import Standing, meaning
-from faultline.service.core.separating import Separation
+from faultline.service.core.records.discrimination import Separation
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Fault as Remembered
+from faultline.service.core.records.health import Standing, meaning
 from faultline.service.protocol.live import FaultMeaning, SystemDescription
 from faultline.service.workshop.cycle import Cycle, End, Episode
 from faultline.service.workshop.hindrance import hindrances, instead

@@ -1,7 +1,7 @@
 """What the technician reads: what to do next, how far it is, what is told so far, and the verdict."""
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.separating import Separation
+from faultline.service.core.records.discrimination import Separation
+from faultline.service.core.records.event import Diagnosis
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.hindrance import hindrances, instead

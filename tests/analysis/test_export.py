@@ -19,8 +19,8 @@ from faultline.analysis.model import dump_model, load_model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.analysis.recordings.observe import START_WITHIN_S
 from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
-from faultline.service.bundle import load_bundle, verify_golden
-from faultline.service.bundle_files import SEAL, BundleError, seal
+from faultline.service.bundle.files import SEAL, BundleError, seal
+from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"

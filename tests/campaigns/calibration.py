@@ -26,7 +26,7 @@ from faultline.analysis.calibration.validate import STEADY, Agreement, validate
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.recordings.ingest import ingest
 from faultline.analysis.simulation import System, system_of
-from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import open_log
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES

@@ -24,7 +24,7 @@ from diagnosis_shop import Watched, Workshop, run_of, told_of, watched
 from diagnosis_visible import changes
 from results_page import digest, head_commit
 
-from faultline.service.bundle import Bundle
+from faultline.service.bundle.load import Bundle
 from faultline.service.core.errors import InputError
 
 Record = dict[str, Any]

@@ -16,11 +16,11 @@ from diagnosis_cases import Case, Set, request, seed_of
 from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.export import main as export
 from faultline.analysis.tuning.command import main as tune
-from faultline.service.bundle import Bundle, load_bundle
-from faultline.service.core.decision import Decision
-from faultline.service.core.events import Diagnosis, Event
+from faultline.service.bundle.load import Bundle, load_bundle
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.observer import Tick
+from faultline.service.core.records.event import Diagnosis, Event
+from faultline.service.core.residuals.observer import Tick
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.recording import record
 from faultline.testbench.request import Request

@@ -33,7 +33,7 @@ from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.experiment import propose
 from faultline.analysis.model import load_model
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES, Cycle, read_cycle
 from faultline.testbench.effects import EFFECTS

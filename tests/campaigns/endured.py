@@ -19,19 +19,19 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.bus import Bus
 from faultline.service.bus.base import BATCH, QUEUE
 from faultline.service.bus.interface import Interface
 from faultline.service.bus.reader import CLASSIC
 from faultline.service.bus.socketcan import EFF_FLAG, SocketCan
+from faultline.service.daemon.loop import Loop
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import Line, watched
 from faultline.service.logs import Frame, open_log
-from faultline.service.loop import Loop
 from faultline.service.outputs.socket import EventSocket
-from faultline.service.scribe import Scribe
 from faultline.service.store.journal import Journal
 from faultline.service.systemd import Notifier
-from faultline.service.watched import Line, watched
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 VIRTUAL = Interface(3, is_can=True, is_up=True, virtual=True)

@@ -27,7 +27,7 @@ from faultline.analysis.graph.networks import Networks
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.recordings.observe import ticks_of
-from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import open_log
 from faultline.testbench import ecu
 from faultline.testbench.command import main as rig

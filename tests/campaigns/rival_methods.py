@@ -14,9 +14,9 @@ from scipy.signal import lfilter
 from sklearn.decomposition import PCA
 from sklearn.ensemble import RandomForestClassifier
 
+from faultline.service.core.decision.isolation import diagnoses
 from faultline.service.core.detectors.spread import LARGEST
-from faultline.service.core.isolation import diagnoses
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 ISOLATED_S = 120.0
 """A rival, too, has so long after its alarm."""

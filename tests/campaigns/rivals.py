@@ -26,7 +26,7 @@ from results_page import exact_rate, exact_share
 from rival_methods import Components, Forest, Rival, ThesisCusum, Variance
 from rival_series import Array, Series, false_alarms, first_alarm, limit_for, load
 
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 
 FOLDS = 5
 LEAST = 3  # vehicles: one to try, two to make a method and its limit from

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faultline.service.bundle_files import SEAL, seal
+from faultline.service.bundle.files import SEAL, seal
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

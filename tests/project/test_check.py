@@ -20,7 +20,7 @@ def tree() -> check.Tree:
     ("test", "depends"),
     [
         ("tests/service/core/test_detectors.py", "service/core/manifest.py"),
-        ("tests/service/daemon/test_remembering.py", "service/core/memory.py"),  # by several imports
+        ("tests/service/daemon/test_remembering.py", "service/core/memory/fault_memory.py"),  # by several imports
         ("tests/analysis/discrepancy/test_gate.py", "tests/analysis/discrepancy/made_study.py"),
         ("tests/analysis/calibration/test_fit.py", "tests/analysis/calibration/made_drive.py"),
         ("tests/analysis/model/test_shipped_models.py", "analysis/model/uds4.toml"),  # data of a package

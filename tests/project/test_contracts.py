@@ -13,16 +13,16 @@ FOLDERS = ("src", "service", "analysis", "training", "testbench", "dbc", "pyproj
 
 PLANTS = {
     "a gateway of another one": ("service/mqtt/daemon.py", "from faultline.service.web.asking import SharedControl"),
-    "a command of another one": ("service/replay.py", "from faultline.service.bundles import main"),
+    "a command of another one": ("service/replay.py", "from faultline.service.bundle.command import main"),
     "a cycle of the steps of analysis": (
         "analysis/model/units.py",
         "from faultline.analysis.tuning.command import main",
     ),
     "a cycle inside a folder": ("service/j1939/name.py", "from faultline.service.j1939.claim import Claim"),
     "the rig in the analysis": ("analysis/progress.py", "from faultline.testbench.units import ATMOSPHERE"),
-    "the service in the rig": ("testbench/units.py", "from faultline.service.core.frame import Frame"),
-    "a socket in the core": ("service/core/frame.py", "import socket"),
-    "the daemon in the core": ("service/core/frame.py", "from faultline.service.strict import Table"),
+    "the service in the rig": ("testbench/units.py", "from faultline.service.core.records.freeze_frame import Frame"),
+    "a socket in the core": ("service/core/records/freeze_frame.py", "import socket"),
+    "the daemon in the core": ("service/core/records/freeze_frame.py", "from faultline.service.strict import Table"),
     "the store in the analysis": ("analysis/progress.py", "from faultline.service.store.file import StoreFile"),
     "torch in the analysis": ("analysis/progress.py", "import torch"),
     "the store in a gateway": ("service/web/health.py", "from faultline.service.store.file import StoreFile"),

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.events import Event, candidates
-from faultline.service.core.health import Conditions
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import Event, candidates
+from faultline.service.core.records.health import Conditions
+from faultline.service.daemon.watched import watched
 from faultline.service.logs import Frame, open_log
-from faultline.service.watched import watched
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FRAMES = list(open_log(GOLDEN / "log").relative())

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.decision import RANKING_PERIOD
-from faultline.service.core.events import candidates, decode
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.decision import RANKING_PERIOD
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import candidates, decode
 from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

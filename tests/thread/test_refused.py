@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from ports import multicast
 
-from faultline.service.slots import CURRENT, Slots
+from faultline.service.bundle.slots import CURRENT, Slots
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))

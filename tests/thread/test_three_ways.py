@@ -16,10 +16,10 @@ from typing import IO
 import pytest
 from ports import multicast
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.events import Event, decode, is_other, schema_of
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.faults import decode_record
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.records.event import Event, decode, is_other, schema_of
+from faultline.service.core.records.fault import SCHEMA as FAULT
+from faultline.service.core.records.fault import decode_record
 from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

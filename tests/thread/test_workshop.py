@@ -12,14 +12,14 @@ import msgspec
 import pytest
 from ports import multicast
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.decision import Decision
-from faultline.service.core.freeze import Sample
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.decision import Decision
+from faultline.service.core.memory.freeze import Sample
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.observer import Tick as Observed
+from faultline.service.core.residuals.observer import Tick as Observed
+from faultline.service.daemon.views import description, live_tick
 from faultline.service.logs import open_log
 from faultline.service.protocol.live import LiveTick, SystemDescription
-from faultline.service.views import description, live_tick
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.plan import plan
 from faultline.service.workshop.result import Result

@@ -11,7 +11,7 @@ from made_samples import circuit, dosing, rc
 from faultline.analysis.graph.cells import cell_graph
 from faultline.analysis.graph.networks import GRAPH
 from faultline.analysis.model import load_model
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 from faultline.training.bank import generator_of
 from faultline.training.free_run import Course, free_run
 from faultline.training.layout import Layout, layout_of

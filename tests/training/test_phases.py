@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from faultline.service.core.signals import Quality
+from faultline.service.core.signals.values import Quality
 from faultline.service.logs import Frame
 from faultline.training.phases import PHASES, STARTS, Signals, Start, _share, starts
 

@@ -14,7 +14,7 @@ from faultline.analysis.export import main as export
 from faultline.analysis.graph.networks import load_networks
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
-from faultline.service.bundle import load_bundle, verify_golden
+from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.diagnose import main as diagnose
 from faultline.service.logs import open_log

@@ -21,10 +21,10 @@ from faultline.analysis.model import Model
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.observe import open_known
 from faultline.analysis.tuning.command import tune
-from faultline.service.bundle import Bundle, load_bundle, verify_golden
+from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import CusumDetector, Generator
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log
 
 ALIKE = 0.1

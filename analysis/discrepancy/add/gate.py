@@ -17,7 +17,7 @@ from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.model import Model
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 WORSE = 1.05
 """A free run's error in a mode may grow by this factor, and to what noise lets expect; more, and nothing is added."""

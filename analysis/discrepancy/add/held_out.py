@@ -20,7 +20,7 @@ from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study
 from faultline.analysis.discrepancy.name.likelihood import Bins, Likelihood, bins_of
 from faultline.analysis.simulation import System, Trajectory
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.metrics import Told, told
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.events import Event
 from faultline.service.core.manifest import MODES
-from faultline.service.core.signals import Mask
+from faultline.service.core.records.event import Event
+from faultline.service.core.signals.values import Mask
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

@@ -17,7 +17,7 @@ from faultline.analysis.evaluation.measure.intervals import Share, share
 from faultline.analysis.evaluation.measure.roc import area
 from faultline.analysis.evaluation.measure.signature import sensitive
 from faultline.service.core.manifest import Generator
-from faultline.service.core.signals import Mask
+from faultline.service.core.signals.values import Mask
 
 TOGETHER = "together"
 

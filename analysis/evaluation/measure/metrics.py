@@ -28,8 +28,8 @@ import msgspec
 import numpy as np
 
 from faultline.analysis.evaluation.weights import UNNAMED, Explanation, true_explanation, weights
-from faultline.service.core.events import Diagnosis, Event
-from faultline.service.core.signals import Mask
+from faultline.service.core.records.event import Diagnosis, Event
+from faultline.service.core.signals.values import Mask
 
 NOTHING = "nothing told"
 PAIR = "another pair"

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.signals import Mask
+from faultline.service.core.signals.values import Mask
 
 REACHED = 0.5
 EXACT = 20

@@ -9,7 +9,7 @@ from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.traces import UNITS
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.modes import MAXIMUM
+from faultline.service.core.signals.modes import MAXIMUM
 
 AROUND_S = 60.0
 COLOURS = ("#d55e00", "#009e73", "#cc79a7")

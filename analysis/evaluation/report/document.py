@@ -16,7 +16,7 @@ from faultline.analysis.evaluation.measure.methods import Method, methods
 from faultline.analysis.evaluation.measure.metrics import Scores, scores
 from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
 from faultline.analysis.evaluation.measure.signature import Cell, cells
-from faultline.service.bundle import Bundle
+from faultline.service.bundle.load import Bundle
 from faultline.service.core.manifest import MODES
 
 SCHEMA: Final = "faultline.evaluation/1"

@@ -11,7 +11,7 @@ from faultline.analysis.evaluation.picture import told
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.story import Array, Story
 from faultline.service.core.manifest import MODES, kind_of
-from faultline.service.core.signals import Mask
+from faultline.service.core.signals.values import Mask
 
 SHADES = {"idle": "#dcefe3", "maximum": "#fbe3cf", "edge": "#d3d6da"}
 RESIDUAL, ALARM, ONSET = "#1f4e79", "#c62828", "#222222"

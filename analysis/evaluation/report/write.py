@@ -10,7 +10,7 @@ from faultline.analysis.evaluation.report.document import Evaluation, evaluation
 from faultline.analysis.evaluation.report.page import page
 from faultline.analysis.evaluation.report.pictures import pictures
 from faultline.analysis.evaluation.story import Story
-from faultline.service.bundle import Bundle
+from faultline.service.bundle.load import Bundle
 from faultline.writing import write_files
 
 PAGE, DATA = "report.html", "report.json"

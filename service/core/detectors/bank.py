@@ -11,7 +11,6 @@ from faultline.service.core.detectors.protocol import Detector
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.detectors.standard import Standard
 from faultline.service.core.detectors.threshold import Threshold
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
@@ -20,7 +19,8 @@ from faultline.service.core.manifest import (
     ThresholdDetector,
 )
 from faultline.service.core.manifest import Detector as Settings
-from faultline.service.core.signals import Vector
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.values import Vector
 
 FROZEN_TICKS = 1500  # 5 min
 

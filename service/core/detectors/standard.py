@@ -4,7 +4,7 @@
     s = (r - offset_m) / scale_m                            spread
     s = (r' - offset_m) / scale_m                           all others
 
-r is the residual and r' the one without the day (`service.core.day`), m is the operating mode, sigma what the generator
+r is the residual, r' the one without the day (`core.decision.day`), m the operating mode, sigma what the generator
 itself says of this tick's spread: a network knows where it is less sure. `usual_m` is the sigma that tuning saw in the
 mode, so that scale keeps the unit of the residual.
 """
@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
-from faultline.service.core.signals import Vector
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.values import Vector
 
 
 class Standard:

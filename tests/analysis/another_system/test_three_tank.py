@@ -13,10 +13,10 @@ from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.export import main as export
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
-from faultline.service.bundle import load_bundle, verify_golden
-from faultline.service.bundle_files import BundleError
+from faultline.service.bundle.files import BundleError
+from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from faultline.service.diagnose import main as diagnose
 
 DURATION_S, ONSET_S = 480.0, 270.0

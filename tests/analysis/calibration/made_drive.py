@@ -15,7 +15,7 @@ from faultline.analysis.calibration.fit import Fit, fit
 from faultline.analysis.calibration.sections import Section, sections
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.simulation import Drive, System, run, system_of
-from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Frame
 
 Array = npt.NDArray[np.float64]

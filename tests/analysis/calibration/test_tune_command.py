@@ -22,11 +22,11 @@ from faultline.analysis.tuning.adapt import LEAST_S
 from faultline.analysis.tuning.command import main as tune
 from faultline.analysis.tuning.file import Tuning, load_tuning
 from faultline.analysis.tuning.thresholds import MARGIN
-from faultline.service.bundle import load_bundle
-from faultline.service.bundles import main as show
+from faultline.service.bundle.command import main as show
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES, CusumDetector
-from faultline.service.core.modes import IDLE
+from faultline.service.core.signals.modes import IDLE
 from faultline.service.logs import open_log
 
 Array = npt.NDArray[np.float64]

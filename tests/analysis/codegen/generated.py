@@ -15,7 +15,7 @@ from faultline.analysis.codegen import Program, c99_sources, class_name, python_
 from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import load_model
 from faultline.analysis.recordings.observe import observe, open_known
-from faultline.service.core.dbc import compile_dbc
+from faultline.service.core.signals.dbc import compile_dbc
 
 Array = npt.NDArray[np.float64]
 

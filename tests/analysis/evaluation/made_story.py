@@ -11,10 +11,10 @@ from faultline.analysis.evaluation.judge import judge
 from faultline.analysis.evaluation.measure.facts import Facts, facts
 from faultline.analysis.evaluation.story import Array, Story
 from faultline.analysis.evaluation.truth import TrueFault, Truth
-from faultline.service.bundle import Bundle, load_bundle
-from faultline.service.core.events import SCHEMA, Diagnosis, Event
-from faultline.service.core.modes import PARTIAL
-from faultline.service.core.signals import Mask
+from faultline.service.bundle.load import Bundle, load_bundle
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event
+from faultline.service.core.signals.modes import PARTIAL
+from faultline.service.core.signals.values import Mask
 from faultline.service.logs import load_recording
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

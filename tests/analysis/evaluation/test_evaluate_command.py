@@ -15,11 +15,11 @@ from faultline.analysis.evaluation.command import main
 from faultline.analysis.evaluation.judge import judge
 from faultline.analysis.evaluation.story import Story, tell
 from faultline.analysis.evaluation.truth import load_truth
-from faultline.service.bundle import load_bundle
-from faultline.service.bundle_files import SEAL, seal
+from faultline.service.bundle.files import SEAL, seal
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import encode
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import encode
 from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

@@ -13,8 +13,8 @@ from made_set import BUNDLE, Made, clogged, edited
 from faultline.analysis.evaluation.command import detailed, main
 from faultline.analysis.evaluation.given import check_reportable, given
 from faultline.analysis.evaluation.measure.cases import size_text
-from faultline.service.bundle import load_bundle
-from faultline.service.bundle_files import SEAL, seal
+from faultline.service.bundle.files import SEAL, seal
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 
 

@@ -8,7 +8,7 @@ import pytest
 from faultline.analysis.evaluation import judge as judging
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.truth import TrueFault, Truth
-from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
 
 ORIGIN_S = 1.5
 ONSET_S = 70.0

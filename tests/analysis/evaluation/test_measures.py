@@ -15,10 +15,10 @@ from faultline.analysis.evaluation.measure.signature import cells, sensitive
 from faultline.analysis.evaluation.sentence import summary
 from faultline.analysis.evaluation.story import Array, Story, tell
 from faultline.analysis.evaluation.truth import TrueFault, Truth
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.manifest import MODES
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from faultline.service.logs import open_log
 
 MINUTE = 300

@@ -7,7 +7,7 @@ from made_story import event
 from faultline.analysis.evaluation.measure.isolation import columns
 from faultline.analysis.evaluation.measure.metrics import NOTHING, PAIR, Told, scores, standing, told
 from faultline.analysis.evaluation.weights import UNKNOWN, UNNAMED, true_explanation, weights
-from faultline.service.core.events import Event
+from faultline.service.core.records.event import Event
 
 KNOWN = ("fA", "fB", "fC")
 

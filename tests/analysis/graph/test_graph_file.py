@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from faultline.service.core.graph_file import MOST_NODES, OPERATORS, GraphError, check_graph_file
+from faultline.service.core.residuals.graph_file import MOST_NODES, OPERATORS, GraphError, check_graph_file
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 

@@ -8,8 +8,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
+from faultline.service.bundle.trial import trial
 from faultline.service.core.errors import InputError
-from faultline.service.trial import trial
 
 sys.path.append(str(Path(__file__).parents[2] / "service" / "bundle"))
 from made_bundle import GOLDEN, put, refused

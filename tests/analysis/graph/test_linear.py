@@ -24,7 +24,7 @@ from faultline.analysis.model import Model, load_model, sgsqrt
 from faultline.analysis.simulation import Drive, run, system_of
 from faultline.analysis.structure import integral_tests
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, parse_model
 from faultline.analysis.structure import integral_tests
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

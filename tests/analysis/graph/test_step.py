@@ -10,7 +10,7 @@ from scipy.integrate import odeint
 from faultline.analysis.graph.bank import PERIOD_S, Bank, build_bank
 from faultline.analysis.graph.network import Values
 from faultline.analysis.model import load_model
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 
 Array = npt.NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import pytest
 from onnx import numpy_helper
 
 from faultline.analysis.graph.writer import Writer
-from faultline.service.core.generators import Graph
-from faultline.service.core.graph_file import IR_VERSIONS, OPERATORS, OPSETS
+from faultline.service.core.residuals.generators import Graph
+from faultline.service.core.residuals.graph_file import IR_VERSIONS, OPERATORS, OPSETS
 
 
 def affine(*, gain: float = 2.0, repeated: int = 1) -> bytes:

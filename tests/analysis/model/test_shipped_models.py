@@ -12,7 +12,7 @@ from faultline.analysis.model.file import shipped_models
 from faultline.analysis.structure import detectable, find_tests, integral_tests, isolability, mso_sets, structure_of
 from faultline.analysis.structure.command import main as structure
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Graph
+from faultline.service.core.residuals.generators import Graph
 
 UDS1, UDS4, RC = load_model("uds1"), load_model("uds4"), load_model("rc")
 

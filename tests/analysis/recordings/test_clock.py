@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from faultline.analysis.recordings.clock import Clock, ClockError, synchronise
 from faultline.analysis.recordings.steps import shared, steps
 from faultline.analysis.recordings.track import Track
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 FINE_S = 0.01
 

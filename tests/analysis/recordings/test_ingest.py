@@ -13,9 +13,9 @@ import pytest
 from cantools.database.can import Database
 
 from faultline.analysis.recordings.command import main
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Quality, Vector
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.values import Quality, Vector
 from faultline.service.logs import Log, load_recording, open_log
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES

@@ -9,7 +9,7 @@ from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import Model, OperatingModes, load_model
 from faultline.analysis.recordings.modes import modes_of, stand_ins
 from faultline.service.core.manifest import Modes
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
 UDS4 = load_model("uds4")
 

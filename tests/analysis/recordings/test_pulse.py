@@ -11,8 +11,8 @@ from faultline.analysis.recordings.observe import observe
 from faultline.analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
 from faultline.analysis.recordings.pulse_input import _choice, choose_input
 from faultline.analysis.recordings.track import Track, tracks_of
-from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.decode import DecodeTable
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.logs import Frame, open_log
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES

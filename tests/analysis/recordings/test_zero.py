@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
-from faultline.service.core.signals import Vector
+from faultline.service.core.signals.values import Vector
 
 T = np.arange(0.0, 60.0, 0.2)
 

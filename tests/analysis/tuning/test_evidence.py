@@ -11,12 +11,12 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.tuning.evidence import as_seen, gather
 from faultline.analysis.tuning.thresholds import Seen, tune_detectors
-from faultline.service.core.decision import CONFIRMED
-from faultline.service.core.explaining import TIE
-from faultline.service.core.hypotheses import Hypotheses, Look
+from faultline.service.core.decision.decision import CONFIRMED
+from faultline.service.core.decision.explaining import TIE
+from faultline.service.core.decision.hypotheses import Hypotheses, Look
+from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import MODES, Evidence
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.window import Window
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 Array = npt.NDArray[np.float64]
 

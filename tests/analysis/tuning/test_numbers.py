@@ -6,9 +6,9 @@ import msgspec
 import pytest
 
 from faultline.analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
-from faultline.service.core.decode import DecodeTable
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals import Quality
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.values import Quality
 from faultline.service.logs import Frame
 
 

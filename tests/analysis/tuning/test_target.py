@@ -19,12 +19,12 @@ from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
 from faultline.analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
 from faultline.analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.detectors.bank import DetectorBank
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import MODES, Detector, Evidence, kind_of
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.observer import Tick
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 Array = npt.NDArray[np.float64]
 

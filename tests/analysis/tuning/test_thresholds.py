@@ -14,10 +14,10 @@ from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
 from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.errors import InputError
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import MODES, CusumDetector, kind_of
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.observer import Tick
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import pytest
 
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
 from faultline.analysis.tuning.vehicles import Drive, offsets
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 OWN = (0, 1, 2, 3)
 

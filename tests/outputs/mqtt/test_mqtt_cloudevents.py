@@ -12,9 +12,9 @@ from cloudevents.core.v1.event import CloudEvent
 from hypothesis import given
 from hypothesis import strategies as some
 
-from faultline.service.core.events import SCHEMA, Diagnosis, Event, encode
-from faultline.service.core.health import SCHEMA as HEALTH
-from faultline.service.core.health import Health, Standing, encode_health
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, encode
+from faultline.service.core.records.health import SCHEMA as HEALTH
+from faultline.service.core.records.health import Health, Standing, encode_health
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
 from faultline.service.protocol.records import RecordError, read
 

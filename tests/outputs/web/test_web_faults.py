@@ -7,8 +7,8 @@ import pytest
 from starlette.datastructures import QueryParams
 from web_daemon import FAILED, NAMES, PASSED, PENDING, fault, status
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Status
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Status
 from faultline.service.protocol.answers import FreezeFrames
 from faultline.service.protocol.live import FaultMeaning
 from faultline.service.web.faults import STATUS_KEYS, aggregated, detail_of, item_of, selected, value_of

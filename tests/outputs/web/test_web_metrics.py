@@ -6,7 +6,7 @@ from typing import NamedTuple
 import pytest
 from web_daemon import FAILED, PASSED, fault
 
-from faultline.service.core.health import Standing
+from faultline.service.core.records.health import Standing
 from faultline.service.protocol.answers import BusStatus, ServiceState, StoreStatus, SystemStatus
 from faultline.service.web.metrics import Counts, Family, Sample, of_daemon, of_server, render
 

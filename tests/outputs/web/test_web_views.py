@@ -4,7 +4,7 @@ import msgspec
 import pytest
 from web_daemon import record
 
-from faultline.service.core.health import Standing
+from faultline.service.core.records.health import Standing
 from faultline.service.protocol.answers import ServiceState
 from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import AwayError, GarbledError, RefusedError

@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Cleared, Dtc, Fault, FaultRecord, Seen, Status
-from faultline.service.core.health import Health
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Cleared, Dtc, Fault, FaultRecord, Seen, Status
+from faultline.service.core.records.health import Health
 from faultline.service.outputs.socket import EventSocket
 from faultline.service.store.file import Record
 

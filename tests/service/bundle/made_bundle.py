@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from faultline.service.bundle import load_bundle, verify_golden
-from faultline.service.bundle_files import SEAL, BundleError, seal
+from faultline.service.bundle.files import SEAL, BundleError, seal
+from faultline.service.bundle.load import load_bundle, verify_golden
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "bundle"
 

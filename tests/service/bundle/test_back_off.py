@@ -5,10 +5,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
-from faultline.service.bundle import Bundle
-from faultline.service.config import BundleConfig
-from faultline.service.refused import AGAIN_S, LONGEST_S, Loader, RefusedBundles
-from faultline.service.watched import Line
+from faultline.service.bundle.load import Bundle
+from faultline.service.daemon.config import BundleConfig
+from faultline.service.daemon.refused import AGAIN_S, LONGEST_S, Loader, RefusedBundles
+from faultline.service.daemon.watched import Line
 
 BUNDLE = BundleConfig(path="/slots/current", bus="can0")
 LINE = cast(Line, SimpleNamespace(name="can0", bundles=[]))

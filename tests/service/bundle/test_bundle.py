@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
-from faultline.service import bundles
-from faultline.service.bundle import load_bundle, verify_golden
-from faultline.service.bundle_files import BundleError, seal
+from faultline.service.bundle import command as bundles
+from faultline.service.bundle.files import BundleError, seal
+from faultline.service.bundle.load import load_bundle, verify_golden
 
 FILES = ["ode.onnx", "faults.onnx", "uds.dbc", "golden.json"]
 
@@ -215,7 +215,7 @@ def test_a_graph_that_breaks_while_it_runs_is_refused(bundle: Path, monkeypatch:
         raise InvalidArgument("[ONNXRuntimeError] : 2 :\nno such shape")
 
     loaded = load_bundle(bundle)
-    monkeypatch.setattr("faultline.service.core.generators.GeneratorBank.step", broken)
+    monkeypatch.setattr("faultline.service.core.residuals.generators.GeneratorBank.step", broken)
     with pytest.raises(BundleError, match=r"golden vector 0: \[ONNXRuntimeError\] : 2 : no such shape;") as caught:
         verify_golden(loaded)
     check_line(bundle, caught.value)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from made_bundle import Change, copied, edit, refused, write
 
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 
 
 def spread(detector: dict[str, Any]) -> dict[str, Any]:

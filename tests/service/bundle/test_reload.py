@@ -9,18 +9,18 @@ import pytest
 from made_bundle import GOLDEN, copied, edit
 from ports import multicast
 
-from faultline.service.bundle import load_bundle
-from faultline.service.bundle_files import Trust
+from faultline.service.bundle.files import Trust
+from faultline.service.bundle.load import load_bundle
 from faultline.service.bus import Bus, open_bus
-from faultline.service.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig
-from faultline.service.core.alike import decide_alike
+from faultline.service.core.compatibility import decide_alike
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Event
 from faultline.service.core.manifest import Manifest
+from faultline.service.core.records.event import Event
+from faultline.service.daemon.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig
+from faultline.service.daemon.refused import Loader
+from faultline.service.daemon.reload import Reload
+from faultline.service.daemon.watched import Line, watched
 from faultline.service.logs import Frame, open_log
-from faultline.service.refused import Loader
-from faultline.service.reload import Reload
-from faultline.service.watched import Line, watched
 
 CONFIG = """source = "truck"
 [[bus]]

@@ -10,11 +10,10 @@ from cryptography.hazmat.primitives.serialization import BestAvailableEncryption
 from hypothesis import given
 from hypothesis import strategies as st
 
-from faultline.service.bundle import load_bundle
-from faultline.service.bundle_files import BundleError
-from faultline.service.bundles import main
-from faultline.service.core.errors import InputError
-from faultline.service.signing import (
+from faultline.service.bundle.command import main
+from faultline.service.bundle.files import BundleError
+from faultline.service.bundle.load import load_bundle
+from faultline.service.bundle.signing import (
     SignatureError,
     Signed,
     load_keys,
@@ -25,6 +24,7 @@ from faultline.service.signing import (
     sign,
     verify,
 )
+from faultline.service.core.errors import InputError
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

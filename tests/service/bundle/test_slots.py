@@ -11,13 +11,13 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from made_bundle import edit, put
 
-from faultline.service.bundle_files import BundleError, whole
-from faultline.service.bundles import main
+from faultline.service.bundle.command import main
+from faultline.service.bundle.files import BundleError, whole
+from faultline.service.bundle.signing import SignatureError, Signed, public_of, sign
+from faultline.service.bundle.slots import CURRENT, SlotError, Slots, spare
+from faultline.service.bundle.trial import trial
 from faultline.service.core.errors import InputError
-from faultline.service.refused import Loader
-from faultline.service.signing import SignatureError, Signed, public_of, sign
-from faultline.service.slots import CURRENT, SlotError, Slots, spare
-from faultline.service.trial import trial
+from faultline.service.daemon.refused import Loader
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

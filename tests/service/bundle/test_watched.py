@@ -8,14 +8,14 @@ import pytest
 from made_bundle import GOLDEN
 from ports import multicast
 
-from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.bus import Bus, open_bus
-from faultline.service.core.events import Event
-from faultline.service.core.health import Condition
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.traffic import Traffic
+from faultline.service.core.records.event import Event
+from faultline.service.core.records.health import Condition
+from faultline.service.core.signals.traffic import Traffic
+from faultline.service.daemon.watched import FAILED_S, LOST_S, Line, Watched, watched
 from faultline.service.logs import Frame, open_log
-from faultline.service.watched import FAILED_S, LOST_S, Line, Watched, watched
 
 BUNDLE = load_bundle(GOLDEN)
 LOG = open_log(GOLDEN.parent / "log")

@@ -18,7 +18,7 @@ from faultline.service.bus.base import BATCH, Counts
 from faultline.service.bus.interface import Interface, interface
 from faultline.service.bus.reader import unpack
 from faultline.service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
-from faultline.service.core.decode import Wanted
+from faultline.service.core.signals.decode import Wanted
 from faultline.service.logs import Frame
 
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000

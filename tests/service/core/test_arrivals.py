@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pytest
 
-from faultline.service.core.arrivals import EARLY, REPEATED, Arrival, Arrivals
+from faultline.service.core.signals.arrivals import EARLY, REPEATED, Arrival, Arrivals
 
 T = 0.2
 

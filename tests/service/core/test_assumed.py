@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from faultline.service.core.assumed import Assumed
-from faultline.service.core.signals import Vector
+from faultline.service.core.residuals.assumed import Assumed
+from faultline.service.core.signals.values import Vector
 
 OWNER = np.array([0, 0, 1])
 ALL = np.ones(2, dtype=np.bool_)

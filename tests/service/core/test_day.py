@@ -7,15 +7,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from faultline.service.core.day import GUARD_TICKS, REMEMBERED_TICKS, TAU_TICKS, WANDER, WIDENED, Day
-from faultline.service.core.decision import RANKING_PERIOD
+from faultline.service.core.decision.day import GUARD_TICKS, REMEMBERED_TICKS, TAU_TICKS, WANDER, WIDENED, Day
+from faultline.service.core.decision.decision import RANKING_PERIOD
+from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.straying import Means, Straying
+from faultline.service.core.decision.unlike import Unlike
 from faultline.service.core.detectors.bank import FROZEN_TICKS
-from faultline.service.core.generators import Residuals
-from faultline.service.core.hypotheses import Hypotheses
 from faultline.service.core.manifest import Evidence, Follower, Hypothesis
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.straying import Means, Straying
-from faultline.service.core.unlike import Unlike
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 
 Array = npt.NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from faultline.service.core.debounce import Debounce
+from faultline.service.core.memory.debounce import Debounce
 
 
 def test_the_detection_counter_is_a_linear_map() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.decision import (
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.decision import (
     HEALED_TICKS,
     LINGER_TICKS,
     RANKING_PERIOD,
@@ -15,12 +15,12 @@ from faultline.service.core.decision import (
     VAIN_TICKS,
     Decision,
 )
+from faultline.service.core.decision.explaining import SUREST
 from faultline.service.core.detectors.bank import FROZEN_TICKS
-from faultline.service.core.explaining import SUREST
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import CusumDetector
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.signals import Vector
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.values import Vector
 
 MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
 EVIDENCE = MANIFEST.evidence

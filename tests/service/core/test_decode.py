@@ -9,10 +9,10 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.decode import Wanted
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals import Quality, j1939_quality
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.decode import Wanted
+from faultline.service.core.signals.values import Quality, j1939_quality
 
 DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
 UNITS = {"y_p_tp": "Pa", "y_p_ap": "Pa", "y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}

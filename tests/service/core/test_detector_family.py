@@ -19,7 +19,6 @@ from faultline.service.core.detectors.protocol import Detector
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.detectors.standard import Standard
 from faultline.service.core.detectors.threshold import Threshold
-from faultline.service.core.generators import Residuals
 from faultline.service.core.manifest import (
     MODES,
     AdaptiveDetector,
@@ -29,6 +28,7 @@ from faultline.service.core.manifest import (
     ThresholdDetector,
 )
 from faultline.service.core.manifest import Detector as Settings
+from faultline.service.core.residuals.generators import Residuals
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.threshold import Threshold
 from faultline.service.core.manifest import MODES as MODE_NAMES
 from faultline.service.core.manifest import CusumDetector, Input, Modes, Side
-from faultline.service.core.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
+from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
 
 @given(st.lists(st.floats(-5, 5), max_size=200), st.floats(0.1, 2), st.floats(1, 50))

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.events import SCHEMA, Event
-from faultline.service.core.freeze import Recorder, Sample
-from faultline.service.core.signals import Quality
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.memory.freeze import Recorder, Sample
+from faultline.service.core.records.event import SCHEMA, Event
+from faultline.service.core.signals.values import Quality
 
 MANIFEST = load_bundle(Path(__file__).resolve().parents[2] / "golden" / "bundle").manifest
 NZ, T = len(MANIFEST.inputs), len(MANIFEST.generators)

@@ -5,9 +5,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from faultline.service.core.dbc import compile_dbc
-from faultline.service.core.decode import DecodeTable
-from faultline.service.core.health import (
+from faultline.service.core.manifest import Input
+from faultline.service.core.records.health import (
     CLEARED_S,
     RAISED_S,
     SCHEMA,
@@ -19,9 +18,10 @@ from faultline.service.core.health import (
     decode_health,
     encode_health,
 )
-from faultline.service.core.manifest import Input
-from faultline.service.core.signals import Quality
-from faultline.service.core.traffic import EXPECTED_S, WINDOW_S, Traffic
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.traffic import EXPECTED_S, WINDOW_S, Traffic
+from faultline.service.core.signals.values import Quality
 
 DOWN, LOST = Condition("bus-down", "can0"), Condition("frames-lost", "can0")
 

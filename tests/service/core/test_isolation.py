@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from faultline.service.core.decision import CONFIRMED
-from faultline.service.core.explaining import ranked
-from faultline.service.core.hypotheses import Hypotheses, Look, confined
-from faultline.service.core.isolation import UNKNOWN, diagnoses
+from faultline.service.core.decision.decision import CONFIRMED
+from faultline.service.core.decision.explaining import ranked
+from faultline.service.core.decision.hypotheses import Hypotheses, Look, confined
+from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
+from faultline.service.core.decision.straying import MINIMUM_TICKS, Means
+from faultline.service.core.decision.window import PART_TICKS, Window
 from faultline.service.core.manifest import Evidence, Hypothesis
-from faultline.service.core.modes import EDGE
-from faultline.service.core.straying import MINIMUM_TICKS, Means
-from faultline.service.core.window import PART_TICKS, Window
+from faultline.service.core.signals.modes import EDGE
 
 FAULTS = ["fA", "fB", "fC", "fD"]
 CONFLICTS = st.lists(st.frozensets(st.sampled_from(FAULTS), min_size=1), max_size=6)

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition
-from faultline.service.core.faults import Dtc, Fault
-from faultline.service.core.memory import FaultMemory, News, Rules
-from faultline.service.core.modes import IDLE, MAXIMUM
-from faultline.service.core.system import AMBIGUOUS, UNKNOWN, System
+from faultline.service.core.memory.fault_memory import FaultMemory, News, Rules
+from faultline.service.core.memory.system import AMBIGUOUS, UNKNOWN, System
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
+from faultline.service.core.records.fault import Dtc, Fault
+from faultline.service.core.signals.modes import IDLE, MAXIMUM
 
 SYSTEM = System(
     "uds4",

@@ -5,10 +5,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from faultline.service.bundle import load_bundle
-from faultline.service.core.decision import Decision
-from faultline.service.core.generators import Residuals
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.manifest import Manifest
+from faultline.service.core.residuals.generators import Residuals
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "bundle"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from faultline.service.clocks import Clocks, Moved
+from faultline.service.daemon.clocks import Clocks, Moved
 
 
 class Kernel:

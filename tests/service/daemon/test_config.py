@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from faultline.service.config import load_config
+from faultline.service.daemon.config import load_config
 from faultline.service.strict import LARGEST, ConfigError
 
 GOOD = """\

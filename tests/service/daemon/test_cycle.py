@@ -2,7 +2,7 @@
 
 import pytest
 
-from faultline.service.cycle import SILENT_S, Cycle, OperationCycle
+from faultline.service.daemon.cycle import SILENT_S, Cycle, OperationCycle
 
 
 def test_a_cycle_begins_with_frames_and_ends_with_their_absence() -> None:

@@ -11,25 +11,25 @@ from typing import cast
 
 import pytest
 
-from faultline.service.bundle import Bundle, load_bundle
+from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.bus import Bus, BusError
 from faultline.service.bus.base import Counts
 from faultline.service.bus.losses import Losses
-from faultline.service.clocks import Clocks
-from faultline.service.core.decode import DecodeTable, Rejected
-from faultline.service.core.events import Event
-from faultline.service.core.health import SCHEMA, Condition, Health, Standing, decode_health, encode_health
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.traffic import Traffic
-from faultline.service.daemon import main
+from faultline.service.core.records.event import Event
+from faultline.service.core.records.health import SCHEMA, Condition, Health, Standing, decode_health, encode_health
+from faultline.service.core.signals.decode import DecodeTable, Rejected
+from faultline.service.core.signals.traffic import Traffic
+from faultline.service.daemon.clocks import Clocks
+from faultline.service.daemon.command import main
+from faultline.service.daemon.loop import LOSSES_S, Loop
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import LAG_S, Line, Watched
 from faultline.service.logs import Frame
-from faultline.service.loop import LOSSES_S, Loop
 from faultline.service.outputs.socket import EventSocket
-from faultline.service.scribe import Scribe
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal
 from faultline.service.systemd import Notifier
-from faultline.service.watched import LAG_S, Line, Watched
 
 BUNDLE = load_bundle(Path(__file__).resolve().parents[2] / "golden" / "bundle")._replace(table=DecodeTable({}))
 
@@ -295,7 +295,7 @@ def nothing() -> None:
 @pytest.fixture
 def told(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Told]:
     monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr("faultline.service.loop.IDLE_S", 0.001)
+    monkeypatch.setattr("faultline.service.daemon.loop.IDLE_S", 0.001)
     return lambda buses: Told(tmp_path, clock, buses)
 
 

@@ -9,13 +9,13 @@ import can
 import pytest
 
 from faultline.service import diagnose
-from faultline.service.bundle import load_bundle
-from faultline.service.bundle_files import SEAL, seal
+from faultline.service.bundle.files import SEAL, seal
+from faultline.service.bundle.load import load_bundle
 from faultline.service.cli import main
-from faultline.service.core.dbc import compile_dbc
 from faultline.service.core.errors import InputError
-from faultline.service.core.events import Event, decode, encode
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import Event, decode, encode
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

@@ -15,27 +15,27 @@ import msgspec
 import pytest
 
 from faultline.service import faults as command
-from faultline.service.answers import Answerer
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.bus import Bus
 from faultline.service.bus.base import Counts
 from faultline.service.cli import main
 from faultline.service.core.errors import InputError
-from faultline.service.core.faults import Fault, decode_cleared, decode_record
-from faultline.service.core.frame import Frame
-from faultline.service.core.health import Condition
-from faultline.service.core.memory import FaultMemory, News, Rules
+from faultline.service.core.memory.fault_memory import FaultMemory, News, Rules
+from faultline.service.core.records.fault import Fault, decode_cleared, decode_record
+from faultline.service.core.records.freeze_frame import Frame
+from faultline.service.core.records.health import Condition
+from faultline.service.daemon.answers import Answerer
+from faultline.service.daemon.remembering import FAILED_S, Remembering
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import Line, watched
 from faultline.service.logs import Frame as CanFrame
 from faultline.service.logs import open_log
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.protocol.client import ControlClient
 from faultline.service.protocol.errors import ProtocolError
 from faultline.service.protocol.live import LiveTick
-from faultline.service.remembering import FAILED_S, Remembering
-from faultline.service.scribe import Scribe
 from faultline.service.store.file import Record, StoreFile
 from faultline.service.store.journal import Journal
-from faultline.service.watched import Line, watched
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 FRAMES = [CanFrame(t, n, extended, data) for t, n, extended, data in open_log(GOLDEN / "log").relative()]

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.config import (
+from faultline.service.core.errors import InputError
+from faultline.service.daemon.config import (
     BundleConfig,
     BusConfig,
     Config,
@@ -16,7 +17,6 @@ from faultline.service.config import (
     TrustConfig,
     load_config,
 )
-from faultline.service.core.errors import InputError
 from faultline.service.install import OUTPUTS, main
 from faultline.service.j1939.config import J1939Config, NameConfig
 from faultline.service.j1939.config import load_config as load_j1939

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import Dtc, Fault, Seen, Status
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import Dtc, Fault, Seen, Status
 
 SEEN = Seen(id="truck-00000000-1", wall="2026-01-01T00:00:00.000+00:00", cycle=1)
 

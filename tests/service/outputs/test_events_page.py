@@ -6,13 +6,13 @@ from typing import get_args
 
 import msgspec
 
-from faultline.service.core.events import SCHEMA, Diagnosis, Event, Transition
-from faultline.service.core.faults import CLEARED, Change, Fault
-from faultline.service.core.faults import SCHEMA as FAULT
-from faultline.service.core.frame import SCHEMA as FRAME
-from faultline.service.core.frame import Excerpt, Frame, Input, Verdict
-from faultline.service.core.health import CLEARED_S, MEANINGS, RAISED_S
-from faultline.service.core.health import SCHEMA as HEALTH
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
+from faultline.service.core.records.fault import CLEARED, Change, Fault
+from faultline.service.core.records.fault import SCHEMA as FAULT
+from faultline.service.core.records.freeze_frame import SCHEMA as FRAME
+from faultline.service.core.records.freeze_frame import Excerpt, Frame, Input, Verdict
+from faultline.service.core.records.health import CLEARED_S, MEANINGS, RAISED_S
+from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.outputs.socket import RING
 from faultline.service.store.file import KEPT
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.core.events import Diagnosis
-from faultline.service.core.faults import (
+from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.fault import (
     CLEARED,
     SCHEMA,
     Change,

@@ -8,8 +8,8 @@ from typing import Any, get_args
 import msgspec
 import pytest
 
-from faultline.service.core.events import Event, decode
-from faultline.service.core.health import Standing, meaning
+from faultline.service.core.records.event import Event, decode
+from faultline.service.core.records.health import Standing, meaning
 from faultline.service.protocol import document
 from faultline.service.protocol.client import decode as answer
 from faultline.service.protocol.document import MESSAGES, PAGES, SENT

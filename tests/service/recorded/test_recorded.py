@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from faultline.service.bundle import load_bundle
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.logs import open_log
 from faultline.service.protocol.client import ControlClient

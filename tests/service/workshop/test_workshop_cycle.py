@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from workshop_service import FILTER, PUMP, ROUND, UDS, WHOLE, line, remembered, visits
 
-from faultline.service.core.faults import Fault
-from faultline.service.core.health import Standing
+from faultline.service.core.records.fault import Fault
+from faultline.service.core.records.health import Standing
 from faultline.service.protocol.live import LiveTick
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.plan import Step, plan

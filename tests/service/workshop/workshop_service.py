@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from faultline.service.core.faults import Status
+from faultline.service.core.records.fault import Status
 from faultline.service.protocol.live import LiveTick, SystemDescription
 
 BUNDLE = "ab" * 32

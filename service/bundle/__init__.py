@@ -1,0 +1,1 @@
+"""Bundles: their files, signatures and slots, loading, and a trial run."""

@@ -1,0 +1,230 @@
+"""A bundle that can be run: its files whole (`service.bundle.files`), its graphs what the manifest says they are."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+import onnxruntime as ort
+from onnxruntime.capi import onnxruntime_pybind11_state
+
+from faultline.service.bundle.files import BundleError, Trust, Whole, decode_json, one_line, whole
+from faultline.service.core.decision.consistency import uneven
+from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Generator, Manifest
+from faultline.service.core.residuals.generators import GeneratorBank, Residuals
+from faultline.service.core.residuals.graph_file import GraphError, check_graph_file
+from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.values import Vector
+
+T = TypeVar("T")
+
+GRAPH_ERRORS: tuple[type[Exception], ...] = (
+    *(e for e in vars(onnxruntime_pybind11_state).values() if isinstance(e, type) and issubclass(e, Exception)),
+    *(RuntimeError, ValueError, IndexError, OverflowError, MemoryError),
+)
+"""What onnxruntime raises: its own exceptions, which have no base in common, and what pybind11 makes of C++'s."""
+
+UNNAMED_PERIOD = "0.2"
+"""Period [s] of graphs without metadata: until graphs carried it, every export had this one."""
+
+
+class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Golden vectors: samples `z` (K, nz) of a recording's beginning and the residuals `r` (K, T) they must give.
+
+    `shift` (H, generators of the evidence) is what every hypothesis shifts them by at the last one.
+    """
+
+    z: list[list[float]]
+    r: list[list[float]]
+    shift: list[list[float]]
+
+
+class Bundle(NamedTuple):
+    """A verified bundle. `id` is the SHA-256 of the manifest's bytes, `where` its folder, for messages."""
+
+    id: str
+    where: str
+    manifest: Manifest
+    graphs: Mapping[str, bytes]
+    table: DecodeTable
+    golden: Golden
+
+    def bank(self) -> GeneratorBank:
+        """Fresh generators."""
+        return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
+
+
+def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
+    """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
+
+    Raises:
+        BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
+        SignatureError: it is not signed by enough of those who are trusted.
+    """
+    return bundle_of(whole(folder, trust), folder)
+
+
+def bundle_of(given: Whole, folder: Path) -> Bundle:
+    """The bundle that these files of a folder are; raises as `load_bundle` does, and reads nothing more."""
+    bundle_id, manifest, contents = given
+    table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
+    graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
+    for name in graphs:
+        _check_graph(contents[name], manifest, name, None, str(folder / name))
+    if (faults := manifest.evidence.graph) is not None:
+        graphs[faults] = contents[faults]
+        _check_graph(contents[faults], manifest, faults, len(manifest.evidence.hypotheses), str(folder / faults))
+    golden = _golden(contents[manifest.golden], manifest, str(folder / manifest.golden))
+    return Bundle(bundle_id, str(folder), manifest, graphs, table, golden)
+
+
+def graph_metadata(manifest: Manifest, graph: str) -> dict[str, str]:
+    """Return the ONNX metadata of a graph by file name: what the manifest says of its step, columns and rows, as JSON.
+
+    Export writes it into the graph and loading compares: golden vectors have columns without names, and no time.
+    """
+    entries: dict[str, object] = {
+        "period_s": manifest.period_s,
+        "inputs": [(channel.signal, channel.unit) for channel in manifest.inputs],
+        "generators": [(generator.name, generator.predicts) for generator in _columns(manifest, graph)],
+    }
+    if graph == manifest.evidence.graph:
+        entries["hypotheses"] = [(hypothesis.fault, hypothesis.size) for hypothesis in manifest.evidence.hypotheses]
+    return {field: msgspec.json.encode(value).decode() for field, value in entries.items()}
+
+
+def verify_golden(bundle: Bundle) -> None:
+    """Runs the golden vectors through fresh generators.
+
+    Raises:
+        BundleError: a residual differs by more than its graph's tolerance: this machine does not compute what was
+            exported.
+    """
+    bank = bundle.bank()
+    tolerances = {graph.file: graph.tolerance for graph in bundle.manifest.graphs}
+    tolerance = np.array([tolerances[generator.graph] for generator in bundle.manifest.generators])
+    usable = np.ones(len(bundle.manifest.inputs), dtype=np.bool_)
+    units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
+    for tick, (z, expected) in enumerate(zip(bundle.golden.z, bundle.golden.r, strict=True)):
+        try:
+            residuals = bank.step(np.array(z), usable)
+        except GRAPH_ERRORS as error:
+            raise BundleError(
+                f"{bundle.where}: golden vector {tick}: {one_line(error)}; export the bundle again"
+            ) from error
+        difference = np.abs(residuals.r - np.array(expected))
+        agrees = (difference <= tolerance * residuals.sigma) & np.isfinite(residuals.sigma)
+        if not agrees.all():
+            row = int(np.argmin(agrees))
+            generator = bundle.manifest.generators[row]
+            unit = units[generator.predicts]
+            raise BundleError(
+                f"{bundle.where}: golden vector {tick}: {generator.name} is off by {difference[row]:g} {unit}; "
+                "this machine's onnxruntime computes something else than the exporter's: install the same version"
+            )
+    _verify_shift(bundle, residuals, tolerance)
+
+
+def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: Vector) -> None:
+    """Whether the hypotheses come to what was exported: `residuals` after the last golden vector."""
+    if not bundle.manifest.evidence.hypotheses:
+        return
+    names = [generator.name for generator in bundle.manifest.generators]
+    rows = [names.index(name) for name in bundle.manifest.evidence.generators]
+    difference = np.abs(residuals.shift - np.array(bundle.golden.shift).reshape(residuals.shift.shape))
+    agrees = difference <= (tolerance * residuals.sigma)[rows]
+    if not agrees.all():
+        hypothesis = bundle.manifest.evidence.hypotheses[int(np.argmin(agrees.all(axis=1)))]
+        raise BundleError(
+            f"{bundle.where}: golden vectors: {hypothesis.fault} of size {hypothesis.size:g} is off by "
+            f"{difference.max():g}; this machine's onnxruntime computes something else than the exporter's: "
+            "install the same version"
+        )
+
+
+def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
+    units = {channel.signal: channel.unit for channel in manifest.inputs}
+    try:
+        return compile_dbc(raw.decode(), units, where)
+    except UnicodeDecodeError as error:
+        raise BundleError(f"{where}: not text: {error}; export the bundle again") from error
+    except InputError as error:
+        raise BundleError(str(error)) from error
+
+
+def _columns(manifest: Manifest, graph: str) -> list[Generator]:
+    """The generators that are the columns of a graph's outputs."""
+    if graph == manifest.evidence.graph:
+        known = {generator.name: generator for generator in manifest.generators}
+        return [known[generator] for generator in manifest.evidence.generators]
+    return [generator for generator in manifest.generators if generator.graph == graph]
+
+
+def _check_graph(raw: bytes, manifest: Manifest, graph: str, rows: int | None, where: str) -> None:
+    """Raise BundleError unless the graph's inputs, outputs and metadata are those that the manifest implies.
+
+    Inputs are z (B, nz) and x (B, nx); B is open, or `rows` where that is given.
+    """
+    own, nz = _columns(manifest, graph), len(manifest.inputs)
+    try:
+        check_graph_file(raw, where)
+    except GraphError as error:
+        raise BundleError(str(error)) from error
+    nx, tests = sum(len(generator.states) for generator in own), len(own)
+    inputs = {"z": nz, "x": nx}
+    outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 4  # what is wrong is said once, by the exception
+    try:
+        session = ort.InferenceSession(raw, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        metadata = session.get_modelmeta().custom_metadata_map
+    except GRAPH_ERRORS as error:
+        raise BundleError(
+            f"{where}: no graph that onnxruntime {ort.__version__} runs: {one_line(error)}; export the bundle again"
+        ) from error
+    for kind, wanted, nodes in (("input", inputs, session.get_inputs()), ("output", outputs, session.get_outputs())):
+        if sorted(node.name for node in nodes) != sorted(wanted):
+            names = ", ".join(repr(node.name) for node in nodes)
+            raise BundleError(f"{where}: its {kind}s are {names}, not {', '.join(wanted)}; export the bundle again")
+        for node in nodes:
+            batch, *width = node.shape or [1]
+            closed, B = isinstance(batch, int) and batch != rows, rows or "'B'"
+            if node.type != "tensor(double)" or closed or width != [wanted[node.name]]:
+                raise BundleError(
+                    f"{where}: {kind} {node.name} is a {node.type} of shape {node.shape}, the manifest needs "
+                    f"a tensor(double) of shape [{B}, {wanted[node.name]}]; export the bundle again"
+                )
+    _check_metadata(metadata, graph_metadata(manifest, graph), where)
+
+
+def _check_metadata(found: Mapping[str, str], wanted: Mapping[str, str], where: str) -> None:
+    """Raise BundleError where a graph was exported with another period, order of columns or hypotheses."""
+    if not found:
+        found = {**wanted, "period_s": UNNAMED_PERIOD}
+    for field, value in wanted.items():
+        if (own := found.get(field, "missing")) != value:
+            what = f"period_s {own[:20]}, not {value}" if field == "period_s" else f"other {field} than those"
+            raise BundleError(f"{where}: was exported with {what} of the manifest; export the bundle again")
+
+
+def _golden(raw: bytes, manifest: Manifest, where: str) -> Golden:
+    golden = decode_json(raw, Golden, where)
+    if not golden.z or len(golden.z) != len(golden.r):
+        raise BundleError(
+            f"{where}: {len(golden.z)} z and {len(golden.r)} r, not as many, at least one; export the bundle again"
+        )
+    for problem in (
+        *uneven(golden.z, len(manifest.inputs), "z", "inputs"),
+        *uneven(golden.r, len(manifest.generators), "r", "generators"),
+        *uneven(golden.shift, len(manifest.evidence.generators), "shift", "evidence generators"),
+    ):
+        raise BundleError(f"{where}: {problem}; export the bundle again")
+    if len(golden.shift) != len(manifest.evidence.hypotheses):
+        raise BundleError(
+            f"{where}: {len(golden.shift)} shift, not one for each hypothesis of the manifest; export the bundle again"
+        )
+    return golden

@@ -1,0 +1,1 @@
+"""The decision: suspected, confirmed, ranked explanations, and the events that follow from them."""

@@ -1,0 +1,289 @@
+"""The decision of a tick, in two stages: something is suspected, a fresh window confirms; conflicts, ranked diagnoses.
+
+A detector suspects, which looks at residuals without the day (`core.decision.day`), or the evidence itself does
+(`core.decision.unlike`). That opens a window. What is seen from then on confirms a fault once some hypothesis fits it
+better than no fault does, by more than chance makes; until then nothing is named. Names are hitting sets of the
+conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks raise suspicion and are no
+conflicts: they may alarm where a fault that their test decouples brings operation that was rare in training.
+
+Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
+once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
+sensitive tests alarm by chance too, and a fault has to fit what is seen to be named (`core.decision.explaining`).
+
+A fault may come and go (`core.decision.intermittence`): seconds in which it was not there are left out of the window,
+and from then on explanations are not ranked, as that hangs on which modes have seen how much of it.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from faultline.service.core.decision.explaining import Explainer
+from faultline.service.core.decision.hypotheses import Hypotheses, Look
+from faultline.service.core.decision.intermittence import BLOCK_TICKS, Intermittence
+from faultline.service.core.decision.unlike import Unlike
+from faultline.service.core.decision.window import Blocks
+from faultline.service.core.detectors.bank import DetectorBank
+from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.records.event import Diagnosis, candidates
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Mask, Vector
+
+RANKING_PERIOD = 15
+"""The window is looked at at every tick that this divides: the same ticks whatever the episode's first.
+
+Less often than it takes for a change to be told (`core.decision.telling.SETTLE_TICKS`): what alternates is told too. A
+bus delivers the same recording with a little jitter each time; misfits compared at every tick would cross at another
+one each time.
+"""
+
+SURE = 100.0
+"""A misfit of no fault from which something is wrong even if no hypothesis points there."""
+
+CONFIRMED = 30.0
+"""How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
+
+VAIN_TICKS = 3000
+"""10 min: what was not confirmed until then is taken for the day's."""
+
+DOUBTED, DOUBTS = 10.0, 20
+"""A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
+best one fits better by less than this: what confirmed it was on its way to somewhere usual."""
+
+UNSEEN_TICKS = 300
+"""An alarm of 60 s during which some test of the evidence cannot tell is confirmed by its length: a filter that is all
+but shut takes its own pressure out of the operating range. Who it is remains open among those that alarms allow."""
+
+GONE_BLOCKS = 60
+"""3 min: what no block in a row has shown is gone, though something was unlike any day before."""
+
+DEVIATING = 5.0
+"""Standard deviations from which a mean of the window is a conflict."""
+
+LINGER_TICKS = 300
+"""A confirmed episode lasts until no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""
+
+HEALED_TICKS = 75
+"""And until no test has alarmed for 15 s in any mode that showed the fault: a clogged nozzle does not heal at idle."""
+
+
+class Decision:
+    """Detectors and isolation: residuals in; alarmed tests, tests that cannot tell and ranked diagnoses out."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._tests = [generator.test for generator in manifest.generators]
+        names = [generator.name for generator in manifest.generators]
+        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names)
+        self._detectors = self._fresh_detectors()
+        self._inputs = [frozenset(generator.inputs) for generator in manifest.generators]
+        of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
+        self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
+        self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
+        self._looked_at = [names.index(name) for name in manifest.evidence.generators]
+        self._hypotheses = Hypotheses(manifest.evidence, alone={each.name for each in manifest.disturbances})
+        self._explainer = Explainer(manifest)
+        self._unlike = Unlike(manifest.evidence, names, self._hypotheses)
+        self._window = Blocks(manifest.evidence, names)
+        self._intermittence = Intermittence(self._hypotheses)
+        self._latest: int | None = None  # tick at which a test alarmed last, in this episode
+        self._first = 0  # tick at which one did first
+        self._alarmed: frozenset[int] = frozenset()  # those that did, the last time that any did
+        self._deviating: frozenset[int] = frozenset()  # tests that deviate in the window
+        self._showing = np.zeros(EDGE, dtype=np.bool_)  # modes in which they do
+        self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
+        self._look: Look | None = None
+        self._settled = self._cleared = False
+        self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
+        self._doubts = 0  # looks in a row at which nothing is wrong after all
+        self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
+        self._diagnoses: list[Diagnosis] = []
+        self._seen: list[Diagnosis] = []  # what the last look said
+        self.confirmed = self.withdrawn = False
+        self.level = np.zeros(len(self._tests))  # the residuals without the day, as detectors of the level see them
+        self._usable = np.zeros(len(self._tests), dtype=np.bool_)
+
+    def update(self, tick: int, mode: int, residuals: Residuals) -> None:
+        """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
+        self._usable = residuals.usable
+        self.level = self._unlike.without_day(mode, residuals)
+        self._detectors.update(tick, mode, residuals._replace(level=self.level))
+        self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubted is None)
+        if tick % RANKING_PERIOD == 0:
+            self._unlike.look()
+        if self.suspicious:
+            if self._latest is None or self._is_news():
+                self._open(tick)
+            self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
+            self._quiet[:] = 0.0
+        if self._latest is None:
+            return
+        settled = tick - self._first >= self._settle_ticks
+        if settled and not self._cleared:
+            self._window.clear()
+            self._cleared = True
+        self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
+        if tick % RANKING_PERIOD == 0 and self._doubted is None and (self.suspicious or not self._settled):
+            self._weigh(settled)  # but not what is healing
+            self._doubt(tick)
+        if tick % BLOCK_TICKS == 0:
+            self._close_block()
+        if self.suspicious:
+            self._count_unseen()
+        else:
+            self._wait(tick, mode)
+
+    def withdraw(self, tick: int, signal: str) -> None:
+        """Discard an episode that began at `tick` or later and rests on `signal`, whose samples since then are doubted.
+
+        What its tests have seen of that signal is no evidence: detectors begin anew. An older fault stands.
+        """
+        rests = any(signal in self._inputs[row] for row in self._deviating | self._alarmed | self._detectors.firing)
+        if self._latest is None or self._first < tick or not rests:
+            return
+        self._detectors = self._fresh_detectors()
+        self._unlike.suspect()
+        self._unlike.rest()
+        self._latest, self._doubted, self._diagnoses = None, None, []
+        self.withdrawn, self.confirmed = self.confirmed, False
+
+    def _open(self, tick: int) -> None:
+        """An episode begins: what is seen from now on is looked at apart."""
+        self.withdrawn = False
+        self._look, self._deviating, self._settled = None, frozenset(), False
+        self._showing[:], self._alarmed = False, frozenset()
+        self._first, self._cleared, self._unseen = tick, False, 0
+        self._doubts, self._doubted = 0, None
+        self._window.clear()
+        self._intermittence.rest()
+        self._unlike.suspect()
+
+    def _count_unseen(self) -> None:
+        """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
+        alarmed = self._detectors.alarmed & self._trusted
+        if self._usable[self._looked_at].all() or not alarmed:
+            self._unseen = 0
+        elif any(self._usable[row] for row in alarmed):
+            self._unseen += 1
+
+    def _wait(self, tick: int, mode: int) -> None:
+        """A tick without alarm: the episode ends in time."""
+        assert self._latest is not None
+        if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
+            self._quiet[mode] += 1
+        healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
+        if healed or not self.confirmed:
+            if self.confirmed:
+                self._unlike.rest()
+            self._latest, self._doubted, self.confirmed = None, None, False
+            self._diagnoses = []
+
+    def _weigh(self, settled: bool) -> None:
+        """Looks at the window; what the one before it said stands until it has seen enough."""
+        if self._unseen >= UNSEEN_TICKS:  # the window cannot confirm what keeps its tests from telling
+            if not (self.confirmed and self._settled):
+                self.confirmed, self._settled = True, False
+                self._explain()
+            return
+        look = self._hypotheses.look(self._window.means, self._unlike.day)
+        if look is None:
+            return
+        self._look, self._settled = look, settled
+        far = look.sigmas.max(axis=0) > DEVIATING
+        self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
+        self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
+        self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
+        self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
+        if self.confirmed:
+            self._explain()
+
+    def _close_block(self) -> None:
+        """What the last seconds have shown is kept, unless the fault comes and goes."""
+        if not (self.confirmed and self._settled):
+            self._window.keep()
+            return
+        self._intermittence.judge(self._window, self._unlike.day)
+        if self._intermittence.gone == GONE_BLOCKS:
+            self._unlike.rest()
+
+    def _doubt(self, tick: int) -> None:
+        """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the day's."""
+        if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= VAIN_TICKS):
+            self.confirmed, self._diagnoses = False, []
+            self._doubted = self._detectors.firing
+            self._unlike.accept(self._window.means)
+
+    def _is_news(self) -> bool:
+        """Whether something else is suspected than what was doubted."""
+        if self._doubted is None:
+            return False
+        self._doubted &= self._detectors.firing
+        return self._unlike.alarm or self._detectors.firing != self._doubted
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether a detector alarms, or what is seen is unlike this day, or any."""
+        return self._detectors.suspicious or self._unlike.alarm
+
+    @property
+    def sums(self) -> Vector:
+        """Each generator's largest level detector in parts of its threshold, with the residual's sign (T,)."""
+        return self._detectors.sums
+
+    @property
+    def fired(self) -> Mask:
+        """The generators (T,) whose level alarms, whether they can tell now or not; not of those frozen for long."""
+        return np.isin(np.arange(len(self._tests)), [*self._detectors.alarmed])
+
+    @property
+    def showing(self) -> list[str]:
+        """The operating modes that have shown what is wrong, since it was suspected."""
+        return [MODES[mode] for mode in np.flatnonzero(self._showing)]
+
+    @property
+    def alarm(self) -> list[str]:
+        """Tests that alarm and can tell now: one of their generators does."""
+        firing = self._detectors.firing
+        return list(dict.fromkeys(test for row, test in enumerate(self._tests) if row in firing and self._usable[row]))
+
+    @property
+    def cannot_tell(self) -> list[str]:
+        """Tests that cannot tell now: none of their generators can, or one that alarms cannot and no other alarms."""
+        telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
+        frozen = {self._tests[row] for row in self._detectors.firing if not self._usable[row]} - {*self.alarm}
+        return [test for test in dict.fromkeys(self._tests) if test not in telling or test in frozen]
+
+    @property
+    def since(self) -> int | None:
+        """The tick at which the evidence of the alarmed tests began, or the suspicion where none alarms."""
+        since = self._detectors.since
+        return self._first if since is None and self._latest is not None else since
+
+    @property
+    def suspected(self) -> bool:
+        """Whether something is suspected and neither confirmed nor taken for the day's."""
+        return self._latest is not None and not self.confirmed and self._doubted is None
+
+    @property
+    def intermittent(self) -> bool:
+        """Whether a confirmed fault comes and goes: neither its size nor its modes are sure, so nothing is ranked."""
+        return self.confirmed and self._intermittence.found
+
+    @property
+    def diagnoses(self) -> list[Diagnosis]:
+        """What explains a confirmed fault, best first. An alarm whose test has become unable to tell still counts."""
+        return self._diagnoses
+
+    def _explain(self) -> None:
+        """What a look says stands once the next one says the same: near a limit they alternate."""
+        seen = self._explained()
+        if candidates(seen) == candidates(self._seen) or not self._diagnoses:
+            self._diagnoses = seen
+        self._seen = seen
+
+    def _explained(self) -> list[Diagnosis]:
+        alarmed = self._alarmed & self._trusted
+        if self._settled and self._look is not None and self._look.faults and not self.intermittent:
+            return self._explainer.by_evidence(sorted(self._deviating or alarmed), self._look)
+        rows = (self._deviating or alarmed) if self._settled else self._deviating | alarmed
+        return self._explainer.by_conflicts(sorted(rows))

@@ -1,0 +1,112 @@
+"""Who it is: from the conflicts, and from a look at the window, to ranked explanations.
+
+Where residuals have not settled, conflicts alone name candidates (`core.decision.isolation`). Later a fault has to fit
+what is seen as well: a single one, else the best two at once, else the fault is unknown. It is unknown too where a
+disturbance fits, which is no component's fault, and near the equation that this enters.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from faultline.service.core.decision.hypotheses import Look, confined
+from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
+from faultline.service.core.manifest import Manifest
+from faultline.service.core.records.event import Diagnosis
+
+SUREST = 0.999
+"""No fault is more probable than this: the model may lack what it is."""
+
+TIE = 9.0
+TIE_PART = 0.25
+"""Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
+told apart: the data do not separate them, or neither explains the data."""
+
+OF_TWO = 15.0
+"""By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""
+
+
+class Explainer:
+    """What generators know of faults: which of them a generator is sensitive to, and in which equations."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._sensitive = [frozenset(generator.faults) for generator in manifest.generators]
+        self._equations = [frozenset(generator.equations) for generator in manifest.generators]
+        self._disturbed = {each.name: each.equation for each in manifest.disturbances}
+        self._faults = frozenset(fault.name for fault in manifest.faults)
+
+    def by_conflicts(self, rows: Sequence[int]) -> list[Diagnosis]:
+        """The explanations that these generators allow, all of one rank."""
+        return self._ranked(diagnoses([self._sensitive[row] for row in rows] or [self._faults]), {}, rows)
+
+    def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
+        """Those of them that fit what is seen."""
+        conflicts = [self._sensitive[row] | self._disturbing(row) for row in rows]
+        misfits = fitting(conflicts, look)
+        return self._ranked([*misfits] or [UNKNOWN], misfits, rows)
+
+    def _disturbing(self, row: int) -> frozenset[str]:
+        """The disturbances that move a generator."""
+        return frozenset(name for name, equation in self._disturbed.items() if equation in self._equations[row])
+
+    def _ranked(
+        self, found: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float], rows: Sequence[int]
+    ) -> list[Diagnosis]:
+        p = probabilities(misfits)
+        return [self._told(faults, rank, p.get(faults), rows) for faults, rank in ranked(found, misfits)]
+
+    def _told(self, faults: tuple[str, ...], rank: int, p: float | None, rows: Sequence[int]) -> Diagnosis:
+        """An explanation as it is told: nobody is named for a disturbance."""
+        if near := [self._disturbed[name] for name in faults if name in self._disturbed]:
+            return Diagnosis(faults=[], rank=rank, p=p, near=near)
+        if faults == UNKNOWN and rows:
+            near = sorted(frozenset.intersection(*(self._equations[row] for row in rows)))
+        return Diagnosis(faults=list(faults), rank=rank, p=p, near=near)
+
+
+def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, ...], float]:
+    """The misfits of what fits and hits every conflict: single faults, else the best two at once, else nothing."""
+    single = confined(conflicts, {(fault,): q for fault, q in look.faults.items()})
+    best = min(single.values(), default=np.inf)
+    if best <= look.limit:
+        return {faults: q for faults, q in single.items() if q <= max(look.limit, best + TIE)}
+    pairs = confined(conflicts, look.pairs)
+    least = min(pairs.values(), default=np.inf)
+    if least > min(look.limit, best - OF_TWO):
+        return {}
+    return {faults: q for faults, q in pairs.items() if q <= least + TIE}
+
+
+def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
+    """How likely each single fault is if it is one of these: a misfit is -2 log of a likelihood; all as likely before.
+
+    Of two faults at once none is given: there such figures were too sure.
+
+    >>> probabilities({("fA",): 2.0, ("fB",): 2.0, ("fC",): 10.0})
+    {('fA',): 0.495, ('fB',): 0.495, ('fC',): 0.009}
+    >>> probabilities({("fA", "fB"): 2.0})
+    {}
+    """
+    if any(len(faults) > 1 for faults in misfits) or not misfits:
+        return {}
+    q = np.array(list(misfits.values()))
+    weight = np.exp((q.min() - q) / 2)
+    return dict(zip(misfits, np.minimum(np.round(weight / weight.sum(), 3), SUREST).tolist(), strict=True))
+
+
+def ranked(
+    found: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float]
+) -> list[tuple[tuple[str, ...], int]]:
+    """Explanations with their ranks, best first; all are equal where the misfit of one is not known.
+
+    >>> ranked([("fA",), ("fB",), ("fC",)], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 8.0})
+    [(('fB',), 1), (('fC',), 1), (('fA',), 3)]
+    >>> ranked([("fA", "fB"), ("fA", "fC")], {("fA",): 30.0, ("fB",): 2.0, ("fC",): 80.0})
+    [(('fA', 'fB'), 1), (('fA', 'fC'), 1)]
+    """
+    if not all(faults in misfits for faults in found):
+        return [(faults, 1) for faults in found]
+    q = {faults: misfits[faults] for faults in found}
+    behind = {faults: value - max(TIE, TIE_PART * value) for faults, value in q.items()}
+    rank = {faults: 1 + sum(other < behind[faults] for other in q.values()) for faults in found}
+    return sorted(rank.items(), key=lambda item: (item[1], item[0]))

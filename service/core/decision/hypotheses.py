@@ -1,0 +1,227 @@
+"""Weighs what may be wrong by sign, size and pattern of the residuals over the operating modes.
+
+A window has the mean residual m_c of every mode c, and the mean shift mu_h that each hypothesis h would have made in
+the same operation; all modes stacked, how badly h fits is its misfit
+
+    q_h = d' S_h^-1 d,   d = m - offset - day - mu_h,   S_h = P + S + diag((gamma mu_h)^2)
+
+with what is known of the day and its covariance P, the scatter S of what was seen (`core.decision.straying`), and gamma
+for the error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line
+between those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
+
+Of two faults at once the shifts are added, and both sizes are free. A disturbance (what is no component's fault) is
+weighed as a fault is, but not as one of two.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.decision.straying import Level, Means, Straying
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.signals.values import Indices, Mask, Vector
+
+GAMMA = 0.1
+
+UNLIKELY = 3.72
+"""Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
+
+
+class Segments(NamedTuple):
+    """Neighbouring sizes of one sign: the fault of each, and its ends as rows of the shifts, of which row 0 is none.
+
+    Those of `alone` are never one of two.
+    """
+
+    alone: frozenset[str]
+    faults: list[str]
+    begin: Indices
+    end: Indices
+
+
+class Fitted(NamedTuple):
+    """A fault at its best size: so far along a row of the segments."""
+
+    misfit: float
+    row: int
+    part: float
+
+
+class Look:
+    """One look at a window: the deviations `d` (D,) of the means `seen` (C, K), and what may explain them.
+
+    `S` (D, D) is their covariance without the error of a prediction, `shifts` (1 + H, D) those of no fault and of every
+    hypothesis.
+    """
+
+    def __init__(self, d: Vector, S: Vector, seen: Mask, shifts: Vector, segments: Segments) -> None:
+        self._d, self._S, self._seen, self._segments = d, S, seen, segments
+        self._white = np.linalg.cholesky(S)
+        self._target = np.linalg.solve(self._white, d)
+        white = np.linalg.solve(self._white, shifts.T).T
+        self._begin = white[segments.begin]
+        self._way = white[segments.end] - self._begin
+        self._length = np.maximum((self._way**2).sum(axis=1), 1e-300)
+
+    @cached_property
+    def sigmas(self) -> Vector:
+        """How far every mean (C, K) lies from the fault-free one, in standard deviations; 0 where none was seen."""
+        far = np.zeros(self._seen.shape)
+        far[self._seen] = np.abs(self._d) / np.sqrt(self._S.diagonal())
+        return far
+
+    @property
+    def nothing(self) -> float:
+        """The misfit of no fault."""
+        return float(self._target @ self._target)
+
+    def nothing_in(self, means: Mask) -> float:
+        """The misfit of no fault in those of the means (C, K) that were seen."""
+        rows = means[self._seen]
+        d, S = self._d[rows], self._S[np.ix_(rows, rows)]
+        return float(d @ np.linalg.solve(S, d))
+
+    @property
+    def faults(self) -> dict[str, float]:
+        """The misfit of every fault at its best size."""
+        return {fault: fitted.misfit for fault, fitted in self.fitted.items()}
+
+    @cached_property
+    def fitted(self) -> dict[str, Fitted]:
+        """Every fault at its best size."""
+        parts = np.clip(((self._target - self._begin) * self._way).sum(axis=1) / self._length, 0.0, 1.0)
+        parts = self._reweighted(parts)
+        misfits = self._misfits((self._begin + parts[:, None] * self._way)[:, None])
+        found: dict[str, Fitted] = {}
+        for row, (fault, misfit) in enumerate(zip(self._segments.faults, misfits.tolist(), strict=True)):
+            if fault not in found or misfit < found[fault].misfit:
+                found[fault] = Fitted(misfit, row, float(parts[row]))
+        return found
+
+    def misfit_at(self, size: Fitted) -> float:
+        """The misfit of a fault of a size that was fitted to something else."""
+        return float(self._misfits((self._begin[size.row] + size.part * self._way[size.row])[None, None])[0])
+
+    @cached_property
+    def pairs(self) -> dict[tuple[str, ...], float]:
+        """The misfit of every two faults at once, at their best sizes."""
+        sizes, far = self._sizes_of_two()
+        at: dict[tuple[str, ...], tuple[int, int]] = {}
+        faults = self._segments.faults
+        for i, j in combinations(range(len(faults)), 2):
+            pair = tuple(sorted((faults[i], faults[j])))
+            if faults[i] == faults[j] or not self._segments.alone.isdisjoint(pair):
+                continue
+            if pair not in at or far[i, j] < far[at[pair]]:
+                at[pair] = i, j
+        if not at:
+            return {}
+        chosen = np.array(list(at.values()))  # (P, 2) segments
+        parts = np.stack([sizes[i, j] for i, j in at.values()])  # (P, 2)
+        misfits = self._misfits(self._begin[chosen] + parts[..., None] * self._way[chosen])
+        return dict(zip(at, misfits.tolist(), strict=True))
+
+    @property
+    def gain(self) -> float:
+        """By how much the best fault fits better than none."""
+        return self.nothing - min(self.faults.values(), default=self.nothing)
+
+    @property
+    def limit(self) -> float:
+        """The misfit beyond which a hypothesis does not fit: of chi-square (Wilson, Hilferty 1931)."""
+        degrees = len(self._d)
+        return float(degrees * (1 - 2 / (9 * degrees) + UNLIKELY * np.sqrt(2 / (9 * degrees))) ** 3)
+
+    def _reweighted(self, parts: Vector) -> Vector:
+        """The parts (segments,) that fit best by the covariance that the predictions at `parts` have."""
+        begin, way = self._begin @ self._white.T, self._way @ self._white.T
+        weighed = np.linalg.solve(self._with_gamma((begin + parts[:, None] * way)[:, None]), way[..., None])[..., 0]
+        length = np.maximum((way * weighed).sum(axis=1), 1e-300)
+        return np.asarray(np.clip(((self._d - begin) * weighed).sum(axis=1) / length, 0.0, 1.0))
+
+    def _with_gamma(self, mu: Vector) -> Vector:
+        """S (M, D, D) with the error of the predictions mu (M, shifts, D)."""
+        S = np.broadcast_to(self._S, (len(mu), *self._S.shape)).copy()
+        diagonal = np.arange(len(self._d))
+        S[:, diagonal, diagonal] += ((GAMMA * mu) ** 2).sum(axis=1)
+        return S
+
+    def _misfits(self, mu: Vector) -> Vector:
+        """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
+        mu = mu @ self._white.T
+        left = self._d - mu.sum(axis=1)
+        weighed = np.linalg.solve(self._with_gamma(mu), left[..., None])[..., 0]
+        return np.asarray((left * weighed).sum(axis=1))
+
+    def _sizes_of_two(self) -> tuple[Vector, Vector]:
+        """Parts (segments, segments, 2) of two segments whose sum comes nearest, and how far that is, squared.
+
+        The distance is a quadratic form of both parts: its least value lies inside the unit square or on its border.
+        """
+        across, cross = self._way @ self._way.T, self._begin @ self._way.T
+        along = (self._way @ self._target)[:, None] - cross.diagonal()[:, None] - cross.T  # to the first one's way
+        start = self._target - self._begin[:, None] - self._begin  # (segments, segments, D)
+        first, second = self._length[:, None], self._length
+        det = first * second - across**2
+        parallel = det <= 1e-9 * first * second  # or one of them shifts nothing
+        det = np.where(parallel, 1.0, det)
+        a, b = (second * along - across * along.T) / det, (first * along.T - across * along) / det
+        outside = parallel | (a < 0.0) | (a > 1.0) | (b < 0.0) | (b > 1.0)
+        none, whole = np.zeros_like(a), np.ones_like(a)
+        tried = [(np.where(outside, 0.0, a), np.where(outside, 0.0, b))]
+        tried += [(end, np.clip((along.T - end * across) / second, 0.0, 1.0)) for end in (none, whole)]
+        tried += [(np.clip((along - end * across) / first, 0.0, 1.0), end) for end in (none, whole)]
+        parts: Vector = np.array(tried)  # (5, 2, segments, segments)
+        a, b = parts[:, 0], parts[:, 1]
+        far = (start**2).sum(axis=2) - 2 * (a * along + b * along.T)
+        far = far + a**2 * first + b**2 * second + 2 * a * b * across
+        best = far.argmin(axis=0)[None]
+        return np.moveaxis(np.take_along_axis(parts, best[:, None], 0)[0], 0, 2), np.take_along_axis(far, best, 0)[0]
+
+
+class Hypotheses:
+    """All faults of a bundle, as polygons of shifts that begin at none."""
+
+    def __init__(self, evidence: Evidence, alone: Collection[str] = ()) -> None:
+        self._straying = Straying(evidence)
+        self._segments = _segments(evidence, alone)
+        self.faults = list(dict.fromkeys(self._segments.faults))
+
+    def look(self, means: Means, day: Level | None = None) -> Look | None:
+        """What the means say on this day, of which nothing is known by default; None while too little has been seen."""
+        seen = means.seen  # (C, K)
+        if not seen.any():
+            return None
+        day = day or self._straying.unknown
+        rows = np.flatnonzero(seen)
+        d = (self._straying.deviation(means) - day.mean)[seen]
+        S = (day.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
+        shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
+        return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), shift]), self._segments)
+
+
+def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
+    """The chains of sizes: each fault's positive and negative ones, from none on."""
+    chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
+    for row, hypothesis in enumerate(evidence.hypotheses, start=1):
+        chains.setdefault((hypothesis.fault, hypothesis.size > 0), []).append((abs(hypothesis.size), row))
+    faults: list[str] = []
+    ends: list[tuple[int, int]] = []
+    for (fault, _), chain in chains.items():
+        before = 0
+        for _, row in sorted(chain):
+            faults.append(fault)
+            ends.append((before, row))
+            before = row
+    begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
+    return Segments(frozenset(alone), faults, begin, end)
+
+
+def confined(
+    conflicts: Sequence[frozenset[str]], misfits: Mapping[tuple[str, ...], float]
+) -> dict[tuple[str, ...], float]:
+    """The explanations of which every conflict has one fault, with their misfits."""
+    return {faults: q for faults, q in misfits.items() if all(conflict.intersection(faults) for conflict in conflicts)}

@@ -1,0 +1,124 @@
+"""How far the mean residuals of a drive without faults stray, and what has been seen of them.
+
+All means of C modes and K evidence generators, stacked as one vector of D = C K, are a Gaussian variable: around the
+vehicle's offset they lie where the day puts them, and what is seen of them in n ticks and v visits strays besides,
+
+    m ~ N(offset + day, diag_c(V_c / n_c + U_c / v_c)),      day ~ N(0, P0),  P0 = diag(a^2) + sum_k w_k w_k'
+
+with the covariance V of a tick, U of a visit to the mode (a visit has a dose and a history of its own, and does not get
+surer by its length; of unequal visits v is n^2 / sum of squared lengths), the drifts w (how all means stray together
+from one day to the next: a fluid's viscosity, a sensor's zero), and a what each strays by itself.
+
+The drifts move other generators too, by f_k: what is expected of their days follows from these means',
+
+    E[f] = f w P0^-1 day,     Var[f] = A P A' + f (1 - w P0^-1 w') f',   A = f w P0^-1,  P = Var[day]
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Indices, Mask, Vector
+
+STEADY = [mode for mode in range(len(MODES)) if mode != EDGE]
+MINIMUM_TICKS = 10
+"""A mode counts once this many ticks were seen in it."""
+
+
+class Means(NamedTuple):
+    """What was seen of C modes and K generators: ticks, squares of visits' lengths, sums of residuals, each (C, K).
+
+    A visit is a stay in a mode; the squares say how evenly the ticks lie in visits. `shift` (H, C, K) are sums of what
+    each hypothesis would have done to the residuals.
+    """
+
+    ticks: Vector
+    squares: Vector
+    total: Vector
+    shift: Vector
+
+    @property
+    def seen(self) -> Mask:
+        """The means (C, K) that count."""
+        return np.asarray(self.ticks >= MINIMUM_TICKS)
+
+
+class Level(NamedTuple):
+    """Where the day puts the means, as far as it is known: expected value (C, K) and covariance (D, D)."""
+
+    mean: Vector
+    covariance: Vector
+
+    @property
+    def variance(self) -> Vector:
+        """Of each mean (C, K)."""
+        return np.asarray(self.covariance.diagonal().reshape(self.mean.shape))
+
+
+class Visit:
+    """The stay in a mode: for how many ticks of it each generator could tell, `length` (K,)."""
+
+    def __init__(self, generators: int) -> None:
+        self.mode, self.length = EDGE, np.zeros(generators)
+
+    def in_mode(self, mode: int) -> None:
+        """A tick in this mode: another one is another visit."""
+        if mode != self.mode:
+            self.mode, self.length = mode, np.zeros(len(self.length))
+
+
+class Straying:
+    """The numbers of a bundle's evidence: `offset` (C, K), and `unknown`: the level of a day, before it has begun."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.offset = np.array(evidence.offset)[STEADY]
+        self._noise, self._visit = np.array(evidence.noise)[STEADY], np.array(evidence.visit)[STEADY]
+        C, K = self.offset.shape
+        drifts = np.array(evidence.drifts).reshape(-1, len(MODES), K)[:, STEADY].reshape(-1, C * K)
+        own = np.array(evidence.allowance)[STEADY].ravel()
+        self.unknown = Level(np.zeros((C, K)), np.diag(own**2) + drifts.T @ drifts)
+        moved = np.zeros((len(drifts), C, len(evidence.followers)))
+        for column, follower in enumerate(evidence.followers):
+            moved[..., column] = np.array(follower.drifts).reshape(-1, len(MODES))[:, STEADY]
+        following = moved.reshape(len(drifts), C * len(evidence.followers))
+        told = np.linalg.pinv(self.unknown.covariance, hermitian=True) @ drifts.T  # (D, R)
+        self._following = following.T @ told.T  # A (C F, D)
+        self._unfollowed = (following**2).sum(axis=0) - ((drifts @ told).T @ following * following).sum(axis=0)
+
+    def scatter(self, means: Means) -> Vector:
+        """How far means strays besides the day (D, D), by what was seen of them."""
+        ticks = np.maximum(means.ticks, 1.0)
+        tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
+        C, K = ticks.shape
+        S = np.zeros((C, K, C, K))
+        for mode in range(C):
+            S[mode, :, mode] = self._noise[mode] * np.outer(tick[mode], tick[mode])
+            S[mode, :, mode] += self._visit[mode] * np.outer(visit[mode], visit[mode])
+        return S.reshape(C * K, C * K)
+
+    def deviation(self, means: Means) -> Vector:
+        """How far the means (C, K) lie from the vehicle's offsets; zero where nothing was seen."""
+        return np.asarray(np.where(means.ticks > 0, means.total / np.maximum(means.ticks, 1.0) - self.offset, 0.0))
+
+    def everywhere(self, level: Level) -> tuple[Vector, Vector]:
+        """Expected value and variance (C, K + F) of where a day puts the means; those of followers are behind."""
+        C, A = len(level.mean), self._following
+        mean = (A @ level.mean.ravel()).reshape(C, len(A) // C)
+        variance = ((A @ level.covariance * A).sum(axis=1) + np.maximum(self._unfollowed, 0.0)).reshape(C, len(A) // C)
+        return np.hstack([level.mean, mean]), np.hstack([level.variance, variance])
+
+    def known(self, means: Means, before: Level) -> Level:
+        """The level of a day of which these means were seen without a fault: what is expected of all, given some.
+
+        `before` is what was known of it before.
+        """
+        seen: Indices = np.flatnonzero(means.seen)
+        if not len(seen):
+            return before
+        P = before.covariance
+        S = P[np.ix_(seen, seen)] + self.scatter(means)[np.ix_(seen, seen)]
+        gain = np.linalg.solve(S, P[seen]).T  # (D, seen)
+        mean = before.mean + (gain @ (self.deviation(means) - before.mean).ravel()[seen]).reshape(before.mean.shape)
+        return Level(mean, P - gain @ P[seen])

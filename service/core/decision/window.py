@@ -1,0 +1,111 @@
+"""The fresh window: the mean residual of every mode since a test began to alarm.
+
+The window must be fresh: samples from before the onset, pooled with later ones, look like a dose-dependent fault. And
+it forgets: of every mode it keeps the last `PART_TICKS` to twice as many ticks, so that a fault that has grown, or
+another that has joined it hours later, is seen as it is now; a mode not visited since keeps what it showed.
+
+What comes and goes is seen as it is when it is there: the newest seconds are a block, which can be left out.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from faultline.service.core.decision.straying import Means, Visit
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Mask, Vector
+
+PART_TICKS = 750  # 150 s
+RECENT_TICKS = 150  # 30 s
+
+
+class Window:
+    """The residuals of the evidence generators since `clear`. A tick counts for those that can tell."""
+
+    PARTS = 2
+    """The older one first; ticks are added to the last."""
+
+    def __init__(self, evidence: Evidence, generators: Sequence[str]) -> None:
+        self._columns = np.array([generators.index(name) for name in evidence.generators])
+        self._hypotheses = len(evidence.hypotheses)
+        self.clear()
+
+    def clear(self) -> None:
+        """Starts a fresh window."""
+        K = len(self._columns)
+        # Sums as in `Means`, those of hypotheses behind the others.
+        self._sums = np.zeros((self.PARTS, 3 + self._hypotheses, EDGE, K))
+        self._visit = Visit(K)
+
+    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
+        """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
+        self._visit.in_mode(mode)
+        self._forget(mode)
+        if mode == EDGE:
+            return
+        told = usable[self._columns]
+        part = self._sums[-1, :, mode]
+        part[0] += told
+        part[1] += told * (2.0 * self._visit.length + 1.0)
+        part[2] += np.where(told, r[self._columns], 0.0)
+        if self._hypotheses:
+            part[3:] += np.where(told, shift, 0.0)
+        self._visit.length = self._visit.length + told
+
+    def _forget(self, mode: int) -> None:
+        if mode != EDGE and self._sums[1, 0, mode].max() >= PART_TICKS:
+            self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
+
+    @property
+    def means(self) -> Means:
+        """What was seen."""
+        return self._means(self._sums.sum(axis=0))
+
+    def _means(self, sums: Vector) -> Means:
+        ticks, squares, total, *shift = sums
+        squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
+        return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))
+
+
+class Blocks(Window):
+    """The same, of which the newest ticks are a block that can be left out, and those before them the last one."""
+
+    PARTS = 4
+
+    @property
+    def before(self) -> Means:
+        """What was seen before both blocks."""
+        return self._means(self._sums[:-2].sum(axis=0))
+
+    @property
+    def block(self) -> Means:
+        """What the newest block shows."""
+        return self._means(self._sums[-1])
+
+    def keep(self) -> None:
+        """The block ends: it is the last one now."""
+        self._sums[1] += self._sums[-2]
+        self._sums[-2], self._sums[-1] = self._sums[-1], 0.0
+
+    def leave_out(self) -> None:
+        """The block ends and is left out, and so is the last one."""
+        self._sums[-2:] = 0.0
+
+    def forget(self) -> None:
+        """Leaves out all but the block."""
+        self._sums[:-1] = 0.0
+
+
+class Recent(Window):
+    """The same of the last 30 to 60 s alone, whatever the mode: one that has not been visited since is not seen."""
+
+    def clear(self) -> None:
+        """Starts anew."""
+        super().clear()
+        self._ticks = 0
+
+    def _forget(self, _mode: int) -> None:
+        self._ticks += 1
+        if self._ticks % RECENT_TICKS == 0:
+            self._sums[0], self._sums[1] = self._sums[1], 0.0

@@ -1,0 +1,1 @@
+"""The fault memory of a system, its debounce counters and its freeze frames."""

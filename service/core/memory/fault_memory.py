@@ -1,0 +1,418 @@
+"""The fault memory: what failed, is there or was, and for how long that is remembered.
+
+It takes what is told of a system (`core.records.event`), looks at every tick, and the operation cycles; it gives what
+changed. One episode of a system is one entry, however many candidates it has: fewer later refine it. A new episode is
+one of an entry whose candidates it shares, and else a new one.
+
+Source: AUTOSAR SWS Diagnostics R22-11: status bits, trips to confirm (SWS_DM_00218), warning and healing (00224,
+01266), aging after it (00238, 01264), displacement and overflow (00922, 00923, 00928), clearing (00086).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta, structs
+
+from faultline.service.core.manifest import MODES
+from faultline.service.core.memory.debounce import Debounce, Disabled
+from faultline.service.core.memory.system import System
+from faultline.service.core.records.event import Event, candidates
+from faultline.service.core.records.fault import Change, Fault, Number, Seen, Status, names
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Mask
+
+LOOK_TICKS = 25  # 5 s at the usual period
+Cycles = Annotated[int, Meta(ge=1, le=255)]
+Seconds = Annotated[float, Meta(ge=0, le=3600)]
+
+
+class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How faults are remembered.
+
+    A fault is confirmed once it has failed in `confirm_trips` operation cycles in a row that could tell. After
+    `heal_cycles` in a row that could tell and in which it did not fail it is no longer warned of, and after
+    `age_cycles` more it is erased. `entries` are remembered at most. What is told counts as failed once it has been so
+    for `failed_after_s`, and passed once it has healed for `passed_after_s`, both [s] in which its tests can tell;
+    meanwhile that count is kept (`freeze`) or begins anew (`reset`). What is not told any more, as the service was
+    started again, has passed once its tests were quiet for `quiet_s` [s] in each mode that showed it.
+    """
+
+    confirm_trips: Cycles = 1
+    heal_cycles: Cycles = 3
+    age_cycles: Cycles = 40
+    entries: Annotated[int, Meta(ge=1, le=256)] = 64
+    failed_after_s: Seconds = 0.0
+    passed_after_s: Seconds = 0.0
+    disabled: Disabled = "freeze"
+    quiet_s: Annotated[float, Meta(ge=1, le=3600)] = 60.0
+
+
+class News(NamedTuple):
+    """What has become of a fault. `change` None: to be kept, and not worth telling."""
+
+    change: Change | None
+    fault: Fault
+
+
+class Remembered(msgspec.Struct, frozen=True, kw_only=True):
+    """All that outlives a run but the faults themselves: whether one was ever displaced, and the next number."""
+
+    overflow: bool = False
+    number: Number = 1
+
+
+class _Episode:
+    """What is told of a system now. `number` is its entry once it counts, `before` what that was until then."""
+
+    def __init__(self, system: System, rules: Rules) -> None:
+        self.system = system
+        self.told: Event | None = None
+        self.modes: list[str] = []
+        self.number: int | None = None
+        self.before: Fault | None = None
+        looks = (max(1, round(s / system.period_s)) for s in (rules.failed_after_s, rules.passed_after_s))
+        self.debounce = Debounce(*looks)
+        self.quiet = np.zeros((len(MODES), len(system.tests)), dtype=np.int64)  # ticks, since it failed, or the cycle
+        self.ticks = 0
+
+
+class FaultMemory:
+    """The faults of all systems of one vehicle. State: `faults` by number, the open episodes, the cycle."""
+
+    def __init__(
+        self, rules: Rules, faults: Iterable[Fault] = (), remembered: Remembered | None = None, cycle: int = 0
+    ) -> None:
+        """`faults` and `remembered` are those of earlier runs, `cycle` the number of the operation cycle."""
+        self._rules, self.cycle = rules, cycle
+        self.faults = {fault.number: fault for fault in sorted(faults, key=lambda each: each.number)}
+        self.remembered = remembered or Remembered()
+        after = max(self.faults, default=0) + 1  # no number is used twice, whatever was lost
+        if self.remembered.number < after:
+            self.remembered = structs.replace(self.remembered, number=after)
+        self._episodes: dict[str, _Episode] = {}
+
+    def watch(self, system: System) -> None:
+        """This system is watched from now on, or with another bundle."""
+        episode = self._episodes.get(system.name)
+        if episode is None or episode.system.tests != system.tests:
+            self._episodes[system.name] = _Episode(system, self._rules)
+        else:
+            episode.system = system
+
+    def event(self, name: str, event: Event, modes: Sequence[str]) -> list[News]:
+        """Takes what is told of the system `name`; `modes` are those that show it now."""
+        episode = self._episodes[name]
+        if event.transition in ("occurred", "refined"):
+            episode.told, episode.modes = event, [*modes]
+            if episode.number is not None and event.transition == "refined":
+                return [*self._refine(episode)]
+            return self._occur(episode)
+        if event.transition == "healed":
+            return self._seen(episode, is_there=False)
+        if event.transition == "withdrawn":
+            return [*self._withdraw(episode)]
+        if event.transition == "started":  # it has forgotten what it told
+            episode.told = episode.number = episode.before = None
+            episode.debounce.counter = 0
+        return []
+
+    def tick(self, name: str, mode: int, usable: Mask, suspicious: bool) -> list[News]:
+        """Takes a look at the system: the mode, which generators (T,) can tell, whether anything is suspected."""
+        episode = self._episodes[name]
+        if suspicious:
+            episode.quiet[:] = 0
+        elif episode.told is None:
+            episode.quiet[mode] += usable
+        episode.ticks += 1
+        news = self._count(episode, usable, suspicious)
+        if episode.ticks % LOOK_TICKS == 0 and not suspicious:
+            news += self._look(episode)
+        return news
+
+    def begin_cycle(self, cycle: int) -> list[News]:
+        """An operation cycle begins: nothing has failed or passed in it yet."""
+        self.cycle = cycle
+        for episode in self._episodes.values():
+            episode.debounce.counter = 0
+            episode.quiet[:] = 0
+            if episode.before is not None:
+                episode.before = _in_new_cycle(episode.before)
+        return [self._put(_in_new_cycle(fault), None) for fault in [*self.faults.values()]]
+
+    def end_cycle(self) -> list[News]:
+        """An operation cycle ends: what could have failed in it and did not heals, then ages."""
+        return [
+            self._settle(fault)
+            for fault in [*self.faults.values()]
+            if not (fault.status.test_failed_this_cycle or fault.status.not_completed_this_cycle)
+        ]
+
+    def clear(self, number: int | None) -> list[int]:
+        """Erases one, or all; the numbers of those. What is still told fails anew, under a number of its own."""
+        erased = [*self.faults] if number is None else [number] if number in self.faults else []
+        for each in erased:
+            self._erase(each)
+        if number is None:
+            self.remembered = structs.replace(self.remembered, overflow=False)
+        return erased
+
+    def told(self, name: str) -> Event | None:
+        """The event that tells what is wrong with the system now; None where nothing is told."""
+        return self._episodes[name].told
+
+    def _count(self, episode: _Episode, usable: Mask, suspicious: bool) -> list[News]:
+        """One look more at what is told, or has healed, and does not count as that yet."""
+        told, counter = episode.told, episode.debounce
+        if told is None:
+            if episode.number is not None:
+                return self._seen(episode, is_there=False)
+        elif suspicious and (episode.number is None or counter.fdc < 127):
+            rows = [k for k, test in enumerate(episode.system.tests) if test in told.alarm]
+            if usable[rows or slice(None)].any():
+                return self._seen(episode, is_there=True)
+            counter.disable(self._rules.disabled)
+        return []
+
+    def _seen(self, episode: _Episode, *, is_there: bool) -> list[News]:
+        found = episode.debounce.seen(is_there)
+        if not is_there:
+            episode.told = None
+        if found == "failed" and not self._has_failed(episode):
+            return [*self._fail(episode)]
+        if found == "passed" and episode.number is not None:
+            number, episode.number, episode.before = episode.number, None, None
+            return [self._pass(self.faults[number])]
+        return []
+
+    def _occur(self, episode: _Episode) -> list[News]:
+        """What is told anew, where what was told before may not count as passed yet: it is that again, or another."""
+        assert episode.told is not None
+        if episode.number is None:
+            return self._seen(episode, is_there=True)
+        before = self.faults[episode.number]
+        if names(before.diagnoses) & names(episode.told.diagnoses):
+            return self._seen(episode, is_there=True) or [*self._refine(episode)]
+        episode.number = episode.before = None
+        episode.debounce.counter = 0
+        return [self._pass(before), *self._seen(episode, is_there=True)]
+
+    def _has_failed(self, episode: _Episode) -> bool:
+        """Whether what is told counts as failed in this cycle."""
+        return episode.number is not None and self.faults[episode.number].status.test_failed_this_cycle
+
+    def _fail(self, episode: _Episode) -> Iterator[News]:
+        """What is told now counts as failed, in this cycle: it is an entry's still or again, or a new one's."""
+        assert episode.told is not None
+        episode.quiet[:] = 0
+        if episode.number is None:
+            episode.before = self._entry_of(episode)
+        entry = episode.before if episode.number is None else self.faults[episode.number]
+        if entry is None:
+            yield from self._make_room()
+            entry = _fresh(self.remembered.number, episode, self.cycle)
+            self.remembered = structs.replace(self.remembered, number=entry.number + 1)
+            episode.number, status = entry.number, entry.status
+            again = False
+        else:
+            episode.number, status = entry.number, entry.status
+            again = not status.test_failed
+        trips = entry.trips + (not status.test_failed_this_cycle)
+        confirmed = status.confirmed or trips >= self._rules.confirm_trips
+        change: Change | None = "failed"
+        if confirmed != status.confirmed:
+            change = "confirmed"
+        elif not confirmed:
+            change = "pending"
+        if status.test_failed:  # the service was started again meanwhile, or a cycle began
+            change = "confirmed" if confirmed != status.confirmed else None
+            if candidates(entry.diagnoses) != candidates(episode.told.diagnoses):
+                change = change or "refined"
+        entry = structs.replace(
+            _told(entry, episode, self.cycle),
+            occurrences=entry.occurrences + again,
+            trips=trips,
+            healing=0,
+            aging=0,
+            fdc=episode.debounce.fdc,
+        )
+        yield self._put(
+            entry,
+            change,
+            test_failed=True,
+            test_failed_this_cycle=True,
+            pending=True,
+            confirmed=confirmed,
+            not_completed_this_cycle=False,
+            warning=confirmed,
+        )
+
+    def _refine(self, episode: _Episode) -> Iterator[News]:
+        """Other candidates: where they share none with what the entry was before, it was not that again.
+
+        And a new entry all of whose candidates are a remembered one's now is that one again, and was no new one.
+        """
+        assert episode.told is not None
+        assert episode.number is not None
+        before = episode.before
+        other = self._entry_of(episode)
+        if before is None and other is not None and names(episode.told.diagnoses) <= names(other.diagnoses):
+            own, counter = self.faults[episode.number], episode.debounce.counter
+            self._erase(own.number)
+            episode.debounce.counter = counter
+            yield News("revoked", own)
+            yield from self._fail(episode)
+            return
+        if before is None or names(before.diagnoses) & names(episode.told.diagnoses):
+            entry = self.faults[episode.number]
+            is_news = candidates(entry.diagnoses) != candidates(episode.told.diagnoses)
+            yield self._put(_told(entry, episode, self.cycle), "refined" if is_news else None)
+            return
+        self.faults[before.number] = before
+        yield News("withdrawn", before)
+        episode.number = None
+        yield from self._fail(episode)
+
+    def _withdraw(self, episode: _Episode) -> Iterator[News]:
+        """What was told rests on samples that came to be doubted: the entry is as it was before, or there is none."""
+        number, before = episode.number, episode.before
+        episode.told = episode.number = episode.before = None
+        episode.debounce.counter = 0
+        if before is not None:
+            self.faults[before.number] = before
+            yield News("withdrawn", before)
+        elif number is not None:
+            fault = self.faults[number]
+            self._erase(number)
+            yield News("revoked", fault)
+
+    def _pass(self, fault: Fault) -> News:
+        return self._put(structs.replace(fault, fdc=-128), "passed", test_failed=False, not_completed_this_cycle=False)
+
+    def _look(self, episode: _Episode) -> list[News]:
+        """What failed in earlier runs or cycles, and was quiet since where it could be seen."""
+        least = self._rules.quiet_s / episode.system.period_s
+        news = []
+        for fault in [*self.faults.values()]:
+            if fault.system != episode.system.name or fault.number == episode.number:
+                continue
+            if not fault.status.not_completed_this_cycle and not fault.status.test_failed:
+                continue
+            rows = [k for k, test in enumerate(episode.system.tests) if test in fault.tests]
+            seen = episode.quiet[:, rows or slice(None)].min(axis=1)
+            modes = [MODES.index(mode) for mode in fault.modes]
+            if (seen[modes] if modes else seen[:EDGE].sum(keepdims=True)).min() >= least:
+                was_failed = fault.status.test_failed
+                news.append(self._pass(fault) if was_failed else self._put(fault, None, not_completed_this_cycle=False))
+        return news
+
+    def _settle(self, fault: Fault) -> News:
+        """A cycle in which it could have failed and did not."""
+        status = fault.status
+        warned = status.warning and fault.healing + 1 < self._rules.heal_cycles
+        if status.warning:
+            fault = structs.replace(fault, trips=0, healing=fault.healing + 1)
+        else:
+            fault = structs.replace(fault, trips=0, aging=fault.aging + 1)
+        if fault.aging >= self._rules.age_cycles:
+            self._erase(fault.number)
+            return News("aged", fault)
+        changed = status.pending or status.warning != warned
+        return self._put(fault, "settled" if changed else None, pending=False, warning=warned)
+
+    def _entry_of(self, episode: _Episode) -> Fault | None:
+        """The entry, other than its own, whose candidates it shares: one that is failed, else the one seen last."""
+        assert episode.told is not None
+        here = names(episode.told.diagnoses)
+        alike = [
+            fault
+            for fault in self.faults.values()
+            if fault.system == episode.system.name and fault.number != episode.number and names(fault.diagnoses) & here
+        ]
+        return max(alike, key=lambda each: (each.status.test_failed, each.latest.cycle, each.number), default=None)
+
+    def _make_room(self) -> Iterator[News]:
+        """Displaces what matters least where all places are taken: passed before failed, pending before confirmed."""
+        if len(self.faults) < self._rules.entries:
+            return
+        bound = {episode.number for episode in self._episodes.values()}
+        least = min(
+            (fault for fault in self.faults.values() if fault.number not in bound),
+            key=lambda each: (each.status.test_failed, each.status.confirmed, each.latest.cycle, each.number),
+            default=None,
+        )
+        if least is not None:
+            self._erase(least.number)
+            self.remembered = structs.replace(self.remembered, overflow=True)
+            yield News("displaced", least)
+
+    def _erase(self, number: int) -> None:
+        del self.faults[number]
+        for episode in self._episodes.values():
+            if episode.number == number:
+                episode.number = episode.before = None
+                episode.debounce.counter = 0
+
+    def _put(self, fault: Fault, change: Change | None, **bits: bool) -> News:
+        status = structs.replace(fault.status, **bits)
+        fault = structs.replace(fault, status=status, mask=status.mask)
+        self.faults[fault.number] = fault
+        return News(change, fault)
+
+
+def _in_new_cycle(fault: Fault) -> Fault:
+    status = structs.replace(fault.status, test_failed_this_cycle=False, not_completed_this_cycle=True)
+    return structs.replace(fault, status=status, mask=status.mask)
+
+
+def _fresh(number: int, episode: _Episode, cycle: int) -> Fault:
+    """An entry in which nothing counts yet."""
+    assert episode.told is not None
+    seen = Seen(id=episode.told.id, wall=episode.told.wall, cycle=cycle)
+    status = Status(
+        test_failed=False,
+        test_failed_this_cycle=False,
+        pending=False,
+        confirmed=False,
+        not_completed_since_clear=False,
+        failed_since_clear=True,
+        not_completed_this_cycle=True,
+        warning=False,
+    )
+    return Fault(
+        number=number,
+        system=episode.system.name,
+        bundle=episode.system.bundle,
+        diagnoses=[],
+        components=[],
+        dtcs=[],
+        tests=[],
+        modes=[],
+        status=status,
+        mask=status.mask,
+        fdc=0,
+        occurrences=1,
+        trips=0,
+        healing=0,
+        aging=0,
+        first=seen,
+        latest=seen,
+    )
+
+
+def _told(fault: Fault, episode: _Episode, cycle: int) -> Fault:
+    """The entry with what is told now."""
+    told, system = episode.told, episode.system
+    assert told is not None
+    components = (system.components.get(name, name) for one in told.diagnoses for name in one.faults)
+    return structs.replace(
+        fault,
+        bundle=system.bundle,
+        diagnoses=told.diagnoses,
+        components=[*dict.fromkeys(components)],
+        dtcs=system.codes(told.diagnoses),
+        tests=sorted({*fault.tests, *told.alarm} if fault.status.test_failed else told.alarm),
+        modes=[*dict.fromkeys([*fault.modes, *episode.modes])] if fault.status.test_failed else episode.modes,
+        latest=Seen(id=told.id, wall=told.wall, cycle=cycle),
+    )

@@ -1,0 +1,1 @@
+"""The records that leave the core: event, fault, freeze frame, health."""

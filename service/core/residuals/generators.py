@@ -1,0 +1,177 @@
+"""Runs the residual generators of a bundle, in a few fused graphs, one tick at a time.
+
+    x_k, r_k, y_hat_k, sigma_k, novelty_k = graph(z_k, x_{k-1})      z: (1, nz)  x: (1, nx)  r ...: (1, T)
+
+A generator whose input may not be used, or lies outside the operating region, keeps its state for `HELD_TICKS` ticks;
+after that the state is taken from the sensors again and the warm-up starts anew: a state carried through where the
+model does not hold would tell of that for as long as the slowest pressure remembers. A generator that was trained knows
+besides what it was trained on: where the operation is novel it goes on, and cannot tell.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import onnxruntime as ort
+
+from faultline.service.core.manifest import Evidence, Generator, Input
+from faultline.service.core.residuals.assumed import Assumed
+from faultline.service.core.signals.values import Indices, Mask, Vector
+
+HELD_TICKS = 2
+OUTSIDE = 0.01
+"""How far inputs may lie outside their operating region, in parts of its width: a hundredth is rounding."""
+
+NOVEL = 1.0
+"""Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
+
+
+NOTHING = np.zeros((0, 0))
+
+
+class Residuals(NamedTuple):
+    """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
+
+    `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
+    `level` are the residuals without the day (`core.decision.day`), once that has been taken off.
+    """
+
+    r: Vector
+    y_hat: Vector
+    sigma: Vector
+    usable: Mask
+    shift: Vector = NOTHING
+    level: Vector | None = None
+
+
+class Graph:
+    """A fused graph as a function: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx), float64."""
+
+    OUTPUTS = ("r", "y_hat", "sigma", "novelty", "x_next")
+
+    def __init__(self, model: bytes) -> None:
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 3
+        self._session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def __call__(self, **arrays: Vector) -> list[Vector]:
+        """The outputs in the order of `OUTPUTS`."""
+        outputs: list[Vector] = self._session.run(self.OUTPUTS, arrays)
+        return outputs
+
+
+class Generators(Protocol):
+    """What is asked once a tick."""
+
+    def step(self, z: Vector, usable: Mask) -> Residuals:
+        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
+
+
+class _Part(NamedTuple):
+    """A graph, and which states are its own."""
+
+    graph: Graph
+    states: slice
+
+
+class GeneratorBank:
+    """The generators of a bundle with their states. `step` is called once a tick.
+
+    `graphs` are by the name that the generators have; those of one graph are neighbours, in the order of its columns.
+    The hypotheses of the `evidence`, where it has some, run beside them.
+    """
+
+    def __init__(
+        self,
+        graphs: Mapping[str, bytes],
+        generators: Sequence[Generator],
+        inputs: Sequence[Input],
+        evidence: Evidence | None = None,
+    ) -> None:
+        self._parts = _parts(graphs, generators)
+        names = [channel.signal for channel in inputs]
+        lower, upper = (np.array([getattr(channel, bound) for channel in inputs]) for bound in ("lower", "upper"))
+        self._lower, self._upper, self._width = lower, upper, upper - lower
+        self._neutral = (lower + upper) / 2
+        states = [(row, state) for row, generator in enumerate(generators) for state in generator.states]
+        self._owner = np.array([row for row, _ in states], dtype=np.intp)  # (nx,)
+        self._offset = np.array([state.offset for _, state in states])
+        self._gain = np.zeros((len(states), len(names)))
+        self._needs = np.zeros((len(generators), len(names)), dtype=np.bool_)
+        for column, (_, state) in enumerate(states):
+            for signal, gain in state.gain.items():
+                self._gain[column, names.index(signal)] = gain
+        for row, generator in enumerate(generators):
+            self._needs[row, [names.index(signal) for signal in generator.inputs]] = True
+        self._warm_up = np.array([generator.warm_up_ticks for generator in generators])
+        self._x = np.zeros(len(states))
+        self._z = self._neutral.copy()
+        self._missed = np.full(len(generators), HELD_TICKS + 1)
+        self._ticks = np.zeros(len(generators), dtype=np.int64)
+        self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
+
+    def step(self, z: Vector, usable: Mask) -> Residuals:
+        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
+        self._z = np.where(usable, z, self._z)
+        fed = (usable | ~self._needs).all(axis=1)  # (T,)
+        fresh = self._offset + self._gain @ self._z
+        self._restart(fed & (self._missed > HELD_TICKS), fresh)
+        r, y_hat, sigma, novelty, x_next = self._run()
+        finite = np.isfinite(r) & np.isfinite(sigma)
+        finite[self._owner[~np.isfinite(x_next)]] = False
+        advanced = fed & finite & (self._outside() <= OUTSIDE)
+        self._x = np.where(advanced[self._owner], x_next, self._x)
+        self._missed = np.where(advanced, 0, self._missed + 1)
+        self._missed[fed & ~finite] = HELD_TICKS + 1
+        self._ticks = np.where(advanced, self._ticks + 1, self._ticks)
+        shift = NOTHING
+        if self._assumed is not None:
+            shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
+        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL), shift)
+
+    def _run(self) -> list[Vector]:
+        """The outputs of all graphs, one after the other."""
+        z = self._z[None]
+        found = [part.graph(z=z, x=self._x[None, part.states]) for part in self._parts]
+        if len(found) == 1:
+            return [row[0] for row in found[0]]
+        return [np.concatenate([outputs[k][0] for outputs in found]) for k in range(len(Graph.OUTPUTS))]
+
+    def _outside(self) -> Vector:
+        """How far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
+        beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
+        return np.asarray(self._needs @ np.maximum(beyond, 0.0))
+
+    def _restart(self, generators: Mask, fresh: Vector) -> None:
+        """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
+        if generators.any():
+            self._x = np.where(generators[self._owner], fresh, self._x)
+            self._ticks[generators] = 0
+            if self._assumed is not None:
+                self._assumed.restart(generators[self._weighed], fresh[self._own])
+
+
+def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list[_Part]:
+    found = []
+    for name in dict.fromkeys(generator.graph for generator in generators):
+        own = [row for row, generator in enumerate(generators) if generator.graph == name]
+        counts = [len(generator.states) for generator in generators]
+        found.append(_Part(Graph(graphs[name]), slice(sum(counts[: own[0]]), sum(counts[: own[-1] + 1]))))
+    return found
+
+
+def _assumed(
+    graphs: Mapping[str, bytes], generators: Sequence[Generator], evidence: Evidence | None, owner: Indices
+) -> tuple[Indices, Indices, Assumed | None]:
+    """The rows (K,) of the evidence generators, the columns (nx,) of their states, and their hypotheses."""
+    if evidence is None or evidence.graph is None:
+        nothing = np.zeros(0, dtype=np.intp)
+        return nothing, nothing, None
+    names = [generator.name for generator in generators]
+    rows = np.array([names.index(name) for name in evidence.generators])
+    own = np.concatenate([np.flatnonzero(owner == row) for row in rows])
+    columns = np.repeat(np.arange(len(rows)), [len(generators[row].states) for row in rows])
+    return rows, own, Assumed(Graph(graphs[evidence.graph]), len(evidence.hypotheses), columns)

@@ -1,0 +1,83 @@
+"""Arrival times of one periodic message: frames that come too early for one sender.
+
+A sender that is held up catches up: its next frames may come at once. So a frame is judged by the backlog s [s], the
+largest sum of recent delays, a CUSUM of the intervals dt against the period T that forgets:
+
+    s <- max(0, s) exp(-dt / tau) + d             d = dt - T, and 0 where that is between 0 and max(LATE T, JITTER_S)
+    early:  s < -max(EARLY T, JITTER_S)
+
+at the speed of a replay tau and JITTER_S are as many times as long in log time.
+
+A frame that is early is either a second sender's or follows one that was. Which of the two is forged nobody knows, so
+both are doubted (`core.signals.sampling`). Small delays count for nothing: a sender whose period is up to a quarter
+longer than the DBC's cycle time would grant a forger credit with each frame. And what counts is forgotten.
+"""
+
+from enum import Enum, auto
+from math import exp
+
+EARLY = 0.45
+"""Parts of the period. Genuine frames of all demo logs come after 0.8 periods or more, with 20 ms of jitter after 0.6;
+below one half, a second sender of the same period is seen whatever its phase, from its own frames or the genuine."""
+
+LATE = 0.25
+"""Parts of the period: a delay that is shorter excuses no early frame. One that was held up is late by more."""
+
+JITTER_S = 0.04
+"""Two delays of 20 ms, of gateways and busy buses [s, real time]: of messages faster than 11 Hz some phases of a second
+sender are not seen, and those faster than 25 Hz, or in a replay at 5x than 5 Hz, are counted only
+(`core.signals.traffic`)."""
+
+REPEATED = 0.25
+"""Parts of the period within which the same bytes again are a gateway's repetition of the frame before; `JITTER_S` if
+that is longer, but never half a period."""
+
+TAU_S = 1.0
+"""Time constant after which a delay is forgotten [s, real time]."""
+
+STARTING_S = 10.0
+"""Backlog before the first frame [s]: controllers say much when they start, and queues are emptied at once."""
+
+
+class Arrival(Enum):
+    """How a frame came."""
+
+    DUE = auto()
+    REPEATED = auto()
+    EARLY = auto()
+
+
+class Arrivals:
+    """Judges the frames of one message by period [s]. State: time and bytes of the last one that was due, backlog.
+
+    `speed`: seconds of log time a second, 1 on a vehicle.
+
+    >>> arrivals = Arrivals(0.2)
+    >>> came = [arrivals.judge(0.2 * k, bytes(8)) for k in range(100)]
+    >>> arrivals.judge(19.801, b"forged !").name, arrivals.judge(19.802, bytes(8)).name, arrivals.judge(20.0, b"a").name
+    ('EARLY', 'REPEATED', 'DUE')
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period = period_s
+        self._last: float | None = None
+        self._data = b""
+        self._backlog = STARTING_S
+        self.speed = 1.0
+
+    def judge(self, t: float, data: bytes) -> Arrival:
+        """Take the frame that came at log time `t` [s]; a time before the last one begins a new log."""
+        if self._last is None or t < self._last:
+            self._last, self._data, self._backlog = t, data, STARTING_S * self.speed
+            return Arrival.DUE
+        dt = t - self._last
+        jitter, late = JITTER_S * self.speed, dt - self._period
+        if data == self._data and dt < min(max(REPEATED * self._period, jitter), self._period / 2.0):
+            return Arrival.REPEATED
+        if 0.0 < late < max(LATE * self._period, jitter):
+            late = 0.0
+        backlog = max(0.0, self._backlog) * exp(-dt / (TAU_S * self.speed)) + late
+        if backlog < -max(EARLY * self._period, jitter):
+            return Arrival.EARLY
+        self._last, self._data, self._backlog = t, data, backlog
+        return Arrival.DUE

@@ -1,0 +1,176 @@
+"""Listen on CAN buses and tell subscribers which component is failing."""
+
+import argparse
+import socket
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+from faultline.options import Parser
+from faultline.service.bundle.files import Trust
+from faultline.service.bundle.load import Bundle
+from faultline.service.bus import open_bus
+from faultline.service.daemon.config import (
+    BundleConfig,
+    BusConfig,
+    Config,
+    ControlConfig,
+    EventsConfig,
+    TrustConfig,
+    load_config,
+    named,
+)
+from faultline.service.daemon.loop import Loop
+from faultline.service.daemon.refused import Loader, RefusedBundles
+from faultline.service.daemon.reload import Reload
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import Line, watched
+from faultline.service.outputs.control import ControlSocket
+from faultline.service.outputs.socket import RING, EventSocket
+from faultline.service.store.journal import Journal
+from faultline.service.systemd import Notifier, Supervisor
+
+BOOT = Path("/proc/sys/kernel/random/boot_id")  # random(4)
+
+EXAMPLE = """example:
+  faultline run --config /etc/faultline/faultline.toml
+  faultline run --bundle out/bundle --bus socketcan:vcan0 --socket /tmp/events.sock
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the daemon until SIGTERM or SIGINT; returns its exit code."""
+    options, config = _asked(argv)
+    notifier = Notifier()
+    notifier.tell(STATUS="loading bundles")
+    load = Loader(lambda: _trust(config))
+    bundles, refused = _loaded(config, load, required=options.config is None)
+    with ExitStack() as opened:
+        journal = opened.enter_context(Journal(_store(config, options.config), _say, RING))
+        read = None if journal.path is None else journal.read
+        subscribers = opened.enter_context(EventSocket(Path(config.events.socket), journal.earlier, read))
+        journal.earlier = []  # the socket has them
+        control = _control(config)
+        if control is not None:
+            opened.enter_context(control)
+        lines = _lines(config, bundles, options.speed, required=options.config is None)
+        for line in lines:
+            opened.enter_context(line.bus)
+        reload = None if options.config is None else Reload(options.config, config, lines, _trust, load, _say)
+        loop = Loop(
+            *(Scribe(config.source, journal.last), lines, journal, subscribers, notifier, _say),
+            reload=reload,
+            refused=RefusedBundles(refused, load, config.source, options.speed),
+            control=control,
+            memory=config.memory,
+            boot=BOOT.read_text().strip() if BOOT.exists() else "",
+        )
+        _say(
+            f"ready, {', '.join(f'bundle {each.manifest.name} {each.id[:12]}' for _, each in bundles) or 'no bundle'}, "
+            f"bus {', '.join(bus.interface for bus in config.bus)}, events on {config.events.socket}"
+            + (f", {options.speed:g}x" if options.speed != 1 else "")
+        )
+        with Supervisor(notifier, {"loop": loop.heartbeat, "store": journal}, _say):
+            loop.serve()
+            notifier.tell(STOPPING=1)
+    return 0
+
+
+def _control(config: Config) -> ControlSocket | None:
+    if config.control is None:
+        return None
+    return ControlSocket(Path(config.control.socket), config.control.clear)
+
+
+def _store(config: Config, path: Path | None) -> Path | None:
+    """Where events are kept; nowhere in a trial, and where the configuration does not say."""
+    if config.store is not None:
+        return Path(config.store.path)
+    if path is not None:
+        _say(f"{path}: no [store]: events are told and not kept")
+    return None
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+        print(f"faultline run: {text}", file=sys.stderr, flush=True)
+
+
+def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
+    """The options, and the configuration: the one in a file, or what the options of a trial make."""
+    parser = Parser(
+        "faultline run", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--config", type=Path, help="the configuration; its interfaces may come and go, and need not be there yet")
+    add("--bundle", type=Path, help="without a configuration: the bundle folder")
+    add("--bus", help="and the bus: socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
+    add("--socket", type=Path, help="and where subscribers connect (Unix socket)")
+    add("--control", type=Path, help="and, if wanted, where other processes ask (Unix socket)")
+    add("--source", help="the vehicle's name in events (default: the host's)")
+    add("--speed", type=float, default=1.0, help="how many times real time the bus runs, for replays")
+    options = parser.parse_args(argv)
+    if not 0 < options.speed < float("inf"):
+        parser.error("--speed must be a number above zero")
+    trial = ("bundle", "bus", "socket")
+    given = [f"--{name}" for name in (*trial, "control", "source") if getattr(options, name) is not None]
+    if options.config is not None:
+        if given:
+            parser.error(f"--config says that already: leave out {', '.join(given)}")
+        return options, load_config(options.config)
+    if missing := [f"--{name}" for name in trial if getattr(options, name) is None]:
+        parser.error(f"give --config, or {', '.join(missing)} too")
+    config = Config(
+        bus=[BusConfig(name="bus", interface=options.bus)],
+        bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
+        trust=TrustConfig(allow_unsigned=True),
+        events=EventsConfig(socket=str(options.socket)),
+        control=ControlConfig(socket=str(options.control)) if options.control else None,
+        source=named(options.source or socket.gethostname(), "--source"),
+    )
+    return options, config
+
+
+def _trust(config: Config) -> Trust | None:
+    """Who must have signed the bundles; None where anybody may have made them."""
+    if config.trust.keys is None:
+        return None
+    from faultline.service.bundle.signing import (  # brings in a cryptographic library, which a trial does without
+        Signed,
+        load_keys,
+    )
+
+    return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
+
+
+def _loaded(
+    config: Config, load: Loader, *, required: bool
+) -> tuple[list[tuple[BundleConfig, Bundle]], dict[BundleConfig, str]]:
+    """The bundles, or those in the other slot, and why some are refused; raises InputError where it is `required`."""
+    if required:
+        return [(each, load(Path(each.path))) for each in config.bundle], {}
+    loaded: list[tuple[BundleConfig, Bundle]] = []
+    refused: dict[BundleConfig, str] = {}
+    for each in config.bundle:
+        bundle, why = load.or_spare(Path(each.path))
+        if bundle is not None:
+            loaded.append((each, bundle))
+        if why:
+            refused[each] = why
+            _say(f"refused: {why}; " + (f"{bundle.where} runs instead" if bundle else "tried again later"))
+    return loaded, refused
+
+
+def _lines(
+    config: Config, bundles: Sequence[tuple[BundleConfig, Bundle]], speed: float, *, required: bool
+) -> list[Line]:
+    """The buses, opened, each with what listens to it."""
+    lines = []
+    for bus in config.bus:
+        here = [(each.path, bundle) for each, bundle in bundles if each.bus == bus.name]
+        wanted = {one for _, bundle in here for one in bundle.table.wanted}
+        opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
+        watching = [watched(bundle, config.source, speed, place=place) for place, bundle in here]
+        lines.append(Line(bus.name, opened, watching, _say, bus.interface))
+    return lines

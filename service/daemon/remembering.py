@@ -1,0 +1,351 @@
+"""The fault memory at work: told events, ticks and operation cycles in; records, and what is to be kept, out."""
+
+import re
+import traceback
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain, count
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from faultline.service.bundle.files import one_line
+from faultline.service.core.memory.fault_memory import FaultMemory, News, Remembered, Rules
+from faultline.service.core.memory.freeze import Recorder, Sample
+from faultline.service.core.memory.system import System
+from faultline.service.core.records.event import Event, encode
+from faultline.service.core.records.fault import (
+    CLEARED,
+    SCHEMA,
+    Change,
+    Cleared,
+    Fault,
+    FaultRecord,
+    check,
+    encode_record,
+)
+from faultline.service.core.records.freeze_frame import Frame
+from faultline.service.core.records.health import Condition
+from faultline.service.daemon.cycle import Cycle, OperationCycle
+from faultline.service.daemon.scribe import Scribe
+from faultline.service.daemon.watched import Line, Watched
+from faultline.service.store.file import Record
+from faultline.service.store.journal import Journal
+
+FRAMED: frozenset[Change | None] = frozenset(("pending", "confirmed", "failed"))
+"""Changes of which a freeze frame is taken."""
+
+UNKEPT = 1000
+"""Events of a run that are kept for a store that opens late, of all systems together."""
+
+FAILED_S = 60.0
+"""For so long after the fault memory has failed, that is told [s]."""
+
+T = TypeVar("T")
+
+
+class Observed:
+    """A system with what was seen of it lately, and the freeze frames whose excerpt goes on, by their name."""
+
+    def __init__(self, line: Line, watched: Watched, seconds: float) -> None:
+        self.line, self.watched, self._seconds = line, watched, seconds
+        self.name = watched.bundle.manifest.name
+        self.system: System
+        self.unfinished: dict[str, Frame] = {}
+        self.begin()
+
+    def rename(self, name: str) -> None:
+        """Take the name that the fault memory has for it: another than the bundle's where two have that."""
+        self.name, self.system = name, self.system._replace(name=name)
+
+    def begin(self) -> None:
+        """With the bundle that is at work now."""
+        self.bundle = self.watched.bundle
+        self.system = System.of(self.bundle.manifest, self.bundle.id)._replace(name=self.name)
+        self.recorder = Recorder(self.bundle.manifest, self._seconds)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What came over its bus since the service started, and what did not."""
+        return {**vars(self.line.bus.counts), "dropped": self.line.bus.dropped}
+
+
+class Remembering:
+    """Keeps the fault memory as the journal has it, and puts what is told into the journal.
+
+    `boot` is the kernel's identifier of this boot, `now` the monotonic time [s], `standing` gives the conditions that
+    stand as text, for freeze frames; `absent` are bundles that are configured and do not run, as `PLACE on BUS`.
+    What an earlier run kept and makes no sense is set aside; and whatever fails in here, the fault memory goes on with
+    what is kept: both are `conditions`, and `say` is told.
+    """
+
+    def __init__(
+        self,
+        scribe: Scribe,
+        journal: Journal,
+        lines: Sequence[Line],
+        rules: Rules,
+        frame_s: float,
+        boot: str,
+        now: float,
+        say: Callable[[str], None],
+        standing: Callable[[], Sequence[str]],
+        absent: Collection[str] = (),
+    ) -> None:
+        self._scribe, self._journal, self.lines = scribe, journal, lines
+        self._say, self._standing = say, standing
+        self._rules, self._boot, self._now = rules, boot, now
+        self._failed_at, self._failure = -float("inf"), ""
+        self._set_aside = False
+        self._frame_s, self._absent = frame_s, frozenset(absent)
+        self._unkept = deque[tuple[Observed, Event, list[str]]](maxlen=UNKEPT)
+        self._given = next(self._kept(["names"], dict[str, str]), {})
+        self.observed: dict[str, Observed] = {}
+        for line in lines:
+            for each in line.bundles:
+                self._observe(line, each)
+        self.begin()
+
+    def add(self, line: Line, watched: Watched) -> None:
+        """Remember the faults of a bundle that came up after the start too."""
+        self.memory.watch(self._observe(line, watched).system)
+
+    def take_up(self) -> None:
+        """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
+        systems = [*self.observed.values()]
+        self.observed, self._given = {}, next(self._kept(["names"], dict[str, str]), {})
+        for here in systems:
+            self._name(here)
+        self.begin()
+        self.look(self._now)  # the cycle that lasts is this run's
+        for here, event, showing in self._unkept:
+            with self._surviving():
+                news = self.memory.event(here.name, event, showing)
+                self._tell([], news, self._framed(here, news, event))
+        self._unkept.clear()
+
+    def _observe(self, line: Line, watched: Watched) -> Observed:
+        here = Observed(line, watched, self._frame_s)
+        self._name(here)
+        return here
+
+    def _name(self, here: Observed) -> None:
+        """Give the bundle's system a name of its own, and keep it: whatever else is configured or refused later.
+
+        It is the bundle's, with the bus's where two have the same, or a number too.
+        """
+        line, own = here.line, here.bundle.manifest.name
+        key = f"{here.watched.place} on {line.name}"
+        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.observed.values()]
+        before = self._given.get(key, "") if is_first else ""
+        taken = {*self.observed, *(name for of, name in self._given.items() if of in self._absent and of != key)}
+        everybody = [each.bundle.manifest.name for other in self.lines for each in other.bundles]
+        usual = own if everybody.count(own) == 1 and own not in taken else f"{own}@{line.name}"
+        names = chain([before] * before.startswith(own), [usual], (f"{usual}-{number}" for number in count(2)))
+        name = next(each for each in names if each not in taken)
+        here.rename(name)
+        self.observed[name] = here
+        if is_first and before != name:
+            self._given = {**self._given, key: name}
+            self._journal.remember({"names": msgspec.json.encode(self._given)})
+
+    def begin(self) -> None:
+        """Begins with what the store has, as after a restart."""
+        cycle = next(self._kept(["cycle"], Cycle), Cycle())
+        self._cycle = OperationCycle(cycle, self._boot, self._now)
+        rows = [*self._journal.kept]
+        faults = {f"fault/{each.number}": each for each in self._kept(_named("fault", rows), Fault)}
+        for name in _named("frame", rows):
+            if f"fault/{name.split('/')[1]}" in faults:
+                [*self._kept([name], Frame)]
+            else:
+                self._put_aside(name, "it is of no fault that is remembered")
+        memory = next(self._kept(["memory"], Remembered), Remembered())
+        used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
+        memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
+        self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
+        for each in self.observed.values():
+            each.unfinished.clear()
+            self.memory.watch(each.system)
+
+    @property
+    def conditions(self) -> set[Condition]:
+        """What is wrong with the fault memory."""
+        found = set()
+        if self._set_aside:
+            found.add(Condition("rows-set-aside", str(self._journal.path)))
+        if self._now - self._failed_at < FAILED_S:
+            found.add(Condition("memory-failed", "the fault memory"))
+        return found
+
+    @property
+    def cycle(self) -> int:
+        """The number of the operation cycle."""
+        return self._cycle.cycle.number
+
+    def take(self, watched: Watched, events: Iterable[Event]) -> None:
+        """Takes the ticks of a bundle since the last time, and what was told in them."""
+        here = next(each for each in self.observed.values() if each.watched is watched)
+        if here.bundle is not watched.bundle:
+            here.begin()
+            self.memory.watch(here.system)
+        samples = iter(watched.taken())
+        for event in events:
+            for sample in samples:
+                self._see(here, sample)
+                if sample.tick >= event.tick:
+                    break
+            self._hear(here, self._scribe.event(event))
+        for sample in samples:
+            self._see(here, sample)
+
+    def look(self, now: float) -> None:
+        """Operation cycles, and freeze frames whose excerpt is whole; `now` is the monotonic time [s]."""
+        self._now = now
+        with self._surviving():
+            self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
+            for here in self.observed.values():
+                for name, frame in [*here.unfinished.items()]:
+                    if (done := here.recorder.completed(frame)) is not None:
+                        del here.unfinished[name]
+                        if name in self._journal.kept:  # else it was erased meanwhile
+                            self._journal.remember({name: msgspec.json.encode(done)})
+
+    def slept(self) -> None:
+        """The machine slept: the key was off."""
+        with self._surviving():
+            self._follow(self._cycle.end())
+
+    def clear(self, number: int | None, by: str) -> Cleared | None:
+        """Erases one, or all, because a person wants it; `by` says who.
+
+        The record of that, which is not kept yet; None where the fault memory failed, and nothing is erased.
+        """
+        cleared: Cleared | None = None
+        with self._surviving():
+            cleared = self._clear(number, by)
+        return cleared  # noqa: RET504 None where it failed
+
+    def _clear(self, number: int | None, by: str) -> Cleared:
+        names = {fault: self._names(fault) for fault in self.memory.faults}
+        numbers = self.memory.clear(number)
+        named, seq, wall = self._scribe.next()
+        cleared = Cleared(schema=CLEARED, id=named, seq=seq, wall=wall, numbers=numbers, by=by)
+        gone: dict[str, bytes | None] = dict.fromkeys(chain.from_iterable(names[each] for each in numbers))
+        gone["memory"] = msgspec.json.encode(self.memory.remembered)  # the overflow flag
+        self._put([Record(seq, "fault", encode_record(cleared))], gone)
+        return cleared
+
+    def frames(self, number: int) -> dict[str, msgspec.Raw]:
+        """The freeze frames of a fault: `first`, and `latest` where it occurred again."""
+        found = ((name.rpartition("/")[2], self._journal.kept.get(name)) for name in self._names(number)[1:])
+        return {which: msgspec.Raw(text) for which, text in found if text is not None}
+
+    def _see(self, here: Observed, sample: Sample) -> None:
+        with self._surviving():
+            here.recorder.add(sample)
+            news = self.memory.tick(here.name, sample.mode, sample.usable, sample.suspicious)
+            if news:
+                event = self.memory.told(here.name)
+                self._tell([], news, self._framed(here, news, event) if event is not None else {})
+
+    def _hear(self, here: Observed, event: Event) -> None:
+        record = Record(event.seq, "event", encode(event))
+        is_put = False
+        with self._surviving():
+            sample = here.recorder.latest
+            showing = [*sample.showing] if sample else []
+            if not self._journal.is_open:
+                self._unkept.append((here, event, showing))
+            news = self.memory.event(here.name, event, showing)
+            self._tell([record], news, self._framed(here, news, event))
+            is_put = True
+        if not is_put:
+            self._put([record], {})  # it is told whatever becomes of the memory
+
+    @contextmanager
+    def _surviving(self) -> Iterator[None]:
+        """Ends what is in it where that fails; the memory then goes on with what the store has, as after a restart."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 diagnosis goes on whatever the memory does: that is told
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            failure = f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
+            if failure != self._failure or self._now - self._failed_at >= FAILED_S:
+                self._say(f"the fault memory failed, and goes on with what is kept: {failure}")
+            self._failed_at, self._failure = self._now, failure
+            self.begin()
+
+    def _framed(self, here: Observed, news: Iterable[News], event: Event) -> dict[str, bytes]:
+        """The freeze frames of what has failed, by their names in the store."""
+        frames: dict[str, bytes] = {}
+        for each in news:
+            if each.change in FRAMED and here.recorder.holds(event.tick):
+                first, latest = self._names(each.fault.number)[1:]
+                name = latest if first in self._journal.kept else first
+                frame = here.recorder.frame(event, self._standing(), here.counters)
+                here.unfinished[name], frames[name] = frame, msgspec.json.encode(frame)
+        return frames
+
+    def _follow(self, steps: Iterable[str]) -> None:
+        for step in steps:
+            news = self.memory.begin_cycle(self.cycle) if step == "begun" else self.memory.end_cycle()
+            self._tell([], news, {"cycle": msgspec.json.encode(self._cycle.cycle)})
+
+    def _tell(self, records: list[Record], news: Sequence[News], kept: dict[str, bytes] | None = None) -> None:
+        """Puts the records, those of what has become of faults, and what is kept of it: all of it or nothing."""
+        rows: dict[str, bytes | None] = {}
+        for change, fault in news:
+            if change is not None:
+                named, seq, wall = self._scribe.next()
+                record = FaultRecord(schema=SCHEMA, id=named, seq=seq, wall=wall, change=change, fault=fault)
+                records.append(Record(seq, "fault", encode_record(record)))
+            if fault.number not in self.memory.faults:
+                rows.update(dict.fromkeys(self._names(fault.number)))
+            elif change == "withdrawn":  # the latest frame is of what it was not
+                latest = self._names(fault.number)[2]
+                rows[latest] = None
+                for here in self.observed.values():
+                    here.unfinished.pop(latest, None)
+                rows[self._names(fault.number)[0]] = msgspec.json.encode(fault)
+            else:
+                rows[self._names(fault.number)[0]] = msgspec.json.encode(self.memory.faults[fault.number])
+        self._put(records, {**rows, **(kept or {})})
+
+    def _put(self, records: Sequence[Record], rows: dict[str, bytes | None]) -> None:
+        if rows:
+            rows["memory"] = msgspec.json.encode(self.memory.remembered)
+        self._journal.put(*records, kept=rows)
+
+    def _names(self, number: int) -> list[str]:
+        """Under which a fault and its freeze frames are kept."""
+        return [f"fault/{number}", f"frame/{number}/first", f"frame/{number}/latest"]
+
+    def _kept(self, names: Iterable[str], kind: type[T]) -> Iterator[T]:
+        for name in names:
+            text = self._journal.kept.get(name)
+            if text is None:
+                continue
+            try:
+                value = msgspec.json.decode(text, type=kind)
+                if isinstance(value, Fault):
+                    check(value, name)
+            except Exception as error:  # noqa: BLE001 whatever is wrong with it: it is set aside, and that is told
+                self._put_aside(name, one_line(error))
+            else:
+                yield value
+
+    def _put_aside(self, name: str, why: str) -> None:
+        """Keeps a row under another name, which nobody reads and nothing is written to."""
+        aside = f"unreadable/{name}"
+        while aside in self._journal.kept:
+            aside += "+"
+        self._say(f"the store's {name} cannot be read ({why}); it is kept as {aside}")
+        self._journal.remember({name: None, aside: self._journal.kept[name]})
+        self._set_aside = True
+
+
+def _named(kind: str, rows: Iterable[str]) -> list[str]:
+    return [name for name in rows if name.startswith(f"{kind}/")]

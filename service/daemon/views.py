@@ -1,0 +1,107 @@
+"""Messages made of what the service knows: buses, systems, what their names mean, and the newest tick."""
+
+import msgspec
+import numpy as np
+
+from faultline.service.core.manifest import MODES
+from faultline.service.core.records.discrimination import separations
+from faultline.service.core.signals.values import Quality, Vector
+from faultline.service.daemon.remembering import Observed
+from faultline.service.daemon.watched import Line
+from faultline.service.protocol.answers import BusStatus, SystemStatus
+from faultline.service.protocol.live import (
+    DisturbanceMeaning,
+    EquationMeaning,
+    FaultMeaning,
+    GeneratorMeaning,
+    LiveTick,
+    Signal,
+    SystemDescription,
+)
+
+
+def bus_status(line: Line) -> BusStatus:
+    """A bus, with its counts."""
+    counts = line.bus.counts
+    return BusStatus(
+        name=line.name,
+        interface=line.interface,
+        frames=counts.frames,
+        dropped=line.bus.dropped,
+        errors=counts.errors,
+        trouble=line.bus.trouble,
+    )
+
+
+def system_status(here: Observed) -> SystemStatus:
+    """A system, and what its tests say now."""
+    latest = here.recorder.latest
+    named = SystemStatus(
+        name=here.name,
+        bundle=here.bundle.id,
+        bus=here.line.name,
+        cannot_tell=[generator.test for generator in here.bundle.manifest.generators],
+    )
+    if latest is None:
+        return named
+    return msgspec.structs.replace(
+        named,
+        tick=latest.tick,
+        alarm=latest.alarm,
+        cannot_tell=latest.cannot_tell,
+        suspected=latest.suspected,
+        anomaly=latest.suspicious,
+        diagnoses=latest.diagnoses,
+    )
+
+
+def description(here: Observed) -> SystemDescription:
+    """What the names of a bundle mean, for who shows live values."""
+    manifest = here.bundle.manifest
+    return SystemDescription(
+        name=here.name,
+        bundle=here.bundle.id,
+        version=manifest.version,
+        sensor_set=manifest.sensor_set,
+        period_s=manifest.period_s,
+        modes=[*MODES],
+        inputs=msgspec.convert(manifest.inputs, list[Signal], from_attributes=True),
+        generators=msgspec.convert(manifest.generators, list[GeneratorMeaning], from_attributes=True),
+        detectors=msgspec.to_builtins(manifest.detectors),
+        faults=msgspec.convert(manifest.faults, list[FaultMeaning], from_attributes=True),
+        disturbances=msgspec.convert(manifest.disturbances, list[DisturbanceMeaning], from_attributes=True),
+        equations=msgspec.convert(manifest.equations, list[EquationMeaning], from_attributes=True),
+    )
+
+
+def live_tick(here: Observed, sent: int) -> tuple[int, bytes] | None:
+    """The newest tick of a system, by its number, as a line; None where that was `sent`, or there is none."""
+    latest = here.recorder.latest
+    if latest is None or latest.tick == sent:
+        return None
+    manifest = here.bundle.manifest
+    tick = LiveTick(
+        system=here.name,
+        bundle=here.bundle.id,
+        tick=latest.tick,
+        t_s=round(latest.tick * manifest.period_s, 3),
+        mode=MODES[latest.mode],
+        z=_numbers(latest.z),
+        quality=[Quality(each).name.lower() for each in latest.quality],
+        y_hat=_numbers(latest.y_hat),
+        r=_numbers(latest.r),
+        sigma=_numbers(latest.sigma),
+        sums=_numbers(latest.sums),
+        usable=latest.usable.tolist(),
+        alarm=latest.alarm,
+        cannot_tell=latest.cannot_tell,
+        suspected=latest.suspected,
+        anomaly=latest.suspicious,
+        diagnoses=latest.diagnoses,
+        separating=separations(manifest.generators, latest.diagnoses, latest.cannot_tell),
+    )
+    return latest.tick, msgspec.json.encode(tick) + b"\n"
+
+
+def _numbers(values: Vector) -> list[float | None]:
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
