@@ -9,8 +9,6 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import ParamSpec, TypeVar
 
-import cloudpickle
-
 P = ParamSpec("P")
 T = TypeVar("T")
 FOLDER = "FAULTLINE_TESTS_MADE"
@@ -45,6 +43,8 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 
 def _kept(folder: Path, asked: str, make: Callable[[], T]) -> T:
+    import cloudpickle  # the vehicle's environment has none, and makes nothing of this kind
+
     file = folder / hashlib.sha256(asked.encode()).hexdigest()
     with file.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
