@@ -12,7 +12,7 @@ from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.fault import Fault
-from faultline.service.core.records.freeze_frame import Frame
+from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.protocol.client import ControlClient
 from faultline.service.protocol.errors import ProtocolError
 
@@ -75,7 +75,7 @@ def _show(control: ControlClient, options: argparse.Namespace) -> int:
     for which, frame in answer["frames"].items():
         if frame is not None:
             print(f"\n{'when it was told first' if which == 'first' else 'the last time'}:")
-            print("\n".join(_frame(msgspec.convert(frame, Frame))))
+            print("\n".join(_frame(msgspec.convert(frame, FreezeFrame))))
     return 0
 
 
@@ -168,7 +168,7 @@ def _history(fault: Fault) -> list[str]:
     ]
 
 
-def _frame(frame: Frame) -> list[str]:
+def _frame(frame: FreezeFrame) -> list[str]:
     """A freeze frame for a person."""
     return [
         f"  {_when(frame.wall)}, {frame.t_s:g} s into the drive, mode {frame.mode}, event {frame.event}",

@@ -71,14 +71,14 @@ def _screens(options: argparse.Namespace) -> Path | None:
 def _show(
     control: Path, events: Path, system: str | None, faults: Mapping[str, Fault], equations: Mapping[str, Equation]
 ) -> int:
-    from faultline.service.watching.hearing import Hearing  # what only a screen needs
+    from faultline.service.watching.live_client import LiveClient  # what only a screen needs
     from faultline.service.watching.show import show
 
     def in_one_line(line: bytes) -> str:
         parts = (part.strip() for part in described(line, events, faults, equations).splitlines())
         return "; ".join(parts).replace(":;", ":")
 
-    return show(Hearing(control, system, lambda after: subscribe(events, after), in_one_line))
+    return show(LiveClient(control, system, lambda after: subscribe(events, after), in_one_line))
 
 
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:

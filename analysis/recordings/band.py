@@ -7,14 +7,14 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 
 class Grid(NamedTuple):
     """A signal (N,) at uniform times `t` (N,) [s], and where it is known."""
 
-    t: Vector
-    value: Vector
+    t: FloatArray
+    value: FloatArray
     known: Mask
 
     @property
@@ -26,7 +26,7 @@ class Grid(NamedTuple):
         """Without changes slower than `slow_s` [s], zero-phase; 0 where it is not known."""
         return self._replace(value=np.where(self.known, self.value - self.slow(slow_s), 0.0))
 
-    def slow(self, slow_s: float) -> Vector:
+    def slow(self, slow_s: float) -> FloatArray:
         """The mean under a bell of standard deviation `slow_s` [s] over what is known."""
         width = slow_s / self.step_s
         weight = gaussian_filter1d(self.known.astype(float), width, mode="constant")

@@ -11,7 +11,7 @@ from faultline.analysis.recordings.track import Track, known_part
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.values import Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.logs import Frame, LogReport, Recording, load_recording, read_log
 
 REFERENCE = "y_p_ap"
@@ -24,8 +24,8 @@ ECU_UNITS = {"y_p_du": "Pa", "n_p": "1/s", "dc_dose": "1"}
 class Ecu:
     """The controller's own samples: `t` (N,) [s] after the first frame; by signal (N,) in SI units, NaN where off."""
 
-    t: Vector
-    values: dict[str, Vector]
+    t: FloatArray
+    values: dict[str, FloatArray]
 
     def track(self, name: str) -> Track:
         """The samples of a signal that have a value."""

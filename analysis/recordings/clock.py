@@ -19,7 +19,7 @@ from faultline.analysis.recordings.steps import shared
 from faultline.analysis.recordings.track import Track
 from faultline.analysis.recordings.windows import STEP_S, Pressures, pressures
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 REACH_S = 0.5  # of the coarse lag, besides the drift
 PROBES_S = (0.2, 0.4)
@@ -67,7 +67,7 @@ class Clock(NamedTuple):
         """Whether the alignment is known to be right."""
         return not self.doubt
 
-    def can_time(self, t: Vector) -> Vector:
+    def can_time(self, t: FloatArray) -> FloatArray:
         """Logger times [s] on the CAN clock."""
         return self.offset_s + (1.0 + self.drift) * t
 
@@ -137,7 +137,7 @@ def _felt(p_ap: Track, slow_s: float) -> Track:
 def _fit(ready: Pressures, lag: float, slow_s: float, span: float) -> _Fit | None:
     """None where p_ap explains nothing of p_du."""
     reach = round((REACH_S + MOST_DRIFT * span / 2) / STEP_S)
-    offsets: Vector = lag - slow_s + np.arange(-reach, reach + 1) * np.float64(STEP_S)
+    offsets: FloatArray = lag - slow_s + np.arange(-reach, reach + 1) * np.float64(STEP_S)
     found = line(ready.windows(offsets, slow_s), offsets)
     return None if found is None or found.likelihood <= 0 else _Fit(lag, slow_s, found)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from faultline.analysis.recordings.rows import read_rows
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.recording import External, Table
 
 OTHER_UNIT = 20.0  # times the table's highest voltage: no sensor gives that, another unit does
@@ -26,7 +26,7 @@ class Channel:
     `blank` cells held no number, `outside` ones lay beyond its `table`, as with a wire that is off or shorted.
     """
 
-    pressure: Vector
+    pressure: FloatArray
     table: Table
     blank: int
     outside: int
@@ -39,7 +39,7 @@ class Samples:
     `bad_rows` of the file could not be used; `told` is the first of them.
     """
 
-    t: Vector
+    t: FloatArray
     channels: dict[str, Channel]
     bad_rows: int
     told: str
@@ -61,7 +61,7 @@ def read_external(folder: Path, external: External) -> Samples:
     return Samples(rows.columns[0], channels, rows.bad, rows.told)
 
 
-def _channel(volts: Vector, table: Table, where: str) -> Channel:
+def _channel(volts: FloatArray, table: Table, where: str) -> Channel:
     """Piecewise linear; NaN outside the table, where the sensor or its wire is broken."""
     known = np.isfinite(volts)
     pressure = np.interp(volts, table.volts, table.pascal, left=np.nan, right=np.nan)

@@ -8,7 +8,7 @@ from cantools.database.can.signal import Signal
 
 from faultline.analysis.recordings.track import Mask
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs import Frame
 
 MESSAGE = "UDS_SENSORS"
@@ -34,7 +34,7 @@ def sensor_message(database: Database, signals: Iterable[str], where: str) -> Me
     return message
 
 
-def sensor_frames(message: Message, t: Vector, pressures: Mapping[str, Vector]) -> list[Frame]:
+def sensor_frames(message: Message, t: FloatArray, pressures: Mapping[str, FloatArray]) -> list[Frame]:
     """One frame per sample: `t` (N,) [s], `pressures` (N,) [Pa] by signal, NaN and out of range as not available."""
     columns = {
         signal.name: _raw(signal, pressures[signal.name] if signal.name in pressures else np.full(len(t), np.nan))
@@ -51,7 +51,7 @@ def sensor_frames(message: Message, t: Vector, pressures: Mapping[str, Vector]) 
     ]
 
 
-def clipped(message: Message, pressures: Mapping[str, Vector]) -> dict[str, int]:
+def clipped(message: Message, pressures: Mapping[str, FloatArray]) -> dict[str, int]:
     """How many values of each signal lie beyond its range, and so are not available on the bus."""
     signals = {signal.name: signal for signal in message.signals}
     return {
@@ -60,18 +60,18 @@ def clipped(message: Message, pressures: Mapping[str, Vector]) -> dict[str, int]
     }
 
 
-def _raw(signal: Signal, pressure: Vector) -> list[int]:
+def _raw(signal: Signal, pressure: FloatArray) -> list[int]:
     """Raw values: rounded, all ones (not available, SAE J1939-71) where there is no value within the signal's range."""
     value = _in_unit(signal, pressure)
     raw, known = np.round((value - float(signal.offset)) / float(signal.scale)), _within(signal, value)
     return [int(number) if good else (1 << signal.length) - 1 for number, good in zip(raw, known, strict=True)]
 
 
-def _in_unit(signal: Signal, pressure: Vector) -> Vector:
+def _in_unit(signal: Signal, pressure: FloatArray) -> FloatArray:
     return pressure / PASCAL.get(signal.unit or "", 1.0)
 
 
-def _within(signal: Signal, value: Vector) -> Mask:
+def _within(signal: Signal, value: FloatArray) -> Mask:
     """Which values are numbers in the signal's range."""
     top = float(signal.maximum if signal.maximum is not None else np.inf)
     bottom = float(signal.minimum if signal.minimum is not None else -np.inf)

@@ -20,7 +20,7 @@ from faultline.analysis.recordings.track import known_part
 from faultline.analysis.recordings.uniform import uniform
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 SAME_PRESSURE = 0.9
 """Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""
@@ -123,7 +123,7 @@ def _check_columns(bench: Bench) -> None:
     check_drop(bench.p_ap.value, bench.p_du.value, f"{bench.where}: {REFERENCE}")
 
 
-def _can_log(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> tuple[str, dict[str, int]]:
+def _can_log(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> tuple[str, dict[str, int]]:
     """The log with the added sensors' frames, and how many samples of each are beyond its range on CAN."""
     database = load_string(bench.dbc.decode(), "dbc", strict=True)
     assert isinstance(database, Database)  # compile_dbc has read it
@@ -135,7 +135,7 @@ def _can_log(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> tuple[str
     return candump(sorted([*bench.frames, *added], key=lambda frame: frame.t)), clipped(message, pressures)
 
 
-def _uniform(bench: Bench, t: Vector, pressures: dict[str, Vector]) -> str:
+def _uniform(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> str:
     tracks = {signal: known_part(t, pressure) for signal, pressure in sorted(pressures.items(), reverse=True)}
     tracks |= {name: bench.ecu.track(name) for name in ECU_UNITS}
     grid, signals = uniform(tracks)

@@ -12,7 +12,7 @@ from scipy.signal import correlate
 
 from faultline.analysis.recordings.band import Grid, gridded
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 STEP_S = 0.1  # of the lags
 SLOW_S = 2.0  # slower changes do not help to find a time
@@ -26,9 +26,9 @@ WORTH = 0.5  # of the best score, what a candidate has at least
 class Likeness(NamedTuple):
     """Correlation and score (L,) over the lags (L,) [s], CAN time less logger time; NaN where too little overlaps."""
 
-    lag: Vector
-    correlation: Vector
-    score: Vector
+    lag: FloatArray
+    correlation: FloatArray
+    score: FloatArray
 
     def candidates(self) -> list[float]:
         """The lags [s] of the highest separate peaks, best first; none where nothing is alike."""
@@ -70,5 +70,5 @@ def _fast(track: Track) -> Grid:
     return fast._replace(known=clear, value=np.where(clear, fast.value, 0.0))
 
 
-def _across(x: Vector | Mask, y: Vector | Mask) -> Vector:
+def _across(x: FloatArray | Mask, y: FloatArray | Mask) -> FloatArray:
     return np.asarray(correlate(x.astype(np.float64), y.astype(np.float64), method="fft"), dtype=np.float64)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from faultline.analysis.recordings.windows import Window
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 STRAY = 12.0  # log likelihood: further from its best a window says no more than that it disagrees
 CLEAR = 6.0  # log likelihood: a window whose best is not this far above its median tells nothing
@@ -33,7 +33,7 @@ class Line(NamedTuple):
     middle: float
     level: float
     slope: float
-    covariance: Vector
+    covariance: FloatArray
     agreeing: list[Offset]
     straying: list[Offset]
     likelihood: float
@@ -48,7 +48,7 @@ class Line(NamedTuple):
         return float(np.sqrt(a @ self.covariance @ a))
 
 
-def line(windows: list[Window], offsets: Vector) -> Line | None:
+def line(windows: list[Window], offsets: FloatArray) -> Line | None:
     """The line that is likeliest over all windows (offsets tried (S,), uniform); None where no window agrees with one.
 
     It is found on the grid, where a stray window counts no more than `STRAY`, then refined by least squares through the
@@ -77,7 +77,7 @@ def line(windows: list[Window], offsets: Vector) -> Line | None:
     return _refined(agreeing)._replace(straying=straying, likelihood=total)
 
 
-def _coarse(t: Vector, likelihood: Vector, offsets: Vector, step: float) -> tuple[float, float, float]:
+def _coarse(t: FloatArray, likelihood: FloatArray, offsets: FloatArray, step: float) -> tuple[float, float, float]:
     """Middle [s], level [s] and slope of the likeliest line on the grid."""
     middle = 0.5 * float(t[0] + t[-1])
     reach = 0.5 * float(t[-1] - t[0])
@@ -94,7 +94,7 @@ def _coarse(t: Vector, likelihood: Vector, offsets: Vector, step: float) -> tupl
     return middle, best[1], best[2]
 
 
-def _vertex(y: Vector, step: float) -> tuple[float, float]:
+def _vertex(y: FloatArray, step: float) -> tuple[float, float]:
     """Of the parabola through three log likelihoods: its maximum beside the middle one, and the standard deviation."""
     curvature = float(2 * y[1] - y[0] - y[2]) / step**2
     if curvature <= 0:

@@ -15,7 +15,7 @@ from faultline.service.core.residuals.observer import Decoder, Observer, Tick
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
-from faultline.service.core.signals.values import Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Mask
 from faultline.service.logs import Frame, Log, LogError, open_log
 
 START_WITHIN_S = 5.0
@@ -24,7 +24,7 @@ START_WITHIN_S = 5.0
 class Blind:
     """Generators that compute nothing: only the samples are wanted."""
 
-    def step(self, z: Vector, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask) -> Residuals:
         """Nothing of nothing."""
         del z, usable
         none = np.zeros(0)

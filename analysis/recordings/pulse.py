@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from faultline.analysis.recordings.track import Track
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 LOWEST_HZ, HIGHEST_HZ = 1.0, 9.0
 PARTIAL = (0.05, 0.95)  # doses with a ripple to speak of
@@ -41,7 +41,7 @@ class Pulse(NamedTuple):
     phase: float
     explained: float
 
-    def share(self, dose: Track, t: Vector, period_s: float) -> Vector:
+    def share(self, dose: Track, t: FloatArray, period_s: float) -> FloatArray:
         """The share (K,) of the time from `t` - `period_s` to `t` (K,) [s] in which the valve was open.
 
         A new duty cycle takes effect with the next pulse, as a timer's shadow register does.
@@ -53,7 +53,7 @@ class Pulse(NamedTuple):
         width = np.clip(duty, 0.0, 1.0) / self.frequency_hz  # [s]
         before = np.concatenate([[0.0], np.cumsum(width)[:-1]])
 
-        def opened(at: Vector) -> Vector:
+        def opened(at: FloatArray) -> FloatArray:
             k = np.searchsorted(starts, at, side="right") - 1
             return np.asarray(before[k] + np.minimum(at - starts[k], width[k]))
 
@@ -93,9 +93,9 @@ def estimate_pulse(p_ap: Track, p_du: Track, dose: Track, frequency_hz: float | 
 class _Ripple(NamedTuple):
     """What a pressure has about its running mean [Pa], at times `t` [s] of partial dose `duty` (N,)."""
 
-    t: Vector
-    value: Vector
-    duty: Vector
+    t: FloatArray
+    value: FloatArray
+    duty: FloatArray
 
 
 def _ripple(track: Track, dose: Track) -> _Ripple:
@@ -108,7 +108,7 @@ def _ripple(track: Track, dose: Track) -> _Ripple:
     return _Ripple(track.t[steady], (track.value - mean)[steady], duty[steady])
 
 
-def _power(ripple: _Ripple, grid: Vector) -> Vector:
+def _power(ripple: _Ripple, grid: FloatArray) -> FloatArray:
     """Share (F,) of the ripple that pulses of each frequency on the uniform grid (F,) [Hz] explain, nearly."""
     weight = np.sin(np.pi * ripple.duty)
     phasor: npt.NDArray[np.complex128] = (

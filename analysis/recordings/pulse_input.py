@@ -16,7 +16,7 @@ from faultline.analysis.recordings.pulse import Pulse, PulseError
 from faultline.analysis.recordings.track import Mask, Track
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import PARTIAL
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 BLOCK = 50  # ticks, 10 s, which hardly know of each other
 MATTERS = 0.02  # of the variance
@@ -65,7 +65,7 @@ def choose_input(
     z = np.array([ticks[k].z for k in latest])
     t = np.array([tick.t_s for tick in ticks[first:]])
 
-    def residuals(inputs: Vector) -> Vector:
+    def residuals(inputs: FloatArray) -> FloatArray:
         return np.asarray(some.simulate([{}], inputs, some.start(z[0]))[counted[first:], 0])
 
     with_duty, with_pulses = residuals(z), {}
@@ -90,7 +90,7 @@ def _counted(ticks: Sequence[Tick], usable: Mask, warm_up: int) -> Mask:
     return np.asarray(counted)
 
 
-def _choice(test: str, predicts: str, duty: Vector, pulses: Vector) -> InputChoice:
+def _choice(test: str, predicts: str, duty: FloatArray, pulses: FloatArray) -> InputChoice:
     square_duty, square_pulses = ((r - r.mean()) ** 2 for r in (duty, pulses))
     difference = square_pulses - square_duty
     blocks = np.array([block.mean() for block in np.array_split(difference, len(difference) // BLOCK)])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs import LogError
 
 SEPARATORS = (";", "\t", ",")
@@ -25,7 +25,7 @@ class Rows:
     `bad` rows had no usable time or another number of cells; `told` is the first of them.
     """
 
-    columns: Vector
+    columns: FloatArray
     bad: int
     told: str
 

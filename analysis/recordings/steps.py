@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from faultline.analysis.recordings.band import gridded
 from faultline.analysis.recordings.track import Track
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 GRID_S = 0.1
 SMOOTH_S = 0.3
@@ -64,7 +64,7 @@ def _seen(track: Track, step: Step) -> bool:
 
 def _found(mine: list[Step], others: list[Step]) -> float:
     """The sizes [Pa] of my steps that the others have too, summed."""
-    t: Vector = np.array([step.t for step in others])
+    t: FloatArray = np.array([step.t for step in others])
     total = 0.0
     for step in mine:
         near = [others[k].change for k in np.flatnonzero(np.abs(t - step.t) <= TOGETHER_S)]

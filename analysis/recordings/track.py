@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.values import Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.logs import Frame
 
 SILENT_S = 1.0
@@ -21,8 +21,8 @@ Mask = npt.NDArray[np.bool_]
 class Track(NamedTuple):
     """A signal at times `t` (N,) [s], increasing, with values (N,)."""
 
-    t: Vector
-    value: Vector
+    t: FloatArray
+    value: FloatArray
 
     @property
     def period_s(self) -> float:
@@ -39,11 +39,11 @@ class Track(NamedTuple):
         wide = np.flatnonzero(np.diff(self.t) > max(SILENT_S, SILENT_PERIODS * self.period_s)) + 1
         return [Track(*part) for part in zip(np.split(self.t, wide), np.split(self.value, wide), strict=True)]
 
-    def at(self, t: Vector) -> Vector:
+    def at(self, t: FloatArray) -> FloatArray:
         """Values at times `t` (K,) [s], linear between samples; whether they are known says `known`."""
         return np.asarray(np.interp(t, self.t, self.value))
 
-    def known(self, t: Vector, margin_s: float = 0.0) -> Mask:
+    def known(self, t: FloatArray, margin_s: float = 0.0) -> Mask:
         """Which of the times `t` (K,) [s] lie within the track, outside its gaps, and `margin_s` away from both."""
         inside = (t >= self.t[0] + margin_s) & (t <= self.t[-1] - margin_s)
         for begin, end in self.gaps():
@@ -51,7 +51,7 @@ class Track(NamedTuple):
         return np.asarray(inside)
 
 
-def known_part(t: Vector, value: Vector) -> Track:
+def known_part(t: FloatArray, value: FloatArray) -> Track:
     """The samples that have a value."""
     good = np.isfinite(value)
     return Track(t[good], value[good])

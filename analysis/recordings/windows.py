@@ -14,7 +14,7 @@ import numpy as np
 
 from faultline.analysis.recordings.band import Grid, gridded
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 STEP_S = 0.02  # of the offsets
 SMOOTH_S = 0.15  # of p_ap, one or two samples of the second logger
@@ -31,7 +31,7 @@ class Window(NamedTuple):
     """A window: its middle `t` [s, CAN time], and the log likelihood (S,) of each offset that was tried."""
 
     t: float
-    likelihood: Vector
+    likelihood: FloatArray
 
 
 class Pressures(NamedTuple):
@@ -42,14 +42,14 @@ class Pressures(NamedTuple):
 
     p_ap: Grid
     clear_p_ap: Mask
-    t: Vector
-    p_du: Vector
-    raw_p_du: Vector
-    dose: Vector
-    late_dose: Vector
+    t: FloatArray
+    p_du: FloatArray
+    raw_p_du: FloatArray
+    dose: FloatArray
+    late_dose: FloatArray
     clear_p_du: Mask
 
-    def windows(self, offsets: Vector, lag_s: float = 0.0) -> list[Window]:
+    def windows(self, offsets: FloatArray, lag_s: float = 0.0) -> list[Window]:
         """The windows over all that both know, for offsets (S,) [s] and a sensor of p_du that is this slow [s]."""
         felt = self.p_ap.slowed(lag_s).fast(SLOW_S)
         usable = self.clear_p_du & self._meets(self.t - offsets[0]) & self._meets(self.t - offsets[-1])
@@ -71,7 +71,7 @@ class Pressures(NamedTuple):
                 found.append(Window(float(t.mean()), _likelihood(y, x, around)))
         return found
 
-    def _meets(self, t: Vector) -> Mask:
+    def _meets(self, t: FloatArray) -> Mask:
         """Which logger times fall where p_ap is clear."""
         place = np.searchsorted(self.p_ap.t, t)
         inside = (place > 0) & (place < len(self.p_ap.t))
@@ -93,19 +93,19 @@ def pressures(p_ap: Track, p_du: Track, dose: Track, smooth_s: float = SMOOTH_S)
     )
 
 
-def _fast(track: Track, t: Vector) -> Vector:
+def _fast(track: Track, t: FloatArray) -> FloatArray:
     """High-passed, at times `t` (N,) [s]; the samples themselves are not smoothed."""
     grid = gridded(track, STEP_S)
     return np.asarray(track.at(t) - np.interp(t, grid.t, grid.slow(SLOW_S)))
 
 
-def _slope(y: Vector, x: Vector) -> float:
+def _slope(y: FloatArray, x: FloatArray) -> float:
     """Of y (n,) over x (n,); 0 where x does not change."""
     x = x - x.mean()
     return float(np.sum(x * y) / max(np.sum(x**2), 1e-6))
 
 
-def _likelihood(y: Vector, x: Vector, t: Vector) -> Vector:
+def _likelihood(y: FloatArray, x: FloatArray, t: FloatArray) -> FloatArray:
     """(S,) of the model above: samples `y` (n,), candidates `x` (S, n) for p_ap, times `t` (n,) of mean 0."""
     q = np.column_stack([np.full(len(t), len(t) ** -0.5), t / np.linalg.norm(t)])
     x, y = x - (x @ q) @ q.T, y - q @ (q.T @ y)

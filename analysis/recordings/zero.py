@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 ATMOSPHERE = 101_325.0  # Pa, what the project's model takes for the tank too
 TURNING = 0.5  # rev/s, from which the pump runs
@@ -31,7 +31,7 @@ class LevelError(InputError):
     """A sensor that reads at atmospheric pressure what it cannot."""
 
 
-def standstill(t: Vector, n_p: Vector, y_p_du: Vector, ambient: float = ATMOSPHERE) -> float:
+def standstill(t: FloatArray, n_p: FloatArray, y_p_du: FloatArray, ambient: float = ATMOSPHERE) -> float:
     """Until when [s] the pump stands still in a drained system from the first sample on; 0 where it is too short.
 
     `t`, `n_p` [rev/s] and `y_p_du` [Pa] are (N,) samples from the CAN log, `ambient` [Pa] is the pressure around it.
@@ -44,7 +44,7 @@ def standstill(t: Vector, n_p: Vector, y_p_du: Vector, ambient: float = ATMOSPHE
     return end
 
 
-def ambient_seen(added: Iterable[Vector], y_p_du: Vector) -> float:
+def ambient_seen(added: Iterable[FloatArray], y_p_du: FloatArray) -> float:
     """Return the ambient pressure [Pa] by readings (N,) [Pa] at standstill; the standard one unless all contradict it.
 
     They do where y_p_du, which the controller trims itself, lies further from it than weather goes, and each of the
@@ -56,7 +56,7 @@ def ambient_seen(added: Iterable[Vector], y_p_du: Vector) -> float:
     return ATMOSPHERE + off if off is not None and alike and abs(off) > WEATHER else ATMOSPHERE
 
 
-def check_level(pressure: Vector, where: str, ambient: float = ATMOSPHERE) -> None:
+def check_level(pressure: FloatArray, where: str, ambient: float = ATMOSPHERE) -> None:
     """Refuses readings (N,) [Pa] at standstill, NaN left out, that are steady and far from `ambient` [Pa].
 
     Raises:
@@ -71,7 +71,7 @@ def check_level(pressure: Vector, where: str, ambient: float = ATMOSPHERE) -> No
         )
 
 
-def check_drop(p_ap: Vector, p_du: Vector, where: str) -> None:
+def check_drop(p_ap: FloatArray, p_du: FloatArray, where: str) -> None:
     """Refuses y_p_ap (N,) [Pa] if, under pressure, it is far below y_p_du (M,), which is downstream of it.
 
     NaN are left out. The clocks need not be known: a wrong table may be why they cannot be.
@@ -90,7 +90,7 @@ def check_drop(p_ap: Vector, p_du: Vector, where: str) -> None:
         )
 
 
-def zero_error(pressure: Vector, ambient: float = ATMOSPHERE) -> float | None:
+def zero_error(pressure: FloatArray, ambient: float = ATMOSPHERE) -> float | None:
     """Mean reading less the ambient pressure [Pa], without outliers; None where it cannot be a zero error.
 
     `pressure` (N,) [Pa] are the sensor's readings at standstill; NaN are left out.

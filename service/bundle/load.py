@@ -17,7 +17,7 @@ from faultline.service.core.residuals.generators import GeneratorBank, Residuals
 from faultline.service.core.residuals.graph_file import GraphError, check_graph_file
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 T = TypeVar("T")
 
@@ -128,7 +128,7 @@ def verify_golden(bundle: Bundle) -> None:
     _verify_shift(bundle, residuals, tolerance)
 
 
-def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: Vector) -> None:
+def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -> None:
     """Whether the hypotheses come to what was exported: `residuals` after the last golden vector."""
     if not bundle.manifest.evidence.hypotheses:
         return

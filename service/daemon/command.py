@@ -22,10 +22,10 @@ from faultline.service.daemon.config import (
     named,
 )
 from faultline.service.daemon.loop import Loop
+from faultline.service.daemon.pipeline import BusChannel, watched
 from faultline.service.daemon.refused import Loader, RefusedBundles
 from faultline.service.daemon.reload import Reload
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import Line, watched
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.outputs.socket import RING, EventSocket
 from faultline.service.store.journal import Journal
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
             opened.enter_context(line.bus)
         reload = None if options.config is None else Reload(options.config, config, lines, _trust, load, _say)
         loop = Loop(
-            *(Scribe(config.source, journal.last), lines, journal, subscribers, notifier, _say),
+            *(Sequencer(config.source, journal.last), lines, journal, subscribers, notifier, _say),
             reload=reload,
             refused=RefusedBundles(refused, load, config.source, options.speed),
             control=control,
@@ -164,7 +164,7 @@ def _loaded(
 
 def _lines(
     config: Config, bundles: Sequence[tuple[BundleConfig, Bundle]], speed: float, *, required: bool
-) -> list[Line]:
+) -> list[BusChannel]:
     """The buses, opened, each with what listens to it."""
     lines = []
     for bus in config.bus:
@@ -172,5 +172,5 @@ def _lines(
         wanted = {one for _, bundle in here for one in bundle.table.wanted}
         opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
         watching = [watched(bundle, config.source, speed, place=place) for place, bundle in here]
-        lines.append(Line(bus.name, opened, watching, _say, bus.interface))
+        lines.append(BusChannel(bus.name, opened, watching, _say, bus.interface))
     return lines

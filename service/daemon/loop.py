@@ -28,13 +28,13 @@ from faultline.service.core.records.health import (
     encode_health,
     meaning,
 )
-from faultline.service.daemon.answers import Answerer
 from faultline.service.daemon.clocks import Clocks
 from faultline.service.daemon.config import MemoryConfig
+from faultline.service.daemon.control_server import ControlServer
+from faultline.service.daemon.fault_recorder import FaultRecorder
+from faultline.service.daemon.pipeline import BusChannel
 from faultline.service.daemon.refused import RefusedBundles
-from faultline.service.daemon.remembering import Remembering
-from faultline.service.daemon.scribe import Scribe, now
-from faultline.service.daemon.watched import Line
+from faultline.service.daemon.sequencer import Sequencer, now
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.outputs.journald import Journald
 from faultline.service.outputs.socket import EventSocket
@@ -57,8 +57,8 @@ class Loop:
 
     def __init__(
         self,
-        scribe: Scribe,
-        lines: Sequence[Line],
+        scribe: Sequencer,
+        lines: Sequence[BusChannel],
         journal: Journal,
         subscribers: EventSocket,
         notifier: Notifier,
@@ -83,13 +83,13 @@ class Loop:
         self._since = _stood(journal.health)  # wall clock
         self._conditions = Conditions(self._since, clock())
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
-        self._registered: dict[Line, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
-        self._remembering = Remembering(
+        self._registered: dict[BusChannel, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
+        self._remembering = FaultRecorder(
             *(scribe, journal, lines, memory, memory.frame_s, boot, clock(), say),
             standing=lambda: [f"{each.kind}: {each.of}" for each in self._conditions.standing],
             absent=refused.places if refused is not None else (),
         )
-        self._answerer = Answerer(self._remembering, journal, self._state)
+        self._answerer = ControlServer(self._remembering, journal, self._state)
         self._begun_at, self._told = now(), journal.last
         self._journald = Journald(clock) if Journald.is_wanted() else None
         self._control = control
@@ -164,7 +164,7 @@ class Loop:
         self._notifier.tell(READY=1)
         self._clocks.look()  # the time that this took is none in which the process was stopped
 
-    def _register(self, line: Line, selector: selectors.BaseSelector) -> None:
+    def _register(self, line: BusChannel, selector: selectors.BaseSelector) -> None:
         """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
         now, before = (line.bus.fileno(), line.bus.counts.removals), self._registered.get(line)
         if now == before:

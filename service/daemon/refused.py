@@ -13,7 +13,7 @@ from faultline.service.bundle.slots import spare
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.config import BundleConfig
-from faultline.service.daemon.watched import FAILURES, Line, Watched, watched
+from faultline.service.daemon.pipeline import FAILURES, BusChannel, Pipeline, watched
 
 AGAIN_S, LONGEST_S = 5.0, 300.0
 """A refused bundle is tried again after so long; twice as long each time, and `LONGEST_S` at most [s]."""
@@ -74,7 +74,11 @@ class RefusedBundles:
         self._due = dict.fromkeys(self._why, -float("inf"))
 
     def look(
-        self, now: float, lines: Sequence[Line], say: Callable[[str], None], added: Callable[[Line, Watched], None]
+        self,
+        now: float,
+        lines: Sequence[BusChannel],
+        say: Callable[[str], None],
+        added: Callable[[BusChannel, Pipeline], None],
     ) -> None:
         """Try one whose time has come at the monotonic time `now` [s]; `added` is called with one that came up."""
         for each in [*self._why]:
@@ -89,9 +93,9 @@ class RefusedBundles:
     def _try(
         self,
         each: BundleConfig,
-        line: Line,
+        line: BusChannel,
         say: Callable[[str], None],
-        added: Callable[[Line, Watched], None],
+        added: Callable[[BusChannel, Pipeline], None],
     ) -> None:
         bundle, why = self._load.or_spare(Path(each.path))
         running = next((one for one in line.bundles if one.place == each.path), None)

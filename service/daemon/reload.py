@@ -12,8 +12,8 @@ from faultline.service.bundle.files import Trust, one_line
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.daemon.config import Config, load_config
+from faultline.service.daemon.pipeline import BusChannel, Pipeline
 from faultline.service.daemon.refused import NOT_TAKEN, Loader
-from faultline.service.daemon.watched import Line, Watched
 
 FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
 """Parts of the configuration that a reload leaves as they are."""
@@ -26,7 +26,7 @@ class Reload:
         self,
         path: Path,
         config: Config,
-        lines: Sequence[Line],
+        lines: Sequence[BusChannel],
         trust_of: Callable[[Config], Trust | None],
         load: Loader,
         say: Callable[[str], None],
@@ -56,7 +56,7 @@ class Reload:
                 self._look_at(watched, line, trust)
                 beat()
 
-    def _look_at(self, watched: Watched, line: Line, trust: Trust | None) -> None:
+    def _look_at(self, watched: Pipeline, line: BusChannel, trust: Trust | None) -> None:
         here = watched.bundle
         try:
             bundle = load_bundle(Path(watched.place), trust)

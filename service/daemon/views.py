@@ -5,9 +5,9 @@ import numpy as np
 
 from faultline.service.core.manifest import MODES
 from faultline.service.core.records.discrimination import separations
-from faultline.service.core.signals.values import Quality, Vector
-from faultline.service.daemon.remembering import Observed
-from faultline.service.daemon.watched import Line
+from faultline.service.core.signals.values import FloatArray, Quality
+from faultline.service.daemon.fault_recorder import SystemState
+from faultline.service.daemon.pipeline import BusChannel
 from faultline.service.protocol.answers import BusStatus, SystemStatus
 from faultline.service.protocol.live import (
     DisturbanceMeaning,
@@ -20,7 +20,7 @@ from faultline.service.protocol.live import (
 )
 
 
-def bus_status(line: Line) -> BusStatus:
+def bus_status(line: BusChannel) -> BusStatus:
     """A bus, with its counts."""
     counts = line.bus.counts
     return BusStatus(
@@ -33,7 +33,7 @@ def bus_status(line: Line) -> BusStatus:
     )
 
 
-def system_status(here: Observed) -> SystemStatus:
+def system_status(here: SystemState) -> SystemStatus:
     """A system, and what its tests say now."""
     latest = here.recorder.latest
     named = SystemStatus(
@@ -55,7 +55,7 @@ def system_status(here: Observed) -> SystemStatus:
     )
 
 
-def description(here: Observed) -> SystemDescription:
+def description(here: SystemState) -> SystemDescription:
     """What the names of a bundle mean, for who shows live values."""
     manifest = here.bundle.manifest
     return SystemDescription(
@@ -74,7 +74,7 @@ def description(here: Observed) -> SystemDescription:
     )
 
 
-def live_tick(here: Observed, sent: int) -> tuple[int, bytes] | None:
+def live_tick(here: SystemState, sent: int) -> tuple[int, bytes] | None:
     """The newest tick of a system, by its number, as a line; None where that was `sent`, or there is none."""
     latest = here.recorder.latest
     if latest is None or latest.tick == sent:
@@ -103,5 +103,5 @@ def live_tick(here: Observed, sent: int) -> tuple[int, bytes] | None:
     return latest.tick, msgspec.json.encode(tick) + b"\n"
 
 
-def _numbers(values: Vector) -> list[float | None]:
+def _numbers(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

@@ -19,7 +19,7 @@ from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.records.fault import CLEARED, Cleared, Dtc, Fault, FaultRecord, Seen, Status
 from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.core.records.freeze_frame import SCHEMA as FRAME
-from faultline.service.core.records.freeze_frame import Excerpt, Frame, Input, Verdict
+from faultline.service.core.records.freeze_frame import Excerpt, FreezeFrame, Input, Verdict
 from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.core.records.health import Health, Standing
 from faultline.service.protocol.answers import (
@@ -58,7 +58,7 @@ SENT: dict[str, Message] = {
     HEALTH: Health,
     FAULT: FaultRecord,
     CLEARED: Cleared,
-    FRAME: Frame,
+    FRAME: FreezeFrame,
     LIVE: LiveTick,
     STATE: ServiceState,
 }

@@ -9,11 +9,11 @@ from types import TracebackType
 
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.records.event import Event
-from faultline.service.daemon.answers import Answerer, page_of, page_with
 from faultline.service.daemon.config import MemoryConfig
-from faultline.service.daemon.remembering import Remembering
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import LAG_S, Line, Watched, watched
+from faultline.service.daemon.control_server import ControlServer, page_of, page_with
+from faultline.service.daemon.fault_recorder import FaultRecorder
+from faultline.service.daemon.pipeline import LAG_S, BusChannel, Pipeline, watched
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.logs import Log
 from faultline.service.outputs.control import Asker, ControlSocket, Then
 from faultline.service.outputs.socket import EventSocket
@@ -42,11 +42,11 @@ class Recording:
         self.history = Ticks(bundle.manifest)
         self.records: list[Record] = []
         self._bus = LogBus(log.relative())
-        self._line = Line("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
+        self._line = BusChannel("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
         self._journal = Journal(None, say)
-        scribe = Scribe(log.id, 0, run="", wall=lambda: None)
+        scribe = Sequencer(log.id, 0, run="", wall=lambda: None)
         memory = MemoryConfig()
-        self._remembering = Remembering(
+        self._remembering = FaultRecorder(
             scribe, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
         )
         self._diagnose(progress)
@@ -59,18 +59,18 @@ class Recording:
             progress(self._bus.now)
         self._take(kept, kept.silence(self._bus.now + LAG_S))
 
-    def _take(self, kept: Watched, events: list[Event]) -> None:
+    def _take(self, kept: Pipeline, events: list[Event]) -> None:
         self._remembering.take(kept, events)
         self._remembering.look(self._bus.now)
         self.records += self._journal.take()
 
 
-class _Answers(Answerer):
+class _Answers(ControlServer):
     """As of a live service, and of the whole drive besides; nothing of it can be erased."""
 
     is_recording = True
 
-    def __init__(self, remembering: Remembering, journal: Journal, source: str, recording: Recording) -> None:
+    def __init__(self, remembering: FaultRecorder, journal: Journal, source: str, recording: Recording) -> None:
         super().__init__(remembering, journal, lambda: (source, None, len(recording.records), []))
         self._recording = recording
 

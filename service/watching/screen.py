@@ -7,14 +7,14 @@ from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.health import meaning
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import PLAIN, Line, Look, Piece, Section, fitted, line, rendered
-from faultline.service.watching.seen import Seen, at
 from faultline.service.watching.table import NAME, legend, table, widest
+from faultline.service.watching.view_model import ViewModel, at
 
 PA_PER_BAR = 1e5
 MODE_WORDS = {"live": ("LIVE", "good"), "waiting": ("WAITING", "warn"), "away": ("AWAY", "bad")}
 
 
-def screen(seen: Seen, columns: int, rows: int, look: Look = PLAIN) -> list[str]:
+def screen(seen: ViewModel, columns: int, rows: int, look: Look = PLAIN) -> list[str]:
     """At most `rows` lines of at most `columns` columns; text of others brings nothing but what can be printed."""
     tick, system = seen.tick, seen.system
     sections = [
@@ -30,7 +30,7 @@ def screen(seen: Seen, columns: int, rows: int, look: Look = PLAIN) -> list[str]
     return [rendered(each, columns, look) for each in lines[:rows]]
 
 
-def verdict(seen: Seen) -> Line:
+def verdict(seen: ViewModel) -> Line:
     """What is to be believed now, in words."""
     tick = seen.tick
     if tick is None:
@@ -48,7 +48,7 @@ def verdict(seen: Seen) -> Line:
     return line(Piece("no fault: ", "good"), "every test is quiet")
 
 
-def _head(seen: Seen) -> Line:
+def _head(seen: ViewModel) -> Line:
     word, style = MODE_WORDS[seen.connection]
     names = [] if seen.state is None else [each.name for each in seen.state.systems]
     parts = [seen.state.source if seen.state else "", seen.system.name if seen.system else ""]
@@ -59,7 +59,7 @@ def _head(seen: Seen) -> Line:
     return line(Piece(word, style), "  ", "  ".join(part for part in parts if part))
 
 
-def _why(seen: Seen, columns: int) -> list[Line]:
+def _why(seen: ViewModel, columns: int) -> list[Line]:
     """Why there are no values, whole."""
     return [line(Piece(each, "warn")) for each in wrap(seen.why, max(columns, 20))] if seen.tick is None else []
 
@@ -93,7 +93,7 @@ def _explanations(tick: LiveTick | None, system: SystemDescription | None) -> li
     return lines
 
 
-def _conditions(seen: Seen) -> list[Line]:
+def _conditions(seen: ViewModel) -> list[Line]:
     if seen.state is None or seen.connection == "away":
         return []
     return [

@@ -5,8 +5,8 @@ import sys
 import time
 from contextlib import suppress
 
-from faultline.service.watching.hearing import Hearing
 from faultline.service.watching.lines import Look
+from faultline.service.watching.live_client import LiveClient
 from faultline.service.watching.screen import screen
 from faultline.service.watching.terminal import Terminal
 
@@ -14,7 +14,7 @@ SHORTEST_S, LONGEST_S = 0.2, 0.5
 """Between two drawings: no more than five a second, and often enough that a tick that is old does not stand."""
 
 
-def show(hearing: Hearing) -> int:
+def show(hearing: LiveClient) -> int:
     """Draws what is heard until `q` is typed; returns 0."""
     look = look_of_terminal()
     hearing.begin()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import ALWAYS, PLAIN, Line, Look, Piece, Section, line, wrapped
-from faultline.service.watching.seen import at
+from faultline.service.watching.view_model import at
 
 NARROW, WIDE = 60, 100
 """Columns from which tests have longer words, and longer bars."""

@@ -26,8 +26,8 @@ from faultline.service.bus.interface import Interface
 from faultline.service.bus.reader import CLASSIC
 from faultline.service.bus.socketcan import EFF_FLAG, SocketCan
 from faultline.service.daemon.loop import Loop
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import Line, watched
+from faultline.service.daemon.pipeline import BusChannel, watched
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.logs import Frame, open_log
 from faultline.service.outputs.socket import EventSocket
 from faultline.service.store.journal import Journal
@@ -105,8 +105,8 @@ def soak(hours: float) -> None:
         EventSocket(Path(folder) / "s") as subscribers,
     ):
         bus = Playback(hours)
-        line = Line("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
-        scribe = Scribe("truck", journal.last)
+        line = BusChannel("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
+        scribe = Sequencer("truck", journal.last)
         loop = Loop(scribe, [line], journal, subscribers, Notifier({}), lambda _: None, lambda: bus.now)
         threading.Thread(target=subscriber, args=(Path(folder) / "s",), daemon=True).start()
         loop.serve()
@@ -176,8 +176,8 @@ def rate(seconds: float, foreign: int) -> None:
         Journal(Path(folder) / "events.sqlite", print) as journal,
         EventSocket(Path(folder) / "s") as subscribers,
     ):
-        line = Line("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
-        loop = Loop(Scribe("truck", journal.last), [line], journal, subscribers, Notifier({}), lambda _: None)
+        line = BusChannel("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
+        loop = Loop(Sequencer("truck", journal.last), [line], journal, subscribers, Notifier({}), lambda _: None)
         sender = subprocess.Popen(command, pass_fds=[there.fileno()], stdout=subprocess.PIPE, text=True)
 
         def wait() -> None:

@@ -10,7 +10,7 @@ from faultline.service.bundle.load import load_bundle
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event, candidates
 from faultline.service.core.records.health import Conditions
-from faultline.service.daemon.watched import watched
+from faultline.service.daemon.pipeline import watched
 from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

@@ -7,7 +7,7 @@ from itertools import groupby
 import numpy as np
 
 from faultline.service.core.manifest import MODES, CusumDetector, Detector, Evidence, Manifest, SpreadDetector
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
 ROUNDING = 1e-9  # of a correlation
@@ -194,7 +194,7 @@ def _widths(evidence: Evidence) -> Iterator[str]:
             yield f"evidence.{name}: a value beyond {WIDEST:g} times the spread of the noise"
 
 
-def _is_covariance(V: Vector) -> bool:
+def _is_covariance(V: FloatArray) -> bool:
     """Whether `V` (K, K) is symmetric and positive definite, judged by its correlations, which have no unit.
 
     >>> _is_covariance(np.array([[4e8, 1e4], [1e4, 1.0]])), _is_covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
@@ -203,7 +203,7 @@ def _is_covariance(V: Vector) -> bool:
     return bool((V.diagonal() > 0).all()) and _least_of(V) > ROUNDING
 
 
-def _is_semidefinite(V: Vector) -> bool:
+def _is_semidefinite(V: FloatArray) -> bool:
     """The same, where some combination may have no variance.
 
     >>> _is_semidefinite(np.array([[1.0, 1.0], [1.0, 1.0]])), _is_semidefinite(np.array([[0.0, 0.0], [0.0, 1.0]]))
@@ -216,7 +216,7 @@ def _is_semidefinite(V: Vector) -> bool:
     return not nothing and (not varies.any() or _least_of(V[np.ix_(varies, varies)]) > -ROUNDING)
 
 
-def _least_of(V: Vector) -> float:
+def _least_of(V: FloatArray) -> float:
     """The least eigenvalue of the correlations, minus infinity where they are none."""
     spread = np.sqrt(V.diagonal())
     with np.errstate(over="ignore"):

@@ -18,7 +18,7 @@ import numpy as np
 from faultline.service.core.decision.straying import Level, Means, Straying, Visit
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Mask
 
 GUARD_TICKS = 150
 """30 s: what is newer waits, one to two times as long."""
@@ -66,7 +66,7 @@ class Day:
         self._visit = Visit(self._shape[-1])
         self._ticks = 0
 
-    def add(self, mode: int, r: Vector, usable: Mask) -> None:
+    def add(self, mode: int, r: FloatArray, usable: Mask) -> None:
         """Takes the residuals (K,) of a tick at which nothing is suspected."""
         self._visit.in_mode(mode)
         if mode != EDGE:
@@ -96,7 +96,7 @@ class Day:
         self._learn(self._older + self._newer)
         self.discard()
 
-    def taken_off(self, mode: int, r: Vector) -> Vector:
+    def taken_off(self, mode: int, r: FloatArray) -> FloatArray:
         """The residuals (K + F,) of a tick as detectors see them: without the day, and drawn to the offset.
 
         Those of followers behind the others. The less is known of the day, the nearer: a detector's threshold then is
@@ -104,7 +104,7 @@ class Day:
         """
         return np.asarray(self._offset[mode] + (r - self._offset[mode] - self._mean[mode]) / self._wider[mode])
 
-    def _learn(self, sums: Vector) -> None:
+    def _learn(self, sums: FloatArray) -> None:
         if not sums[0].any():  # nothing could tell
             return
         self._known += sums

@@ -28,7 +28,7 @@ from faultline.service.core.manifest import MODES, Manifest
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Mask
 
 RANKING_PERIOD = 15
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.
@@ -226,7 +226,7 @@ class Decision:
         return self._detectors.suspicious or self._unlike.alarm
 
     @property
-    def sums(self) -> Vector:
+    def sums(self) -> FloatArray:
         """Each generator's largest level detector in parts of its threshold, with the residual's sign (T,)."""
         return self._detectors.sums
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from faultline.service.core.decision.straying import Level, Means, Straying
 from faultline.service.core.manifest import Evidence
-from faultline.service.core.signals.values import Indices, Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 GAMMA = 0.1
 
@@ -57,7 +57,7 @@ class Look:
     hypothesis.
     """
 
-    def __init__(self, d: Vector, S: Vector, seen: Mask, shifts: Vector, segments: Segments) -> None:
+    def __init__(self, d: FloatArray, S: FloatArray, seen: Mask, shifts: FloatArray, segments: Segments) -> None:
         self._d, self._S, self._seen, self._segments = d, S, seen, segments
         self._white = np.linalg.cholesky(S)
         self._target = np.linalg.solve(self._white, d)
@@ -67,7 +67,7 @@ class Look:
         self._length = np.maximum((self._way**2).sum(axis=1), 1e-300)
 
     @cached_property
-    def sigmas(self) -> Vector:
+    def sigmas(self) -> FloatArray:
         """How far every mean (C, K) lies from the fault-free one, in standard deviations; 0 where none was seen."""
         far = np.zeros(self._seen.shape)
         far[self._seen] = np.abs(self._d) / np.sqrt(self._S.diagonal())
@@ -135,28 +135,28 @@ class Look:
         degrees = len(self._d)
         return float(degrees * (1 - 2 / (9 * degrees) + UNLIKELY * np.sqrt(2 / (9 * degrees))) ** 3)
 
-    def _reweighted(self, parts: Vector) -> Vector:
+    def _reweighted(self, parts: FloatArray) -> FloatArray:
         """The parts (segments,) that fit best by the covariance that the predictions at `parts` have."""
         begin, way = self._begin @ self._white.T, self._way @ self._white.T
         weighed = np.linalg.solve(self._with_gamma((begin + parts[:, None] * way)[:, None]), way[..., None])[..., 0]
         length = np.maximum((way * weighed).sum(axis=1), 1e-300)
         return np.asarray(np.clip(((self._d - begin) * weighed).sum(axis=1) / length, 0.0, 1.0))
 
-    def _with_gamma(self, mu: Vector) -> Vector:
+    def _with_gamma(self, mu: FloatArray) -> FloatArray:
         """S (M, D, D) with the error of the predictions mu (M, shifts, D)."""
         S = np.broadcast_to(self._S, (len(mu), *self._S.shape)).copy()
         diagonal = np.arange(len(self._d))
         S[:, diagonal, diagonal] += ((GAMMA * mu) ** 2).sum(axis=1)
         return S
 
-    def _misfits(self, mu: Vector) -> Vector:
+    def _misfits(self, mu: FloatArray) -> FloatArray:
         """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
         mu = mu @ self._white.T
         left = self._d - mu.sum(axis=1)
         weighed = np.linalg.solve(self._with_gamma(mu), left[..., None])[..., 0]
         return np.asarray((left * weighed).sum(axis=1))
 
-    def _sizes_of_two(self) -> tuple[Vector, Vector]:
+    def _sizes_of_two(self) -> tuple[FloatArray, FloatArray]:
         """Parts (segments, segments, 2) of two segments whose sum comes nearest, and how far that is, squared.
 
         The distance is a quadratic form of both parts: its least value lies inside the unit square or on its border.
@@ -174,7 +174,7 @@ class Look:
         tried = [(np.where(outside, 0.0, a), np.where(outside, 0.0, b))]
         tried += [(end, np.clip((along.T - end * across) / second, 0.0, 1.0)) for end in (none, whole)]
         tried += [(np.clip((along - end * across) / first, 0.0, 1.0), end) for end in (none, whole)]
-        parts: Vector = np.array(tried)  # (5, 2, segments, segments)
+        parts: FloatArray = np.array(tried)  # (5, 2, segments, segments)
         a, b = parts[:, 0], parts[:, 1]
         far = (start**2).sum(axis=2) - 2 * (a * along + b * along.T)
         far = far + a**2 * first + b**2 * second + 2 * a * b * across

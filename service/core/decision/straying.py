@@ -20,7 +20,7 @@ import numpy as np
 
 from faultline.service.core.manifest import MODES, Evidence
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import Indices, Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 STEADY = [mode for mode in range(len(MODES)) if mode != EDGE]
 MINIMUM_TICKS = 10
@@ -34,10 +34,10 @@ class Means(NamedTuple):
     each hypothesis would have done to the residuals.
     """
 
-    ticks: Vector
-    squares: Vector
-    total: Vector
-    shift: Vector
+    ticks: FloatArray
+    squares: FloatArray
+    total: FloatArray
+    shift: FloatArray
 
     @property
     def seen(self) -> Mask:
@@ -48,11 +48,11 @@ class Means(NamedTuple):
 class Level(NamedTuple):
     """Where the day puts the means, as far as it is known: expected value (C, K) and covariance (D, D)."""
 
-    mean: Vector
-    covariance: Vector
+    mean: FloatArray
+    covariance: FloatArray
 
     @property
-    def variance(self) -> Vector:
+    def variance(self) -> FloatArray:
         """Of each mean (C, K)."""
         return np.asarray(self.covariance.diagonal().reshape(self.mean.shape))
 
@@ -87,7 +87,7 @@ class Straying:
         self._following = following.T @ told.T  # A (C F, D)
         self._unfollowed = (following**2).sum(axis=0) - ((drifts @ told).T @ following * following).sum(axis=0)
 
-    def scatter(self, means: Means) -> Vector:
+    def scatter(self, means: Means) -> FloatArray:
         """How far means strays besides the day (D, D), by what was seen of them."""
         ticks = np.maximum(means.ticks, 1.0)
         tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
@@ -98,11 +98,11 @@ class Straying:
             S[mode, :, mode] += self._visit[mode] * np.outer(visit[mode], visit[mode])
         return S.reshape(C * K, C * K)
 
-    def deviation(self, means: Means) -> Vector:
+    def deviation(self, means: Means) -> FloatArray:
         """How far the means (C, K) lie from the vehicle's offsets; zero where nothing was seen."""
         return np.asarray(np.where(means.ticks > 0, means.total / np.maximum(means.ticks, 1.0) - self.offset, 0.0))
 
-    def everywhere(self, level: Level) -> tuple[Vector, Vector]:
+    def everywhere(self, level: Level) -> tuple[FloatArray, FloatArray]:
         """Expected value and variance (C, K + F) of where a day puts the means; those of followers are behind."""
         C, A = len(level.mean), self._following
         mean = (A @ level.mean.ravel()).reshape(C, len(A) // C)

@@ -14,7 +14,7 @@ from faultline.service.core.decision.window import Recent, Window
 from faultline.service.core.detectors.bank import FROZEN_TICKS
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 CHANGED, SAME = 15.0, 10.0
 """How much better than none a fault must fit, on this day, what has been seen of late; and that it no longer does."""
@@ -45,7 +45,7 @@ class Unlike:
         """Where the day puts the means, as far as it is known."""
         return self._day.level
 
-    def without_day(self, mode: int, residuals: Residuals) -> Vector:
+    def without_day(self, mode: int, residuals: Residuals) -> FloatArray:
         """The residuals (T,) of a tick as detectors of the level see them; those of networks as they are."""
         level = residuals.r.copy()
         level[self._moved] = self._day.taken_off(mode, residuals.r[self._moved])

@@ -14,7 +14,7 @@ import numpy as np
 from faultline.service.core.decision.straying import Means, Visit
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Mask
 
 PART_TICKS = 750  # 150 s
 RECENT_TICKS = 150  # 30 s
@@ -38,7 +38,7 @@ class Window:
         self._sums = np.zeros((self.PARTS, 3 + self._hypotheses, EDGE, K))
         self._visit = Visit(K)
 
-    def add(self, mode: int, r: Vector, usable: Mask, shift: Vector) -> None:
+    def add(self, mode: int, r: FloatArray, usable: Mask, shift: FloatArray) -> None:
         """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
         self._visit.in_mode(mode)
         self._forget(mode)
@@ -62,7 +62,7 @@ class Window:
         """What was seen."""
         return self._means(self._sums.sum(axis=0))
 
-    def _means(self, sums: Vector) -> Means:
+    def _means(self, sums: FloatArray) -> Means:
         ticks, squares, total, *shift = sums
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
         return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))

@@ -20,7 +20,7 @@ from faultline.service.core.manifest import (
 )
 from faultline.service.core.manifest import Detector as Settings
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 FROZEN_TICKS = 1500  # 5 min
 
@@ -92,7 +92,7 @@ class DetectorBank:
         return min((tick for tick in since if tick is not None), default=None)
 
     @property
-    def sums(self) -> Vector:
+    def sums(self) -> FloatArray:
         """For each generator (T,) the largest value of its level detectors, in parts of the threshold, signed."""
         sums = np.zeros(self._count)
         for each, row, level in zip(self._detectors, self._rows, self._level, strict=True):

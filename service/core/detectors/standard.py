@@ -15,7 +15,7 @@ import numpy as np
 
 from faultline.service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 
 class Standard:
@@ -31,7 +31,7 @@ class Standard:
         ones = [1.0] * len(MODES)
         self._usual = np.array([d.usual if isinstance(d, AdaptiveDetector) else ones for d in detectors]).reshape(shape)
 
-    def __call__(self, mode: int, residuals: Residuals) -> Vector:
+    def __call__(self, mode: int, residuals: Residuals) -> FloatArray:
         """The standardised residual (D,) of a tick for each detector; whatever it is where the test cannot tell."""
         sigma = np.where(self._adaptive, residuals.sigma[self._rows], 1.0)
         spread = self._scale[:, mode] * sigma / self._usual[:, mode]

@@ -10,9 +10,9 @@ import numpy as np
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.manifest import MODES, Manifest
 from faultline.service.core.records.event import Diagnosis, Event
-from faultline.service.core.records.freeze_frame import SCHEMA, Excerpt, Frame, Input, Verdict
+from faultline.service.core.records.freeze_frame import SCHEMA, Excerpt, FreezeFrame, Input, Verdict
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.values import Mask, Qualities, Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality
 
 
 class Sample(NamedTuple):
@@ -25,13 +25,13 @@ class Sample(NamedTuple):
 
     tick: int
     mode: int
-    z: Vector
+    z: FloatArray
     quality: Qualities
-    r: Vector
-    y_hat: Vector
-    sigma: Vector
+    r: FloatArray
+    y_hat: FloatArray
+    sigma: FloatArray
     usable: Mask
-    sums: Vector
+    sums: FloatArray
     alarm: list[str]
     cannot_tell: list[str]
     diagnoses: list[Diagnosis]
@@ -77,11 +77,11 @@ class Recorder:
         """The last tick, None before the first."""
         return self._samples[-1] if self._samples else None
 
-    def frame(self, event: Event, conditions: Sequence[str], counters: Mapping[str, int]) -> Frame:
+    def frame(self, event: Event, conditions: Sequence[str], counters: Mapping[str, int]) -> FreezeFrame:
         """The freeze frame of what was just told; the excerpt ends with it."""
         last = self._samples[-1]
         manifest, period = self._manifest, self._manifest.period_s
-        return Frame(
+        return FreezeFrame(
             schema=SCHEMA,
             event=event.id,
             wall=event.wall,
@@ -129,7 +129,7 @@ class Recorder:
         """True if the samples around this tick are recorded still."""
         return bool(self._samples) and self._samples[0].tick <= tick <= self._samples[-1].tick
 
-    def completed(self, frame: Frame) -> Frame | None:
+    def completed(self, frame: FreezeFrame) -> FreezeFrame | None:
         """The frame with what has come since, once that is as long as what was before; None until then.
 
         It stays as it is where what was recorded has begun anew meanwhile.

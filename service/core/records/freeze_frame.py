@@ -48,7 +48,7 @@ class Excerpt(msgspec.Struct, frozen=True, kw_only=True):
     sums: Annotated[dict[str, list[float]], Meta(description="its detector in parts of the threshold")]
 
 
-class Frame(msgspec.Struct, frozen=True, kw_only=True):
+class FreezeFrame(msgspec.Struct, frozen=True, kw_only=True):
     """All that was known when an event was told."""
 
     schema: Annotated[str, Meta(description="`faultline.frame/1`")]

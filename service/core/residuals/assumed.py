@@ -12,13 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
-from faultline.service.core.signals.values import Indices, Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 
 class Stepped(Protocol):
     """A fused graph (`core.residuals.generators.Graph`)."""
 
-    def __call__(self, **arrays: Vector) -> list[Vector]:
+    def __call__(self, **arrays: FloatArray) -> list[FloatArray]:
         """r, y_hat, sigma, novelty, x_next."""
 
 
@@ -33,11 +33,11 @@ class Assumed:
         self._owner = owner
         self._x = np.zeros((hypotheses, len(owner)))
 
-    def restart(self, generators: Mask, fresh: Vector) -> None:
+    def restart(self, generators: Mask, fresh: FloatArray) -> None:
         """Takes the states of these generators (K,) from the sensors, as `fresh` (nx,) has them."""
         self._x = np.where(generators[self._owner], fresh, self._x)
 
-    def step(self, z: Vector, fresh: Vector, r: Vector, advanced: Mask) -> Vector:
+    def step(self, z: FloatArray, fresh: FloatArray, r: FloatArray, advanced: Mask) -> FloatArray:
         """Shifts (H, K) of the residuals `r` (K,) at the samples `z` (nz,); only `advanced` (K,) states move on."""
         assumed, _, _, _, x = self._graph(z=np.tile(z, (len(self._x), 1)), x=self._x)
         good = np.asarray(np.isfinite(assumed).all(axis=1) & np.isfinite(x).all(axis=1))

@@ -16,7 +16,7 @@ import onnxruntime as ort
 
 from faultline.service.core.manifest import Evidence, Generator, Input
 from faultline.service.core.residuals.assumed import Assumed
-from faultline.service.core.signals.values import Indices, Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 HELD_TICKS = 2
 OUTSIDE = 0.01
@@ -36,12 +36,12 @@ class Residuals(NamedTuple):
     `level` are the residuals without the day (`core.decision.day`), once that has been taken off.
     """
 
-    r: Vector
-    y_hat: Vector
-    sigma: Vector
+    r: FloatArray
+    y_hat: FloatArray
+    sigma: FloatArray
     usable: Mask
-    shift: Vector = NOTHING
-    level: Vector | None = None
+    shift: FloatArray = NOTHING
+    level: FloatArray | None = None
 
 
 class Graph:
@@ -57,16 +57,16 @@ class Graph:
         options.log_severity_level = 3
         self._session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
-    def __call__(self, **arrays: Vector) -> list[Vector]:
+    def __call__(self, **arrays: FloatArray) -> list[FloatArray]:
         """The outputs in the order of `OUTPUTS`."""
-        outputs: list[Vector] = self._session.run(self.OUTPUTS, arrays)
+        outputs: list[FloatArray] = self._session.run(self.OUTPUTS, arrays)
         return outputs
 
 
 class Generators(Protocol):
     """What is asked once a tick."""
 
-    def step(self, z: Vector, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask) -> Residuals:
         """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
 
 
@@ -113,7 +113,7 @@ class GeneratorBank:
         self._ticks = np.zeros(len(generators), dtype=np.int64)
         self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
 
-    def step(self, z: Vector, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask) -> Residuals:
         """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
         self._z = np.where(usable, z, self._z)
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
@@ -132,7 +132,7 @@ class GeneratorBank:
             shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
         return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL), shift)
 
-    def _run(self) -> list[Vector]:
+    def _run(self) -> list[FloatArray]:
         """The outputs of all graphs, one after the other."""
         z = self._z[None]
         found = [part.graph(z=z, x=self._x[None, part.states]) for part in self._parts]
@@ -140,12 +140,12 @@ class GeneratorBank:
             return [row[0] for row in found[0]]
         return [np.concatenate([outputs[k][0] for outputs in found]) for k in range(len(Graph.OUTPUTS))]
 
-    def _outside(self) -> Vector:
+    def _outside(self) -> FloatArray:
         """How far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
         beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
         return np.asarray(self._needs @ np.maximum(beyond, 0.0))
 
-    def _restart(self, generators: Mask, fresh: Vector) -> None:
+    def _restart(self, generators: Mask, fresh: FloatArray) -> None:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
         if generators.any():
             self._x = np.where(generators[self._owner], fresh, self._x)

@@ -13,7 +13,7 @@ import numpy as np
 from faultline.service.core.residuals.generators import Generators, Residuals
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
-from faultline.service.core.signals.values import Mask, Qualities, Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
@@ -25,7 +25,7 @@ class Tick(NamedTuple):
 
     number: int
     t_s: float
-    z: Vector
+    z: FloatArray
     quality: Qualities
     mode: int
     residuals: Residuals

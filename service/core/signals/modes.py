@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.manifest import MODES, Input, Modes
-from faultline.service.core.signals.values import Mask, Vector
+from faultline.service.core.signals.values import FloatArray, Mask
 
 IDLE, PARTIAL, MAXIMUM, EDGE = range(len(MODES))
 
@@ -25,7 +25,7 @@ class ModeTracker:
         self._last = np.full(len(names), np.nan)
         self._since_edge = 0
 
-    def update(self, z: Vector, usable: Mask) -> int:
+    def update(self, z: FloatArray, usable: Mask) -> int:
         """The mode's index in `MODES` at this tick, from the samples `z` (nz,) and whether each is usable (nz,).
 
         Without a usable mode signal the mode is *edge*: nothing is known of what the residuals should be.

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.values import Qualities, Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Qualities, Quality
 
 DOUBTED_S = 10.0
 """For so long after a frame that nobody knows whose it is, its signals are not believed [s]."""
@@ -69,7 +69,7 @@ class Sampler:
         if quality is Quality.GOOD:
             self._value[column] = value
 
-    def sample(self, t: float) -> tuple[Vector, Qualities]:
+    def sample(self, t: float) -> tuple[FloatArray, Qualities]:
         """Values (nz,) [bundle units] and what each is worth (nz,) at log time `t` [s].
 
         A value that is not good is the last good one, or NaN where there never was one.

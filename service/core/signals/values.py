@@ -5,7 +5,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-Vector = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Qualities = npt.NDArray[np.int8]
 Indices = npt.NDArray[np.intp]

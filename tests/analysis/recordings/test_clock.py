@@ -7,31 +7,31 @@ from scipy.signal import lfilter
 from faultline.analysis.recordings.clock import Clock, ClockError, synchronise
 from faultline.analysis.recordings.steps import shared, steps
 from faultline.analysis.recordings.track import Track
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 FINE_S = 0.01
 
 
-def _pressure(target: Vector) -> Vector:
+def _pressure(target: FloatArray) -> FloatArray:
     """[Pa], every 10 ms: a hose follows `target` [Pa] within a second."""
     keep = float(np.exp(-FINE_S / 0.6))
     value, _ = lfilter([1 - keep], [1, -keep], target, zi=[keep * target[0]])
     return np.asarray(value)
 
 
-def _drive(duration: float, seed: int = 1) -> Vector:
+def _drive(duration: float, seed: int = 1) -> FloatArray:
     """A target that steps up and down by about a bar every few seconds."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, duration, FINE_S)
     changes = np.cumsum(rng.uniform(3.0, 15.0, round(duration / 3)))
     return np.asarray(rng.uniform(8.5e5, 10.5e5, len(changes) + 1)[np.searchsorted(changes, t)])
 
 
-def _periodic(duration: float) -> Vector:
+def _periodic(duration: float) -> FloatArray:
     t = np.arange(0.0, duration, FINE_S)
     return np.where(np.mod(t, 20.0) < 10.0, 9e5, 10e5)
 
 
-def _loggers(target: Vector, offset: float, drift: float, noise: float = 1_000.0) -> tuple[Track, Track]:
+def _loggers(target: FloatArray, offset: float, drift: float, noise: float = 1_000.0) -> tuple[Track, Track]:
     """p_ap on the logger's clock from where it starts, and p_du; CAN time = offset + (1 + drift) logger time."""
     rng, fine = np.random.default_rng(2), np.arange(len(target)) * FINE_S
     pressure, end = _pressure(target), len(target) * FINE_S

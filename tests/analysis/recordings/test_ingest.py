@@ -15,7 +15,7 @@ from cantools.database.can import Database
 from faultline.analysis.recordings.command import main
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
-from faultline.service.core.signals.values import Quality, Vector
+from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.logs import Log, load_recording, open_log
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES
@@ -47,7 +47,7 @@ class Bench:
     """Changes the rows of the CSV."""
 
 
-def _profiles(bench: Bench) -> Callable[[Vector], dict[str, Vector]]:
+def _profiles(bench: Bench) -> Callable[[FloatArray], dict[str, FloatArray]]:
     """Pressures, speed and dose at any time: steps through a first-order lag, as a pump and its hose give them."""
     rng = np.random.default_rng(5)
     t = np.arange(-10.0, bench.duration + 10.0, 0.01)

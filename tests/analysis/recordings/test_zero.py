@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 T = np.arange(0.0, 60.0, 0.2)
 
@@ -26,7 +26,7 @@ def test_a_short_or_pressurised_standstill_is_none(starts: float, gauge: float) 
     assert _until(starts, gauge) == 0.0
 
 
-def _readings(error: float, noise: float, count: int = 140) -> Vector:
+def _readings(error: float, noise: float, count: int = 140) -> FloatArray:
     return np.asarray(ATMOSPHERE + error + noise * np.random.default_rng(3).standard_normal(count))
 
 
@@ -46,7 +46,7 @@ def test_the_zero_error_is_given_back_in_spite_of_outliers_and_gaps() -> None:
         np.full(140, np.nan),
     ],
 )
-def test_what_cannot_be_a_zero_error_is_none(readings: Vector) -> None:
+def test_what_cannot_be_a_zero_error_is_none(readings: FloatArray) -> None:
     assert zero_error(readings) is None
 
 

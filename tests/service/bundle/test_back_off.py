@@ -7,11 +7,11 @@ from typing import cast
 
 from faultline.service.bundle.load import Bundle
 from faultline.service.daemon.config import BundleConfig
+from faultline.service.daemon.pipeline import BusChannel
 from faultline.service.daemon.refused import AGAIN_S, LONGEST_S, Loader, RefusedBundles
-from faultline.service.daemon.watched import Line
 
 BUNDLE = BundleConfig(path="/slots/current", bus="can0")
-LINE = cast(Line, SimpleNamespace(name="can0", bundles=[]))
+LINE = cast(BusChannel, SimpleNamespace(name="can0", bundles=[]))
 
 
 class Damaged(Loader):

@@ -17,9 +17,9 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
 from faultline.service.daemon.config import BundleConfig, BusConfig, Config, EventsConfig, TrustConfig
+from faultline.service.daemon.pipeline import BusChannel, watched
 from faultline.service.daemon.refused import Loader
 from faultline.service.daemon.reload import Reload
-from faultline.service.daemon.watched import Line, watched
 from faultline.service.logs import Frame, open_log
 
 CONFIG = """source = "truck"
@@ -53,7 +53,7 @@ class Service:
             source="truck",
         )
         self.said: list[str] = []
-        self.line = Line("powertrain", bus, [watched(load_bundle(self.bundle), "truck", 1.0)], self.said.append)
+        self.line = BusChannel("powertrain", bus, [watched(load_bundle(self.bundle), "truck", 1.0)], self.said.append)
         self.trusted: list[InputError] = []
         self.reload = Reload(self.path, self.config, [self.line], self.trust, Loader(lambda: None), self.said.append)
 

@@ -14,7 +14,7 @@ from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.health import Condition
 from faultline.service.core.signals.traffic import Traffic
-from faultline.service.daemon.watched import FAILED_S, LOST_S, Line, Watched, watched
+from faultline.service.daemon.pipeline import FAILED_S, LOST_S, BusChannel, Pipeline, watched
 from faultline.service.logs import Frame, open_log
 
 BUNDLE = load_bundle(GOLDEN)
@@ -28,7 +28,7 @@ def recording(later_s: float = 0.0, until_s: float = 1e9) -> list[Frame]:
     return [Frame(t + later_s, n, extended, data) for t, n, extended, data in LOG.relative() if t < until_s]
 
 
-def looked_at(made: Watched, frames: list[Frame], until_s: float) -> dict[float, set[Condition]]:
+def looked_at(made: Pipeline, frames: list[Frame], until_s: float) -> dict[float, set[Condition]]:
     """What is wrong at every second, where these frames come."""
     found, waiting, events = {}, list(frames), list[Event]()
     for second in map(float, range(int(until_s))):
@@ -52,7 +52,7 @@ def test_waiting_for_the_ignition_makes_no_second_sender() -> None:
     }
 
 
-def doubled(made: Watched, other: Callable[[Frame], Frame]) -> tuple[list[Event], set[Condition]]:
+def doubled(made: Pipeline, other: Callable[[Frame], Frame]) -> tuple[list[Event], set[Condition]]:
     """The events, and what was wrong at any look, where from 30 s on each frame is followed by another."""
     events, found = list[Event](), set[Condition]()
     for k, frame in enumerate(recording(until_s=60.0)):
@@ -112,7 +112,7 @@ def bus() -> Iterator[Bus]:
         yield made
 
 
-def breaking(made: list[str]) -> Watched:
+def breaking(made: list[str]) -> Pipeline:
     """A bundle whose monitors fail, each at its second frame; those that were made are counted."""
 
     def breaks(bundle: Bundle) -> tuple[Monitor, Traffic]:
@@ -120,13 +120,13 @@ def breaking(made: list[str]) -> Watched:
         monitor = Broken(bundle.manifest, bundle.bank(), bundle.table, "truck", bundle.id)
         return monitor, Traffic(bundle.table, bundle.manifest.inputs, 0.0)
 
-    return Watched(load_bundle(GOLDEN), breaks, 1.0)
+    return Pipeline(load_bundle(GOLDEN), breaks, 1.0)
 
 
 def test_a_bundle_that_fails_begins_anew_and_the_others_go_on(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     made, said = list[str](), list[str]()
     whole = watched(load_bundle(GOLDEN), "truck", 1.0)
-    line = Line("powertrain", bus, [breaking(made), whole], said.append)
+    line = BusChannel("powertrain", bus, [breaking(made), whole], said.append)
     frames = recording(until_s=20.0)
     monkeypatch.setattr(bus, "receive", lambda: frames[:])
     assert [event.transition for _, told in line.listen(frames[-1].t) for event in told] == ["started"]
@@ -139,7 +139,7 @@ def test_a_bundle_that_fails_begins_anew_and_the_others_go_on(bus: Bus, monkeypa
 
 def test_a_bundle_that_fails_again_and_again_fills_no_log(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     made, said = list[str](), list[str]()
-    line = Line("powertrain", bus, [breaking(made)], said.append)
+    line = BusChannel("powertrain", bus, [breaking(made)], said.append)
     one = recording(until_s=1.0)[0]
     for k in range(6000):  # ten minutes at ten frames a second
         now = 100.0 + 0.1 * k
@@ -153,7 +153,7 @@ def test_a_bundle_that_fails_again_and_again_fills_no_log(bus: Bus, monkeypatch:
 
 def test_what_was_decided_before_a_failure_is_told(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     made = watched(load_bundle(GOLDEN), "truck", 1.0)
-    line = Line("powertrain", bus, [made], lambda _: None)
+    line = BusChannel("powertrain", bus, [made], lambda _: None)
     frames = recording(until_s=20.0)
     monkeypatch.setattr(bus, "receive", lambda: frames)
     frame, count = Monitor.frame, list[int]()
@@ -170,7 +170,7 @@ def test_what_was_decided_before_a_failure_is_told(bus: Bus, monkeypatch: pytest
 
 
 def test_lost_frames_are_told_while_they_are_lost(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = Line("powertrain", bus, [], lambda _: None)
+    line = BusChannel("powertrain", bus, [], lambda _: None)
     assert line.look(0.0) == set()
     monkeypatch.setattr(type(bus), "dropped", property(lambda _: 3))
     assert line.look(1.0) == {Condition("frames-lost", "powertrain")}
@@ -200,7 +200,7 @@ def test_a_bus_that_loses_frames_makes_no_fault_of_it(share: float, surely: bool
 def test_why_a_bus_cannot_be_opened_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     with open_bus("socketcan:nowhere0", required=False) as absent:
-        line = Line("powertrain", absent, [], said.append)
+        line = BusChannel("powertrain", absent, [], said.append)
         for second in range(10):
             absent.receive()
             assert {each.kind for each in line.look(float(second))} == {"bus-removed"}

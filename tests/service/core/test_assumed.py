@@ -3,7 +3,7 @@
 import numpy as np
 
 from faultline.service.core.residuals.assumed import Assumed
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 OWNER = np.array([0, 0, 1])
 ALL = np.ones(2, dtype=np.bool_)
@@ -16,7 +16,7 @@ class Made:
         self.broken: int | None = None
         self.seen: list[list[float]] = []  # the states of the first hypothesis, tick by tick
 
-    def __call__(self, **arrays: Vector) -> list[Vector]:
+    def __call__(self, **arrays: FloatArray) -> list[FloatArray]:
         z, x = arrays["z"], arrays["x"]
         self.seen.append(x[0].tolist())
         r = z[:, :2] - np.array([[1.0, 2.0], [10.0, 20.0]])

@@ -20,7 +20,7 @@ from faultline.service.core.detectors.bank import FROZEN_TICKS
 from faultline.service.core.manifest import CusumDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
-from faultline.service.core.signals.values import Vector
+from faultline.service.core.signals.values import FloatArray
 
 MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
 EVIDENCE = MANIFEST.evidence
@@ -44,7 +44,7 @@ STILL = (0.0, 0.0, 0.0)
 T08 = EVIDENCE.generators.index("t08.ode")
 
 
-def moved(fault: str, size: float, mode: int) -> Vector:
+def moved(fault: str, size: float, mode: int) -> FloatArray:
     """The shift (K,) of the evidence generators."""
     pattern = PATTERNS.get(fault, {})
     spreads = np.array([pattern.get(name, STILL)[mode] for name in EVIDENCE.generators])
@@ -65,7 +65,7 @@ class Vehicle:
         faults: dict[str, float] | None = None,
         mute: tuple[str, ...] = (),
         stuck: dict[str, float] | None = None,
-        day: Vector | None = None,
+        day: FloatArray | None = None,
     ) -> None:
         """Ticks in a mode under these faults; those `mute` cannot tell, `stuck` are off by so many of their spreads.
 

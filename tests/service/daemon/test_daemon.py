@@ -23,8 +23,8 @@ from faultline.service.core.signals.traffic import Traffic
 from faultline.service.daemon.clocks import Clocks
 from faultline.service.daemon.command import main
 from faultline.service.daemon.loop import LOSSES_S, Loop
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import LAG_S, Line, Watched
+from faultline.service.daemon.pipeline import LAG_S, BusChannel, Pipeline
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.logs import Frame
 from faultline.service.outputs.socket import EventSocket
 from faultline.service.store.file import Record
@@ -116,9 +116,11 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
         with Script(*steps) as bus, Journal(None, say) as journal, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
             made = cast(tuple[Monitor, Traffic], (heard, calm))
-            line = Line("bus", bus, [Watched(BUNDLE, lambda _: made, speed)], say)
+            line = BusChannel("bus", bus, [Pipeline(BUNDLE, lambda _: made, speed)], say)
             with pytest.raises(BusError):
-                Loop(Scribe("truck", journal.last, ""), [line], journal, subscribers, Notifier({}), say, clock).serve()
+                Loop(
+                    Sequencer("truck", journal.last, ""), [line], journal, subscribers, Notifier({}), say, clock
+                ).serve()
         return heard.told
 
     return run
@@ -254,13 +256,13 @@ class Told:
         self.restarts = [0] * buses
         self.subscribers = EventSocket(self.path)
         self.sleeps = 0.0
-        lines = [Line(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
+        lines = [BusChannel(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
         kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
         self.journal = Journal(store, self.said.append)
-        scribe = Scribe(name, self.journal.last, "")
+        scribe = Sequencer(name, self.journal.last, "")
         self.loop = Loop(scribe, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel)
 
-    def watched(self, k: int) -> Watched:
+    def watched(self, k: int) -> Pipeline:
         def make(_: Bundle) -> tuple[Monitor, Traffic]:
             self.restarts[k] += 1
             return cast(
@@ -268,7 +270,7 @@ class Told:
                 (self.heard[k], SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted={})),
             )
 
-        return Watched(BUNDLE, make, 1.0)
+        return Pipeline(BUNDLE, make, 1.0)
 
     def run(self, *acts: Callable[[], None]) -> None:
         """Each act, and a turn of the loop a second later; then it is stopped."""
@@ -460,7 +462,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
     made = Told(tmp_path, clock, store=store, name="truck-b")
     found: list[Condition] = []
     traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted={})
-    watched = Watched(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
+    watched = Pipeline(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
     made.loop._lines[0].bundles[:] = [watched]
     made.loop._remembering.observed["uds4"].watched = watched
     made.run(*[nothing] * 29, lambda: found.append(silent), *[nothing] * 20)

@@ -22,12 +22,12 @@ from faultline.service.cli import main
 from faultline.service.core.errors import InputError
 from faultline.service.core.memory.fault_memory import FaultMemory, News, Rules
 from faultline.service.core.records.fault import Fault, decode_cleared, decode_record
-from faultline.service.core.records.freeze_frame import Frame
+from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
-from faultline.service.daemon.answers import Answerer
-from faultline.service.daemon.remembering import FAILED_S, Remembering
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import Line, watched
+from faultline.service.daemon.control_server import ControlServer
+from faultline.service.daemon.fault_recorder import FAILED_S, FaultRecorder
+from faultline.service.daemon.pipeline import BusChannel, watched
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.logs import Frame as CanFrame
 from faultline.service.logs import open_log
 from faultline.service.outputs.control import ControlSocket
@@ -62,13 +62,21 @@ class Vehicle:
         OPEN.append(self.journal)
         self.watched = watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)
         self.bus = SimpleNamespace(counts=Counts(), dropped=3, trouble=None)
-        self.line = Line("powertrain", cast(Bus, self.bus), [self.watched], self.said.append, "socketcan:can0")
+        self.line = BusChannel("powertrain", cast(Bus, self.bus), [self.watched], self.said.append, "socketcan:can0")
         self.remembering = self.made(run)
         self.told: list[Record] = []
 
-    def made(self, run: str) -> Remembering:
-        return Remembering(
-            *(Scribe("truck", self.journal.last, run), self.journal, [self.line], Rules(), self.frame_s, "boot", 0.0),
+    def made(self, run: str) -> FaultRecorder:
+        return FaultRecorder(
+            *(
+                Sequencer("truck", self.journal.last, run),
+                self.journal,
+                [self.line],
+                Rules(),
+                self.frame_s,
+                "boot",
+                0.0,
+            ),
             self.said.append,
             standing=lambda: ["error-passive: powertrain"],
         )
@@ -120,7 +128,7 @@ def test_a_fault_is_told_with_the_event_that_it_is_of() -> None:
 
 def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
     vehicle = Vehicle(None).hear()
-    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=Frame)
+    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=FreezeFrame)
     assert frame.complete
     assert (frame.tick, frame.mode, frame.alarm) == (415, "idle", ["t02", "t06", "t09"])
     assert frame.conditions == ["error-passive: powertrain"]
@@ -136,7 +144,7 @@ def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
 
 def test_a_frame_whose_drive_ends_early_says_so() -> None:
     vehicle = Vehicle(None).hear(until_s=90.0)
-    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=Frame)
+    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=FreezeFrame)
     assert not frame.complete
     assert frame.excerpt.first_tick + len(frame.excerpt.mode) - 1 == frame.tick
 
@@ -332,11 +340,13 @@ def test_a_bundle_that_is_taken_up_goes_on_with_its_faults(driven: Path, tmp_pat
 
 def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
     vehicle = Vehicle(None)
-    other = Line("trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print)
+    other = BusChannel(
+        "trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print
+    )
     vehicle.line.bundles[:] = [vehicle.watched]
     vehicle.journal.remember({"names": None})
-    both = Remembering(
-        *(Scribe("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
+    both = FaultRecorder(
+        *(Sequencer("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
     )
     assert [*both.observed] == ["uds4@powertrain", "uds4@trailer"]
     alone = vehicle.made("2")
@@ -348,10 +358,12 @@ def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
 
 def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another() -> None:
     vehicle = Vehicle(None)
-    trailer = Line("trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print)
+    trailer = BusChannel(
+        "trailer", cast(Bus, vehicle.bus), [watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)], print
+    )
     absent = [f"{vehicle.watched.place} on powertrain"]
-    alone = Remembering(
-        *(Scribe("truck", 0, "1"), vehicle.journal, [trailer], Rules(), 10.0, "boot", 0.0, print, list, absent),
+    alone = FaultRecorder(
+        *(Sequencer("truck", 0, "1"), vehicle.journal, [trailer], Rules(), 10.0, "boot", 0.0, print, list, absent),
     )
     assert [*alone.observed] == ["uds4@trailer"]
 
@@ -362,7 +374,7 @@ class Served:
     def __init__(self, vehicle: Vehicle, path: Path, clear: tuple[str, ...] = ()) -> None:
         self.vehicle, self.path = vehicle, path
         self.socket = ControlSocket(path, clear)
-        self.answers = Answerer(
+        self.answers = ControlServer(
             vehicle.remembering, vehicle.journal, lambda: ("truck", "2026-11-23T12:00:00Z", vehicle.journal.last, [])
         )
         self.socket.answers = self.answers
@@ -401,7 +413,7 @@ def test_faults_can_be_asked_for(served: Served) -> None:
         (fault,) = msgspec.convert(answer["faults"], list[Fault])
         assert (answer["overflow"], fault.number) == (False, 1)
         detail = control.ask_json("fault", number=1)
-        assert msgspec.convert(detail["frames"]["first"], Frame).complete
+        assert msgspec.convert(detail["frames"]["first"], FreezeFrame).complete
         assert detail["frames"]["latest"] is None
         with pytest.raises(ProtocolError, match="no fault 2 is remembered") as refused:
             control.ask_json("fault", number=2)

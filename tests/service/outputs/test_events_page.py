@@ -10,7 +10,7 @@ from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Trans
 from faultline.service.core.records.fault import CLEARED, Change, Fault
 from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.core.records.freeze_frame import SCHEMA as FRAME
-from faultline.service.core.records.freeze_frame import Excerpt, Frame, Input, Verdict
+from faultline.service.core.records.freeze_frame import Excerpt, FreezeFrame, Input, Verdict
 from faultline.service.core.records.health import CLEARED_S, MEANINGS, RAISED_S
 from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.outputs.socket import RING
@@ -52,7 +52,7 @@ def test_names_every_field_and_change_of_a_fault() -> None:
 
 def test_names_every_field_of_a_freeze_frame() -> None:
     text = PAGE.partition("## Freeze frames\n")[2].partition("\n## ")[0]
-    for struct in (Frame, Input, Verdict, Excerpt):
+    for struct in (FreezeFrame, Input, Verdict, Excerpt):
         for field in msgspec.structs.fields(struct):
             assert f"`{field.name}`" in text, field.name
     assert f"`{FRAME}`" in text

@@ -11,13 +11,13 @@ from faultline.service.protocol.answers import ServiceState
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.watching.lines import Look
 from faultline.service.watching.screen import screen
-from faultline.service.watching.seen import Seen
 from faultline.service.watching.table import bar
+from faultline.service.watching.view_model import ViewModel
 
 SIZES = [(80, 24), (40, 20), (200, 60), (20, 5), (1, 1)]
 
 
-def seen(tick: dict[str, Any] | None = None, **fields: Any) -> Seen:
+def seen(tick: dict[str, Any] | None = None, **fields: Any) -> ViewModel:
     known: dict[str, Any] = {
         "connection": "live",
         "state": msgspec.convert(STATE, ServiceState),
@@ -25,10 +25,10 @@ def seen(tick: dict[str, Any] | None = None, **fields: Any) -> Seen:
         "tick": None if tick is None else msgspec.convert(tick, LiveTick),
         "events": ("210.0 s  FAULT; 1. fA_du",),
     }
-    return Seen(**{**known, **fields})
+    return ViewModel(**{**known, **fields})
 
 
-def text(shown: Seen, columns: int = 80, rows: int = 24, look: Look = Look()) -> str:  # noqa: B008
+def text(shown: ViewModel, columns: int = 80, rows: int = 24, look: Look = Look()) -> str:  # noqa: B008
     lines = screen(shown, columns, rows, look)
     assert len(lines) <= rows
     assert all(len(line) <= columns for line in lines) or look.colour
@@ -99,7 +99,7 @@ def test_away_shows_no_value() -> None:
     assert "9.012" not in shown
     assert "no fault" not in shown
     assert "y_p_ap" not in shown  # a condition that stood then
-    shown = text(Seen(connection="away", why="connecting"))
+    shown = text(ViewModel(connection="away", why="connecting"))
     assert [each for each in shown.splitlines() if each] == ["AWAY", "cannot tell: no live values", "connecting"]
 
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 import msgspec
 
 from faultline.service.core.records.health import Standing
-from faultline.service.daemon.remembering import Observed, Remembering
-from faultline.service.daemon.scribe import now
+from faultline.service.daemon.fault_recorder import FaultRecorder, SystemState
+from faultline.service.daemon.sequencer import now
 from faultline.service.daemon.views import bus_status, description, live_tick, system_status
 from faultline.service.distribution import installed_version
 from faultline.service.outputs.control import Asker, Live, Then, refusal
@@ -28,14 +28,14 @@ VERSION = installed_version()
 LARGEST_PAGE = 500
 
 
-class Answerer:
+class ControlServer:
     """Answers from the loop's thread. `state` gives what the loop knows: source, since, seq, conditions."""
 
     is_recording = False
 
     def __init__(
         self,
-        remembering: Remembering,
+        remembering: FaultRecorder,
         journal: Journal,
         state: Callable[[], tuple[str, str | None, int, list[Standing]]],
     ) -> None:
@@ -132,7 +132,7 @@ class Answerer:
 
         self._journal.read(page, found)
 
-    def _observed(self, name: str | None) -> Observed:
+    def _observed(self, name: str | None) -> SystemState:
         observed = self._remembering.observed
         if name is None and len(observed) == 1:
             return next(iter(observed.values()))

@@ -9,7 +9,7 @@ import msgspec
 from faultline.service.core.records.event import Event
 
 
-class Scribe:
+class Sequencer:
     """Ids are `source`, the vehicle's name, eight digits drawn for this run, and a number, which goes on from `last`.
 
     No id is used twice, whatever becomes of the store.

@@ -11,7 +11,7 @@ from faultline.service.protocol.live import LiveTick, SystemDescription
 T = TypeVar("T")
 
 
-class Seen(msgspec.Struct, frozen=True, kw_only=True):
+class ViewModel(msgspec.Struct, frozen=True, kw_only=True):
     """All that a screen shows.
 
     `connection` is *live* where `tick` is of now, *waiting* where the service is there and gives none, *away* where it

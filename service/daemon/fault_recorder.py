@@ -26,11 +26,11 @@ from faultline.service.core.records.fault import (
     check,
     encode_record,
 )
-from faultline.service.core.records.freeze_frame import Frame
+from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.cycle import Cycle, OperationCycle
-from faultline.service.daemon.scribe import Scribe
-from faultline.service.daemon.watched import Line, Watched
+from faultline.service.daemon.pipeline import BusChannel, Pipeline
+from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal
 
@@ -46,14 +46,14 @@ FAILED_S = 60.0
 T = TypeVar("T")
 
 
-class Observed:
+class SystemState:
     """A system with what was seen of it lately, and the freeze frames whose excerpt goes on, by their name."""
 
-    def __init__(self, line: Line, watched: Watched, seconds: float) -> None:
+    def __init__(self, line: BusChannel, watched: Pipeline, seconds: float) -> None:
         self.line, self.watched, self._seconds = line, watched, seconds
         self.name = watched.bundle.manifest.name
         self.system: System
-        self.unfinished: dict[str, Frame] = {}
+        self.unfinished: dict[str, FreezeFrame] = {}
         self.begin()
 
     def rename(self, name: str) -> None:
@@ -72,7 +72,7 @@ class Observed:
         return {**vars(self.line.bus.counts), "dropped": self.line.bus.dropped}
 
 
-class Remembering:
+class FaultRecorder:
     """Keeps the fault memory as the journal has it, and puts what is told into the journal.
 
     `boot` is the kernel's identifier of this boot, `now` the monotonic time [s], `standing` gives the conditions that
@@ -83,9 +83,9 @@ class Remembering:
 
     def __init__(
         self,
-        scribe: Scribe,
+        scribe: Sequencer,
         journal: Journal,
-        lines: Sequence[Line],
+        lines: Sequence[BusChannel],
         rules: Rules,
         frame_s: float,
         boot: str,
@@ -100,15 +100,15 @@ class Remembering:
         self._failed_at, self._failure = -float("inf"), ""
         self._set_aside = False
         self._frame_s, self._absent = frame_s, frozenset(absent)
-        self._unkept = deque[tuple[Observed, Event, list[str]]](maxlen=UNKEPT)
+        self._unkept = deque[tuple[SystemState, Event, list[str]]](maxlen=UNKEPT)
         self._given = next(self._kept(["names"], dict[str, str]), {})
-        self.observed: dict[str, Observed] = {}
+        self.observed: dict[str, SystemState] = {}
         for line in lines:
             for each in line.bundles:
                 self._observe(line, each)
         self.begin()
 
-    def add(self, line: Line, watched: Watched) -> None:
+    def add(self, line: BusChannel, watched: Pipeline) -> None:
         """Remember the faults of a bundle that came up after the start too."""
         self.memory.watch(self._observe(line, watched).system)
 
@@ -126,12 +126,12 @@ class Remembering:
                 self._tell([], news, self._framed(here, news, event))
         self._unkept.clear()
 
-    def _observe(self, line: Line, watched: Watched) -> Observed:
-        here = Observed(line, watched, self._frame_s)
+    def _observe(self, line: BusChannel, watched: Pipeline) -> SystemState:
+        here = SystemState(line, watched, self._frame_s)
         self._name(here)
         return here
 
-    def _name(self, here: Observed) -> None:
+    def _name(self, here: SystemState) -> None:
         """Give the bundle's system a name of its own, and keep it: whatever else is configured or refused later.
 
         It is the bundle's, with the bus's where two have the same, or a number too.
@@ -159,7 +159,7 @@ class Remembering:
         faults = {f"fault/{each.number}": each for each in self._kept(_named("fault", rows), Fault)}
         for name in _named("frame", rows):
             if f"fault/{name.split('/')[1]}" in faults:
-                [*self._kept([name], Frame)]
+                [*self._kept([name], FreezeFrame)]
             else:
                 self._put_aside(name, "it is of no fault that is remembered")
         memory = next(self._kept(["memory"], Remembered), Remembered())
@@ -185,7 +185,7 @@ class Remembering:
         """The number of the operation cycle."""
         return self._cycle.cycle.number
 
-    def take(self, watched: Watched, events: Iterable[Event]) -> None:
+    def take(self, watched: Pipeline, events: Iterable[Event]) -> None:
         """Takes the ticks of a bundle since the last time, and what was told in them."""
         here = next(each for each in self.observed.values() if each.watched is watched)
         if here.bundle is not watched.bundle:
@@ -243,7 +243,7 @@ class Remembering:
         found = ((name.rpartition("/")[2], self._journal.kept.get(name)) for name in self._names(number)[1:])
         return {which: msgspec.Raw(text) for which, text in found if text is not None}
 
-    def _see(self, here: Observed, sample: Sample) -> None:
+    def _see(self, here: SystemState, sample: Sample) -> None:
         with self._surviving():
             here.recorder.add(sample)
             news = self.memory.tick(here.name, sample.mode, sample.usable, sample.suspicious)
@@ -251,7 +251,7 @@ class Remembering:
                 event = self.memory.told(here.name)
                 self._tell([], news, self._framed(here, news, event) if event is not None else {})
 
-    def _hear(self, here: Observed, event: Event) -> None:
+    def _hear(self, here: SystemState, event: Event) -> None:
         record = Record(event.seq, "event", encode(event))
         is_put = False
         with self._surviving():
@@ -278,7 +278,7 @@ class Remembering:
             self._failed_at, self._failure = self._now, failure
             self.begin()
 
-    def _framed(self, here: Observed, news: Iterable[News], event: Event) -> dict[str, bytes]:
+    def _framed(self, here: SystemState, news: Iterable[News], event: Event) -> dict[str, bytes]:
         """The freeze frames of what has failed, by their names in the store."""
         frames: dict[str, bytes] = {}
         for each in news:

@@ -42,7 +42,7 @@ _TROUBLES: dict[str, Kind] = {
 _SILENT: tuple[Trouble, ...] = ("down", "removed", "bus-off")
 
 
-class Watched:
+class Pipeline:
     """Log time is monotonic time since the first frame, times `speed`."""
 
     def __init__(
@@ -158,7 +158,7 @@ def watched(
     speed: float,
     seen: Callable[[Sample], None] | None = None,
     place: str | None = None,
-) -> Watched:
+) -> Pipeline:
     """A bundle at work; `source` is the vehicle's name, `seen` who keeps all ticks."""
 
     def make(bundle: Bundle) -> tuple[Monitor, Traffic]:
@@ -166,14 +166,14 @@ def watched(
         bundle.table.run_at(speed)
         return monitor, Traffic(bundle.table, bundle.manifest.inputs, 0.0, speed)
 
-    return Watched(bundle, make, speed, seen, place)
+    return Pipeline(bundle, make, speed, seen, place)
 
 
-class Line:
+class BusChannel:
     """A bus and the bundles that listen to it."""
 
     def __init__(
-        self, name: str, bus: Bus, bundles: list[Watched], say: Callable[[str], None], interface: str = ""
+        self, name: str, bus: Bus, bundles: list[Pipeline], say: Callable[[str], None], interface: str = ""
     ) -> None:
         """`interface` is what the configuration calls it."""
         self.name, self.bus, self.bundles, self._say = name, bus, bundles, say
@@ -182,12 +182,12 @@ class Line:
         self._dropped, self._lost_at = bus.dropped, -float("inf")
         self._why = ""
 
-    def listen(self, now: float) -> list[tuple[Watched, list[Event]]]:
+    def listen(self, now: float) -> list[tuple[Pipeline, list[Event]]]:
         """Takes what the bus has; `now` is the monotonic time before that [s]: what came later has not been read."""
         frames = self.bus.receive()
         return [(bundle, self._heard_by(bundle, frames, now)) for bundle in self.bundles]
 
-    def _heard_by(self, bundle: Watched, frames: list[Frame], now: float) -> list[Event]:
+    def _heard_by(self, bundle: Pipeline, frames: list[Frame], now: float) -> list[Event]:
         """What one bundle makes of it; where its graphs fail, the others go on."""
         events: list[Event] = []
         try:
@@ -197,13 +197,13 @@ class Line:
             self._say(f"bundle {bundle.bundle.manifest.name} begins anew in {out_s:.0f} s: {one_line(error)}")
         return events
 
-    def take_up(self, watched: Watched, bundle: Bundle) -> bool:
+    def take_up(self, watched: Pipeline, bundle: Bundle) -> bool:
         """One of the bundles is another from now on; whether it goes on with what was seen."""
         alike = watched.take_up(bundle)
         self._want()
         return alike
 
-    def add(self, watched: Watched) -> None:
+    def add(self, watched: Pipeline) -> None:
         """Listen for one bundle more."""
         self.bundles.append(watched)
         self._want()

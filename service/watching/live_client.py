@@ -16,7 +16,7 @@ from faultline.service.protocol.errors import ProtocolError
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.records import RecordError, read
-from faultline.service.watching.seen import Seen
+from faultline.service.watching.view_model import ViewModel
 
 RETRY_S = 0.5
 """Between two tries."""
@@ -33,7 +33,7 @@ Subscribe = Callable[[int | str | None], Iterator[bytes]]
 Describe = Callable[[bytes], str]
 
 
-class Hearing:
+class LiveClient:
     """State: what was heard, and since when. `wake` becomes readable when there is something new.
 
     `subscribe` gives records after a number or an id, until the service ends; `describe` puts one into words. Both
@@ -44,7 +44,7 @@ class Hearing:
         self._control, self._name = control, name
         self._subscribe, self._describe = subscribe, describe
         self._lock = threading.Lock()
-        self._seen = Seen(connection="away", why="connecting")
+        self._seen = ViewModel(connection="away", why="connecting")
         self._heard_at = 0.0  # of the tick [s, monotonic]
         self._events: deque[str] = deque(maxlen=HELD)
         self._last: str | None = None  # id of the last record
@@ -56,7 +56,7 @@ class Hearing:
         for work in (self._live, self._standing, self._records):
             threading.Thread(target=self._guard, args=(work,), daemon=True).start()
 
-    def seen(self) -> Seen:
+    def seen(self) -> ViewModel:
         """All that is known now. Raises what ended one of the threads: that is a defect."""
         if self.failure is not None:
             raise self.failure
