@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.memory.fault_memory import Rules
+from faultline.service.core.memory.rules import Rules
 from faultline.service.strict import ConfigError, ControlSocket, EventsSocket, Name, Part, Path_, Read, read
 
 

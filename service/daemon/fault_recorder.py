@@ -7,13 +7,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
-from faultline.service.bundle.files import one_line
-from faultline.service.core.memory.fault_memory import FaultMemory, News, Remembered, Rules
+from faultline.service.core.memory.fault_memory import FaultMemory, News, Remembered
 from faultline.service.core.memory.freeze import Recorder, Sample
+from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
 from faultline.service.core.records.event import Event, encode
 from faultline.service.core.records.fault import (
@@ -23,12 +22,12 @@ from faultline.service.core.records.fault import (
     Cleared,
     Fault,
     FaultRecord,
-    check,
     encode_record,
 )
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.cycle import Cycle, OperationCycle
+from faultline.service.daemon.kept_rows import KeptRows
 from faultline.service.daemon.pipeline import BusChannel, Pipeline
 from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.store.file import Record
@@ -42,8 +41,6 @@ UNKEPT = 1000
 
 FAILED_S = 60.0
 """For so long after the fault memory has failed, that is told [s]."""
-
-T = TypeVar("T")
 
 
 class SystemState:
@@ -98,10 +95,10 @@ class FaultRecorder:
         self._say, self._standing = say, standing
         self._rules, self._boot, self._now = rules, boot, now
         self._failed_at, self._failure = -float("inf"), ""
-        self._set_aside = False
+        self._rows = KeptRows(journal, say)
         self._frame_s, self._absent = frame_s, frozenset(absent)
         self._unkept = deque[tuple[SystemState, Event, list[str]]](maxlen=UNKEPT)
-        self._given = next(self._kept(["names"], dict[str, str]), {})
+        self._given = next(self._rows.read(["names"], dict[str, str]), {})
         self.observed: dict[str, SystemState] = {}
         for line in lines:
             for each in line.bundles:
@@ -115,7 +112,7 @@ class FaultRecorder:
     def take_up(self) -> None:
         """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
         systems = [*self.observed.values()]
-        self.observed, self._given = {}, next(self._kept(["names"], dict[str, str]), {})
+        self.observed, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
         for here in systems:
             self._name(here)
         self.begin()
@@ -153,16 +150,16 @@ class FaultRecorder:
 
     def begin(self) -> None:
         """Begins with what the store has, as after a restart."""
-        cycle = next(self._kept(["cycle"], Cycle), Cycle())
+        cycle = next(self._rows.read(["cycle"], Cycle), Cycle())
         self._cycle = OperationCycle(cycle, self._boot, self._now)
         rows = [*self._journal.kept]
-        faults = {f"fault/{each.number}": each for each in self._kept(_named("fault", rows), Fault)}
-        for name in _named("frame", rows):
+        faults = {f"fault/{each.number}": each for each in self._rows.read(self._rows.named("fault"), Fault)}
+        for name in self._rows.named("frame"):
             if f"fault/{name.split('/')[1]}" in faults:
-                [*self._kept([name], FreezeFrame)]
+                [*self._rows.read([name], FreezeFrame)]
             else:
-                self._put_aside(name, "it is of no fault that is remembered")
-        memory = next(self._kept(["memory"], Remembered), Remembered())
+                self._rows.set_aside(name, "it is of no fault that is remembered")
+        memory = next(self._rows.read(["memory"], Remembered), Remembered())
         used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
         memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
         self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
@@ -174,7 +171,7 @@ class FaultRecorder:
     def conditions(self) -> set[Condition]:
         """What is wrong with the fault memory."""
         found = set()
-        if self._set_aside:
+        if self._rows.is_damaged:
             found.add(Condition("rows-set-aside", str(self._journal.path)))
         if self._now - self._failed_at < FAILED_S:
             found.add(Condition("memory-failed", "the fault memory"))
@@ -322,30 +319,3 @@ class FaultRecorder:
     def _names(self, number: int) -> list[str]:
         """Under which a fault and its freeze frames are kept."""
         return [f"fault/{number}", f"frame/{number}/first", f"frame/{number}/latest"]
-
-    def _kept(self, names: Iterable[str], kind: type[T]) -> Iterator[T]:
-        for name in names:
-            text = self._journal.kept.get(name)
-            if text is None:
-                continue
-            try:
-                value = msgspec.json.decode(text, type=kind)
-                if isinstance(value, Fault):
-                    check(value, name)
-            except Exception as error:  # noqa: BLE001 whatever is wrong with it: it is set aside, and that is told
-                self._put_aside(name, one_line(error))
-            else:
-                yield value
-
-    def _put_aside(self, name: str, why: str) -> None:
-        """Keeps a row under another name, which nobody reads and nothing is written to."""
-        aside = f"unreadable/{name}"
-        while aside in self._journal.kept:
-            aside += "+"
-        self._say(f"the store's {name} cannot be read ({why}); it is kept as {aside}")
-        self._journal.remember({name: None, aside: self._journal.kept[name]})
-        self._set_aside = True
-
-
-def _named(kind: str, rows: Iterable[str]) -> list[str]:
-    return [name for name in rows if name.startswith(f"{kind}/")]

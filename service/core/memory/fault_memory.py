@@ -9,44 +9,21 @@ Source: AUTOSAR SWS Diagnostics R22-11: status bits, trips to confirm (SWS_DM_00
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import msgspec
-import numpy as np
-from msgspec import Meta, structs
+from msgspec import structs
 
 from faultline.service.core.manifest import MODES
-from faultline.service.core.memory.debounce import Debounce, Disabled
+from faultline.service.core.memory.entries import Episode, fresh, in_new_cycle, with_told
+from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
 from faultline.service.core.records.event import Event, candidates
-from faultline.service.core.records.fault import Change, Fault, Number, Seen, Status, names
+from faultline.service.core.records.fault import Change, Fault, Number, names
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import Mask
 
 LOOK_TICKS = 25  # 5 s at the usual period
-Cycles = Annotated[int, Meta(ge=1, le=255)]
-Seconds = Annotated[float, Meta(ge=0, le=3600)]
-
-
-class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How faults are remembered.
-
-    A fault is confirmed once it has failed in `confirm_trips` operation cycles in a row that could tell. After
-    `heal_cycles` in a row that could tell and in which it did not fail it is no longer warned of, and after
-    `age_cycles` more it is erased. `entries` are remembered at most. What is told counts as failed once it has been so
-    for `failed_after_s`, and passed once it has healed for `passed_after_s`, both [s] in which its tests can tell;
-    meanwhile that count is kept (`freeze`) or begins anew (`reset`). What is not told any more, as the service was
-    started again, has passed once its tests were quiet for `quiet_s` [s] in each mode that showed it.
-    """
-
-    confirm_trips: Cycles = 1
-    heal_cycles: Cycles = 3
-    age_cycles: Cycles = 40
-    entries: Annotated[int, Meta(ge=1, le=256)] = 64
-    failed_after_s: Seconds = 0.0
-    passed_after_s: Seconds = 0.0
-    disabled: Disabled = "freeze"
-    quiet_s: Annotated[float, Meta(ge=1, le=3600)] = 60.0
 
 
 class News(NamedTuple):
@@ -63,21 +40,6 @@ class Remembered(msgspec.Struct, frozen=True, kw_only=True):
     number: Number = 1
 
 
-class _Episode:
-    """What is told of a system now. `number` is its entry once it counts, `before` what that was until then."""
-
-    def __init__(self, system: System, rules: Rules) -> None:
-        self.system = system
-        self.told: Event | None = None
-        self.modes: list[str] = []
-        self.number: int | None = None
-        self.before: Fault | None = None
-        looks = (max(1, round(s / system.period_s)) for s in (rules.failed_after_s, rules.passed_after_s))
-        self.debounce = Debounce(*looks)
-        self.quiet = np.zeros((len(MODES), len(system.tests)), dtype=np.int64)  # ticks, since it failed, or the cycle
-        self.ticks = 0
-
-
 class FaultMemory:
     """The faults of all systems of one vehicle. State: `faults` by number, the open episodes, the cycle."""
 
@@ -91,13 +53,13 @@ class FaultMemory:
         after = max(self.faults, default=0) + 1  # no number is used twice, whatever was lost
         if self.remembered.number < after:
             self.remembered = structs.replace(self.remembered, number=after)
-        self._episodes: dict[str, _Episode] = {}
+        self._episodes: dict[str, Episode] = {}
 
     def watch(self, system: System) -> None:
         """This system is watched from now on, or with another bundle."""
         episode = self._episodes.get(system.name)
         if episode is None or episode.system.tests != system.tests:
-            self._episodes[system.name] = _Episode(system, self._rules)
+            self._episodes[system.name] = Episode(system, self._rules)
         else:
             episode.system = system
 
@@ -138,8 +100,8 @@ class FaultMemory:
             episode.debounce.counter = 0
             episode.quiet[:] = 0
             if episode.before is not None:
-                episode.before = _in_new_cycle(episode.before)
-        return [self._put(_in_new_cycle(fault), None) for fault in [*self.faults.values()]]
+                episode.before = in_new_cycle(episode.before)
+        return [self._put(in_new_cycle(fault), None) for fault in [*self.faults.values()]]
 
     def end_cycle(self) -> list[News]:
         """An operation cycle ends: what could have failed in it and did not heals, then ages."""
@@ -162,7 +124,7 @@ class FaultMemory:
         """The event that tells what is wrong with the system now; None where nothing is told."""
         return self._episodes[name].told
 
-    def _count(self, episode: _Episode, usable: Mask, suspicious: bool) -> list[News]:
+    def _count(self, episode: Episode, usable: Mask, suspicious: bool) -> list[News]:
         """One look more at what is told, or has healed, and does not count as that yet."""
         told, counter = episode.told, episode.debounce
         if told is None:
@@ -175,7 +137,7 @@ class FaultMemory:
             counter.disable(self._rules.disabled)
         return []
 
-    def _seen(self, episode: _Episode, *, is_there: bool) -> list[News]:
+    def _seen(self, episode: Episode, *, is_there: bool) -> list[News]:
         found = episode.debounce.seen(is_there)
         if not is_there:
             episode.told = None
@@ -186,7 +148,7 @@ class FaultMemory:
             return [self._pass(self.faults[number])]
         return []
 
-    def _occur(self, episode: _Episode) -> list[News]:
+    def _occur(self, episode: Episode) -> list[News]:
         """What is told anew, where what was told before may not count as passed yet: it is that again, or another."""
         assert episode.told is not None
         if episode.number is None:
@@ -198,11 +160,11 @@ class FaultMemory:
         episode.debounce.counter = 0
         return [self._pass(before), *self._seen(episode, is_there=True)]
 
-    def _has_failed(self, episode: _Episode) -> bool:
+    def _has_failed(self, episode: Episode) -> bool:
         """Whether what is told counts as failed in this cycle."""
         return episode.number is not None and self.faults[episode.number].status.test_failed_this_cycle
 
-    def _fail(self, episode: _Episode) -> Iterator[News]:
+    def _fail(self, episode: Episode) -> Iterator[News]:
         """What is told now counts as failed, in this cycle: it is an entry's still or again, or a new one's."""
         assert episode.told is not None
         episode.quiet[:] = 0
@@ -211,7 +173,7 @@ class FaultMemory:
         entry = episode.before if episode.number is None else self.faults[episode.number]
         if entry is None:
             yield from self._make_room()
-            entry = _fresh(self.remembered.number, episode, self.cycle)
+            entry = fresh(self.remembered.number, episode, self.cycle)
             self.remembered = structs.replace(self.remembered, number=entry.number + 1)
             episode.number, status = entry.number, entry.status
             again = False
@@ -230,7 +192,7 @@ class FaultMemory:
             if candidates(entry.diagnoses) != candidates(episode.told.diagnoses):
                 change = change or "refined"
         entry = structs.replace(
-            _told(entry, episode, self.cycle),
+            with_told(entry, episode, self.cycle),
             occurrences=entry.occurrences + again,
             trips=trips,
             healing=0,
@@ -248,7 +210,7 @@ class FaultMemory:
             warning=confirmed,
         )
 
-    def _refine(self, episode: _Episode) -> Iterator[News]:
+    def _refine(self, episode: Episode) -> Iterator[News]:
         """Other candidates: where they share none with what the entry was before, it was not that again.
 
         And a new entry all of whose candidates are a remembered one's now is that one again, and was no new one.
@@ -267,14 +229,14 @@ class FaultMemory:
         if before is None or names(before.diagnoses) & names(episode.told.diagnoses):
             entry = self.faults[episode.number]
             is_news = candidates(entry.diagnoses) != candidates(episode.told.diagnoses)
-            yield self._put(_told(entry, episode, self.cycle), "refined" if is_news else None)
+            yield self._put(with_told(entry, episode, self.cycle), "refined" if is_news else None)
             return
         self.faults[before.number] = before
         yield News("withdrawn", before)
         episode.number = None
         yield from self._fail(episode)
 
-    def _withdraw(self, episode: _Episode) -> Iterator[News]:
+    def _withdraw(self, episode: Episode) -> Iterator[News]:
         """What was told rests on samples that came to be doubted: the entry is as it was before, or there is none."""
         number, before = episode.number, episode.before
         episode.told = episode.number = episode.before = None
@@ -290,7 +252,7 @@ class FaultMemory:
     def _pass(self, fault: Fault) -> News:
         return self._put(structs.replace(fault, fdc=-128), "passed", test_failed=False, not_completed_this_cycle=False)
 
-    def _look(self, episode: _Episode) -> list[News]:
+    def _look(self, episode: Episode) -> list[News]:
         """What failed in earlier runs or cycles, and was quiet since where it could be seen."""
         least = self._rules.quiet_s / episode.system.period_s
         news = []
@@ -321,7 +283,7 @@ class FaultMemory:
         changed = status.pending or status.warning != warned
         return self._put(fault, "settled" if changed else None, pending=False, warning=warned)
 
-    def _entry_of(self, episode: _Episode) -> Fault | None:
+    def _entry_of(self, episode: Episode) -> Fault | None:
         """The entry, other than its own, whose candidates it shares: one that is failed, else the one seen last."""
         assert episode.told is not None
         here = names(episode.told.diagnoses)
@@ -359,60 +321,3 @@ class FaultMemory:
         fault = structs.replace(fault, status=status, mask=status.mask)
         self.faults[fault.number] = fault
         return News(change, fault)
-
-
-def _in_new_cycle(fault: Fault) -> Fault:
-    status = structs.replace(fault.status, test_failed_this_cycle=False, not_completed_this_cycle=True)
-    return structs.replace(fault, status=status, mask=status.mask)
-
-
-def _fresh(number: int, episode: _Episode, cycle: int) -> Fault:
-    """An entry in which nothing counts yet."""
-    assert episode.told is not None
-    seen = Seen(id=episode.told.id, wall=episode.told.wall, cycle=cycle)
-    status = Status(
-        test_failed=False,
-        test_failed_this_cycle=False,
-        pending=False,
-        confirmed=False,
-        not_completed_since_clear=False,
-        failed_since_clear=True,
-        not_completed_this_cycle=True,
-        warning=False,
-    )
-    return Fault(
-        number=number,
-        system=episode.system.name,
-        bundle=episode.system.bundle,
-        diagnoses=[],
-        components=[],
-        dtcs=[],
-        tests=[],
-        modes=[],
-        status=status,
-        mask=status.mask,
-        fdc=0,
-        occurrences=1,
-        trips=0,
-        healing=0,
-        aging=0,
-        first=seen,
-        latest=seen,
-    )
-
-
-def _told(fault: Fault, episode: _Episode, cycle: int) -> Fault:
-    """The entry with what is told now."""
-    told, system = episode.told, episode.system
-    assert told is not None
-    components = (system.components.get(name, name) for one in told.diagnoses for name in one.faults)
-    return structs.replace(
-        fault,
-        bundle=system.bundle,
-        diagnoses=told.diagnoses,
-        components=[*dict.fromkeys(components)],
-        dtcs=system.codes(told.diagnoses),
-        tests=sorted({*fault.tests, *told.alarm} if fault.status.test_failed else told.alarm),
-        modes=[*dict.fromkeys([*fault.modes, *episode.modes])] if fault.status.test_failed else episode.modes,
-        latest=Seen(id=told.id, wall=told.wall, cycle=cycle),
-    )

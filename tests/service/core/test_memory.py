@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from faultline.service.core.memory.fault_memory import FaultMemory, News, Rules
+from faultline.service.core.memory.fault_memory import FaultMemory, News
+from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import AMBIGUOUS, UNKNOWN, System
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
 from faultline.service.core.records.fault import Dtc, Fault

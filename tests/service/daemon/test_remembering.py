@@ -20,7 +20,8 @@ from faultline.service.bus import Bus
 from faultline.service.bus.base import Counts
 from faultline.service.cli import main
 from faultline.service.core.errors import InputError
-from faultline.service.core.memory.fault_memory import FaultMemory, News, Rules
+from faultline.service.core.memory.fault_memory import FaultMemory, News
+from faultline.service.core.memory.rules import Rules
 from faultline.service.core.records.fault import Fault, decode_cleared, decode_record
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
