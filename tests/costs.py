@@ -18,7 +18,7 @@ import pytest
 
 START = pytest.StashKey[float]()
 PROPERTY = "cpu_s"
-SLOW_S = 0.5
+SLOW_S = 0.3
 """CPU time from which on a test is left to `make test`."""
 OTHERS = "all others"
 KEPT = Path(__file__).with_name("costs.json")
