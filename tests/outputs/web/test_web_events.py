@@ -185,7 +185,7 @@ def test_the_daemon_is_not_hammered_with_connections(tmp_path: Path) -> None:
                 assert next(comments(stream)) == "daemon away"
             until(lambda: len(daemon.turned_away_at) >= 3)
             first, _, third, *_ = daemon.turned_away_at
-            assert third - first > 0.4
+            assert third - first > 0.2  # 0.2 and 0.4 s less up to half by chance, and the first may be noted late
             daemon.turning_away = False
             assert next(comments(streams[0])) == "daemon back"
 
