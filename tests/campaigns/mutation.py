@@ -19,7 +19,7 @@ from results_page import head_commit, provenance
 ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
-CODE = ("decode.py", "sampling.py", "signals.py", "isolation.py", "detectors/")
+CODE = ("signals/decode.py", "signals/sampling.py", "signals/values.py", "decision/isolation.py", "detectors/")
 TESTS = ("sampling", "decode", "detectors", "detector_family", "isolation", "health")
 COPIED = ("src", "service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
 
