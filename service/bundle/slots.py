@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from faultline.service.bundle.files import Trust, Whole, whole
 from faultline.service.core.errors import InputError
-from faultline.writing import write_file, write_folder
+from faultline.writing import sync, write_file, write_folder
 
 SLOTS = ("a", "b")
 CURRENT, FLOOR, LOCK = "current", "floor.json", "lock"
@@ -160,7 +160,7 @@ class Slots:
         new.unlink(missing_ok=True)
         new.symlink_to(slot)
         new.rename(self._folder / CURRENT)
-        _synced(self._folder)
+        sync(self._folder)
 
 
 def spare(link: Path) -> Path | None:
@@ -191,11 +191,3 @@ def _made(folder: Path) -> None:
         if not each.exists():
             each.mkdir()
             each.chmod(0o755)
-
-
-def _synced(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -50,7 +50,7 @@ def write_files(files: Mapping[Path, bytes | str], mode: int | None = None) -> N
             with _naming(path):
                 partial.replace(target)
         for folder in {target.parent for _, target in partials.values()}:
-            _sync(folder)
+            sync(folder)
     finally:
         for partial, _ in partials.values():
             with suppress(OSError):  # the error that is on its way says more
@@ -80,11 +80,11 @@ def write_folder(
             for name, content in files.items():
                 with _naming(folder / name):
                     _put(partial / name, target / name, content, mode)
-            _sync(partial)
+            sync(partial)
             if check is not None:
                 check(partial)
             _exchange(partial, target)
-            _sync(target.parent)
+            sync(target.parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 
@@ -175,7 +175,8 @@ def _exchange(partial: Path, target: Path) -> None:
     shutil.rmtree(old)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Put a file, or what a folder says of names, onto the disk (fsync)."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

@@ -12,7 +12,9 @@ from test_web_metrics import one, strictly
 from web_daemon import FakeDaemon
 from web_server import Serving, Sse, serving, until
 
+from faultline.service.protocol.backoff import Backoff
 from faultline.service.web.asking import FRESH_S
+from faultline.service.web.events import RETRY_S
 from faultline.service.web.limits import Limits
 from faultline.service.web.ring import SIZE
 
@@ -171,6 +173,11 @@ class Away(FakeDaemon):
         if was := super()._turn_away():
             self.turned_away_at.append(time.monotonic())
         return was
+
+
+def test_tries_are_further_and_further_apart() -> None:
+    waits = Backoff(*RETRY_S, lambda: 0.0)
+    assert [waits.wait() for _ in range(7)] == [0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0]
 
 
 def test_the_daemon_is_not_hammered_with_connections(tmp_path: Path) -> None:
