@@ -4,14 +4,12 @@ import argparse
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +19,7 @@ import numpy as np
 from results_page import head_commit, provenance
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "guest"))
-from machine import GOLDEN, Guest, NoGuestError, environment, prepared
+from machine import GOLDEN, Guest, NoGuestError, cut_power, environment, prepared
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -191,42 +189,11 @@ def _life(guest: Guest, seconds: float) -> Life:
         time.sleep(seconds)
         assert process.poll() is None, guest.said
     finally:
-        _cut(process)
+        cut_power(process)
     torn = sum(_taken_off(path) for path in files.values())
     new = {kind: [_record(line) for line in _lines(path)[before[kind] :]] for kind, path in files.items()}
     alarms = max(sum(each.get("transition") == "occurred" for each in records) for records in new.values())
     return Life(seconds, {kind: len(records) for kind, records in new.items()}, alarms, torn)
-
-
-def _cut(process: "subprocess.Popen[bytes]") -> None:
-    """At once, with the processes that the guest's kernel has made of its own; none is left when the next one boots."""
-    others = _descendants(process.pid)
-    process.kill()
-    process.wait()
-    for each in others:
-        with suppress(ProcessLookupError):
-            os.kill(each, signal.SIGKILL)
-    end = time.monotonic() + 20.0
-    while any(_runs(each) for each in others):
-        assert time.monotonic() < end, "processes of the guest are left"
-        time.sleep(0.01)
-
-
-def _descendants(of: int) -> list[int]:
-    parents: dict[int, int] = {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            parents[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
-    found = [of]
-    for each in found:
-        found += [child for child, parent in parents.items() if parent == each]
-    return found[1:]
-
-
-def _runs(process: int) -> bool:
-    with suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
 
 
 def _lines(path: Path) -> list[bytes]:

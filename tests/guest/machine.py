@@ -6,10 +6,14 @@ Its root is this machine's, seen read-only; what it writes is gone when it ends,
 import fcntl
 import hashlib
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import venv
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -49,8 +53,7 @@ class Guest:
         try:
             process.wait(limit_s)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            cut_power(process)
         code = self.share / "rc"
         return int(code.read_text()) if code.exists() else -1
 
@@ -64,7 +67,7 @@ class Guest:
         return "nothing"
 
     def start(self, script: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-        """Boots it and lets it run: killing the process is cutting its power."""
+        """Boots it and lets it run, until `cut_power` at the latest."""
         for name in ("rc", "output.txt", "journal.txt", "steps.jsonl"):
             (self.share / name).unlink(missing_ok=True)
         shutil.copy(HERE / "init.sh", self.share / "init.sh")
@@ -81,6 +84,40 @@ class Guest:
         command += ["con=null", "con0=null,fd:2", "ssl=null"]
         with (self.share / "console.txt").open("wb") as console:
             return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=console)
+
+
+def cut_power(process: "subprocess.Popen[bytes]") -> None:
+    """Kill a guest at once, with the processes that its kernel has made of its own.
+
+    None is left when this returns: one that outlives the first holds the lock of the disk, and the next boot fails.
+    """
+    others = _descendants(process.pid)
+    process.kill()
+    process.wait()
+    for each in others:
+        with suppress(ProcessLookupError):
+            os.kill(each, signal.SIGKILL)
+    end = time.monotonic() + 20.0
+    while any(_runs(each) for each in others):
+        assert time.monotonic() < end, "processes of the guest are left"
+        time.sleep(0.01)
+
+
+def _descendants(of: int) -> list[int]:
+    parents: dict[int, int] = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            parents[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
+    found = [of]
+    for each in found:
+        found += [child for child, parent in parents.items() if parent == each]
+    return found[1:]
+
+
+def _runs(process: int) -> bool:
+    with suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
 
 
 def prepared(folder: Path) -> Guest:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machine import HERE, Guest, NoGuestError, prepared
+from machine import HERE, Guest, NoGuestError, cut_power, prepared
 
 CUT_S = (4.0, 20.0)
 """The power is cut so long after the first bundle was installed: another one takes some seconds."""
@@ -39,8 +39,7 @@ def test_a_power_cut(guest: Guest) -> None:
         assert time.monotonic() < end, guest.said
         time.sleep(0.1)
     time.sleep(float(np.random.default_rng(seed).uniform(*CUT_S)))
-    process.kill()
-    process.wait()
+    cut_power(process)
     acknowledged = int(written[0].read_text().split()[-1])
     (guest.share / "steps.jsonl").unlink(missing_ok=True)
     failed = guest.run(HERE / "on_the_vehicle.py", "after", str(acknowledged))
