@@ -6,6 +6,7 @@ it was changed to: a change that makes no difference to anybody, or a test that 
 
 import argparse
 import re
+import shutil
 import subprocess
 import time
 import tomllib
@@ -19,8 +20,15 @@ from results_page import head_commit, provenance
 ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
-CODE = ("signals/decode.py", "signals/sampling.py", "signals/values.py", "decision/isolation.py", "detectors/")
-TESTS = ("sampling", "decode", "detectors", "detector_family", "isolation", "health")
+CODE = (
+    "signals/decode.py",
+    "signals/arrivals.py",
+    "signals/sampling.py",
+    "signals/values.py",
+    "decision/isolation.py",
+    "detectors/",
+)
+TESTS = ("sampling", "decode", "arrivals", "detectors", "detector_family", "isolation", "health")
 COPIED = ("src", "service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
 
 
@@ -37,7 +45,7 @@ def survivors(folder: Path, code: Sequence[str] = CODE) -> tuple[int, list[Mutan
     given = "\n".join(
         [
             "[tool.mutmut]",
-            f"paths_to_mutate = {[f'service/core/{name}' for name in code]}",
+            f"paths_to_mutate = {[f'src/faultline/service/core/{name}' for name in code]}",
             f"tests_dir = {[f'tests/service/core/test_{name}.py' for name in TESTS]}",
             f"also_copy = {[name for name in COPIED if '.' not in name]}",
         ]
@@ -95,7 +103,7 @@ def _cell(text: str) -> str:
 
 
 def copied(folder: Path) -> Path:
-    """The repository's files as they are now."""
+    """The repository's files as they are now; copies in place of the package's links, as mutants are imported there."""
     names = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", *COPIED], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -103,6 +111,9 @@ def copied(folder: Path) -> Path:
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes((ROOT / name).read_bytes())
+    for link in (ROOT / "src" / "faultline").iterdir():
+        if link.is_symlink():
+            shutil.copytree(folder / link.name, folder / "src" / "faultline" / link.name)
     return folder
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
-from faultline.service.core.signals.decode import Wanted
+from faultline.service.core.signals.decode import SENDERS, DecodeTable, Wanted
 from faultline.service.core.signals.values import Quality, j1939_quality
 
 DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
@@ -364,3 +364,63 @@ def test_a_dbc_with_another_source_address_is_told_which_senders_there_are() -> 
     ]
     assert table.decode(0x18FF10FE, True, bytes(8))
     assert table.strangers() == []
+
+
+def test_an_identifier_carries_wanted_signals_whatever_the_priority_in_j1939_alone() -> None:
+    table = compile_dbc(DBC, UNITS, "uds.dbc")
+    assert table.carries(ECU, True)
+    assert table.carries(ECU ^ (3 << 26), True)
+    assert not table.carries(ECU ^ 1, True)
+    assert not table.carries(ECU & 0x7FF, False)
+    other = compile_dbc(NOT_J1939.format(first=EFF | 0x1000_0100, second=EFF | 0x1400_0100), {"one": "Pa"}, "m.dbc")
+    assert other.carries(0x1000_0100, True)
+    assert not other.carries(0x1800_0100, True)
+    standard = compile_dbc(BIG_ENDIAN, {"up": "Pa"}, "m.dbc")
+    assert standard.carries(256, False)
+    assert not standard.carries(257, False)
+    assert not standard.carries(256, True)
+
+
+DOUBTED = [("y_p_du", Quality.DOUBTED), ("n_p", Quality.DOUBTED)]
+
+
+def second_sender(speed: float | None = None) -> tuple[DecodeTable, list[list[tuple[str, float, Quality]]]]:
+    """Ten seconds of one sender, then frames of another one 60 ms after each of its own; the latter's signals."""
+    table, found = compile_dbc(DBC, {"n_p": "1/s", "y_p_du": "Pa"}, "uds.dbc"), []
+    if speed is not None:
+        table.run_at(speed)
+    for k in range(150):
+        table.decode(ECU, True, k.to_bytes(8, "little"), 0.2 * k)
+        if k >= 50:
+            found.append(table.decode(ECU, True, (1000 + k).to_bytes(8, "little"), 0.2 * k + 0.06))
+    return table, found
+
+
+@pytest.mark.parametrize("speed", [None, 1.0, 0.2])
+def test_a_second_senders_frames_make_all_signals_of_the_message_doubted(speed: float | None) -> None:
+    """What is slower than real time is judged as real time is: 40 ms of jitter stay 40 ms."""
+    table, found = second_sender(speed)
+    assert all([(name, worth) for name, _, worth in each] == DOUBTED for each in found)
+    assert (table.taken, table.rejected.early) == ({"UDS_ECU": 150}, {"UDS_ECU": 100})
+
+
+def test_at_five_times_real_time_jitter_is_five_times_as_long_and_that_sender_is_not_seen_by_its_arrival() -> None:
+    table, found = second_sender(5.0)
+    assert not table.rejected.early
+    assert all(each and {worth for *_, worth in each} == {Quality.GOOD} for each in found[:1])
+
+
+def test_a_frame_said_again_by_a_gateway_is_counted_and_taken_once() -> None:
+    table = compile_dbc(DBC, {"n_p": "1/s"}, "uds.dbc")
+    for k in range(3):
+        data = k.to_bytes(8, "little")
+        assert table.decode(ECU, True, data, 0.2 * k)
+        assert table.decode(ECU, True, data, 0.2 * k + 0.001) == []
+    assert (table.taken, table.repeated, table.rejected.total) == ({"UDS_ECU": 3}, {"UDS_ECU": 3}, 0)
+
+
+def test_no_more_than_eight_other_senders_are_remembered() -> None:
+    table = compile_dbc(DBC, {"n_p": "1/s"}, "uds.dbc")
+    for address in range(20):
+        table.decode(0x18FF1000 | address, True, bytes(8))
+    assert table.rejected.senders == {"UDS_ECU": set(range(SENDERS))}

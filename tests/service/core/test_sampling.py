@@ -143,3 +143,25 @@ def test_a_jump_keeps_the_last_good_value() -> None:
     sampler.receive("a", 0.0, 3.0, Quality.GOOD)
     sampler.receive("a", 0.1, 9.0, Quality.GOOD)
     assert sampler.sample(0.1)[0][0] == 3.0
+
+
+def test_doubts_of_a_signal_begin_with_the_earliest_and_end_after_ten_seconds_of_none() -> None:
+    sampler = Sampler(INPUTS)
+    sampler.receive("a", 1.0, np.nan, Quality.DOUBTED)
+    assert sampler.new_doubts() == {"a": 1.0}, "no sample was before it"
+    sampler.receive("a", 2.0, 3.0, Quality.GOOD)
+    sampler.receive("a", 2.5, np.nan, Quality.DOUBTED)
+    assert sampler.new_doubts() == {}, "it is doubted still"
+    assert Quality(sampler.sample(2.5)[1][0]) is Quality.DOUBTED
+    until = 2.5 + DOUBTED_S
+    sampler.receive("a", until, 4.0, Quality.GOOD)
+    assert Quality(sampler.sample(until)[1][0]) is Quality.GOOD
+    sampler.receive("a", until, np.nan, Quality.DOUBTED)
+    assert sampler.new_doubts() == {"a": until}
+    sampler.doubt({"b": 4.0})
+    sampler.receive("b", 5.0, np.nan, Quality.DOUBTED)
+    assert sampler.new_doubts() == {"b": 4.0}, "the earlier of the two"
+    sampler.receive("a", 40.0, 1.0, Quality.GOOD)
+    sampler.receive("a", 41.0, np.nan, Quality.DOUBTED)
+    sampler.doubt({"a": 39.0})
+    assert sampler.new_doubts() == {"a": 39.0}
