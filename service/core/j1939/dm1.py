@@ -11,11 +11,11 @@ conversion method, 1 bit, 0 for this layout; the occurrence count, 7 bits.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from faultline.service.core.j1939.transport import LARGEST
+
 MOST_SPN, MOST_FMI = 0x7FFFF, 31
 MOST_OC, NO_OC = 126, 127
 """An occurrence count ends there; and the one that says that nobody counts."""
-LARGEST = 1785
-"""Bytes that the transport protocol carries: 255 packets of 7."""
 MOST = (LARGEST - 2) // 4
 """Codes in one message."""
 

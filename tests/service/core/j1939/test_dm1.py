@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from faultline.service.j1939.dm1 import MOST, Code, Lamps, decode, encode
+from faultline.service.core.j1939.dm1 import MOST, Code, Lamps, decode, encode
 
 OFF, ON, NONE = 0, 1, 3
 STEADY = (NONE, NONE, NONE, NONE)
