@@ -5,7 +5,7 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from faultline.options import Parser
+from faultline.options import Parser, add_senders, senders_of
 from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
@@ -37,12 +37,14 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
     parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")
     parser.add_argument("--channel", help="the bus to take, of a log of several")
+    add_senders(parser)
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
     options = parser.parse_args(argv)
-    bundle = load_bundle(options.bundle)
-    verify_golden(bundle)
     log = open_log(options.log, options.channel)
+    bundle = load_bundle(options.bundle, senders={**log.senders, **senders_of(options.sender)})
+    verify_golden(bundle)
     log.check_channels(bundle.table.carries)
+    log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
         log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")

@@ -5,7 +5,7 @@ the receiver clears it (CTS) until it acknowledges the whole (EOM). Both are a s
 destination; sessions of several senders interleave. The listener sends nothing, and holds no clock.
 
     state      event                                        next state
-    none       BAM or RTS of a group that is wanted         open, the first part is expected
+    none       BAM or RTS of a message that is wanted       open, the first part is expected
     open       the expected part                            open, the next one is expected; after the last: complete
     open       the part before once more, same bytes        open
     open       another part, of a BAM                       none: lost
@@ -20,7 +20,7 @@ The extended transport protocol (ETP, more than 1785 bytes) and that of CAN FD (
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -53,6 +53,7 @@ class Whole(NamedTuple):
 class _Session:
     """A message of which parts are missing; `expected` is the number of the next one, from 1."""
 
+    name: str
     pgn: int
     identifier: int
     size: int
@@ -69,14 +70,15 @@ class _Session:
 
 
 class Reassembler:
-    """Puts together the messages of the wanted `groups` (number to name). State: at most `most` open sessions.
+    """Puts together the messages that `name_of` (their identifier) names. State: at most `most` open sessions.
 
-    `complete` counts messages by the group's name, `losses` those that were not, by name and why. `speed`: seconds of
-    log time a second, 1 on a vehicle; time-outs are of real time.
+    `complete` counts messages by name, `losses` those that were not, by name and why. `speed`: seconds of log time a
+    second, 1 on a vehicle; time-outs are of real time.
     """
 
-    def __init__(self, groups: Mapping[int, str], most: int = SESSIONS) -> None:
-        self._groups, self._most = dict(groups), most
+    def __init__(self, name_of: Callable[[int], str | None], most: int = SESSIONS) -> None:
+        """`name_of` is called once for each message that is announced; None: it is not wanted."""
+        self._name_of, self._most = name_of, most
         self._open: dict[tuple[int, int], _Session] = {}  # by sender and destination
         self._now = -float("inf")
         self.speed = 1.0
@@ -89,8 +91,8 @@ class Reassembler:
 
     @property
     def unfinished(self) -> Counter[str]:
-        """Messages by the group's name that are open: where the log has ended, they are incomplete."""
-        return Counter(self._groups[session.pgn] for session in self._open.values())
+        """Messages by name that are open: where the log has ended, they are incomplete."""
+        return Counter(session.name for session in self._open.values())
 
     def take(self, t: float, identifier: int, data: bytes) -> Whole | None:
         """Take a frame of TP.CM or TP.DT that came at log time `t` [s]; return the message that it completes.
@@ -126,17 +128,23 @@ class Reassembler:
     def _begin(self, key: tuple[int, int], to_all: bool, pgn: int, data: bytes) -> None:
         before = self._open.get(key)
         if before is not None:
-            is_again = before.pgn == pgn and before.expected == 1 and not to_all  # asked once more, as nobody answered
-            self._open.pop(key) if is_again else self._lose(key, "timeout" if self._is_late(before) else "restarted")
-        if pgn not in self._groups:
+            is_alike = (before.pgn, before.size, before.expected) == (pgn, int.from_bytes(data[1:3], "little"), 1)
+            if self._is_late(before):
+                self._lose(key, "timeout")
+            elif is_alike:  # announced once more: by a gateway, or as nobody has answered
+                del self._open[key]
+            else:
+                self._lose(key, "restarted")
+        name = self._name_of(identifier_of(pgn, *key))
+        if name is None:
             return
         size, count = int.from_bytes(data[1:3], "little"), data[3]
         fits = PART + 1 < size <= LARGEST and count == -(-size // PART)
         if not fits or to_all != (key[1] == GLOBAL):
-            self.losses[self._groups[pgn], "malformed"] += 1
+            self.losses[name, "malformed"] += 1
             return
         self._make_room()
-        session = _Session(pgn, identifier_of(pgn, *key), size, count, to_all, self._now)
+        session = _Session(name, pgn, identifier_of(pgn, *key), size, count, to_all, self._now)
         self._open[key] = session
         self._wait(session)
 
@@ -149,7 +157,7 @@ class Reassembler:
             return None
         number, content = (data[0], data[1:]) if data else (0, b"")
         begin = session.begin(number)
-        if number == session.expected - 1 and content[: session.size - begin] == session.data[begin:]:
+        if 0 < number == session.expected - 1 and content[: session.size - begin] == session.data[begin:]:
             return None  # a repetition, as of a gateway
         if number != session.expected:
             session.missed = True
@@ -165,7 +173,7 @@ class Reassembler:
         if session.expected <= session.count:
             return None
         del self._open[key]
-        self.complete[self._groups[session.pgn]] += 1
+        self.complete[session.name] += 1
         return Whole(session.identifier, bytes(session.data))
 
     def _clear(self, key: tuple[int, int], count: int, first: int) -> None:
@@ -197,4 +205,4 @@ class Reassembler:
             self._lose(min(self._open, key=lambda key: self._open[key].due), "crowded out")
 
     def _lose(self, key: tuple[int, int], why: Loss) -> None:
-        self.losses[self._groups[self._open.pop(key).pgn], why] += 1
+        self.losses[self._open.pop(key).name, why] += 1

@@ -87,12 +87,11 @@ def needed(text: str, names: Collection[str]) -> str:
         _, begin, end = statement
         pieces += ["\n" * text.count("\n", done, begin), _kept(statement, text[begin:end], signals)]
         done = end
-    return "".join(pieces)
+    return "".join(pieces) + "\n" * text.count("\n", done)
 
 
 def _kept(statement: _Statement, body: str, signals: Set[tuple[str, str]]) -> str:
     """The statement, or as many empty lines."""
-    numbers = {number for number, _ in signals}
     plain = _QUOTED.sub('""', body)
     match statement.kind:
         case "VERSION" | "BS_" | "BU_":
@@ -103,7 +102,8 @@ def _kept(statement: _Statement, body: str, signals: Set[tuple[str, str]]) -> st
             stays = any(name in body for name in _ATTRIBUTES)
         case "BA_":
             of = _OF_MESSAGE.search(plain)
-            stays = of is not None and of[1] in numbers and any(name in body for name in _ATTRIBUTES)
+            is_needed = of is not None and any(of[1] == number for number, _ in signals)
+            stays = is_needed and any(name in body for name in _ATTRIBUTES)
         case "SIG_VALTYPE_" | "SG_MUL_VAL_":
             found = _OF_SIGNAL.match(plain)
             stays = found is not None and (found[1], found[2]) in signals
