@@ -92,11 +92,13 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
 
 
 def _second_senders(bundle: Bundle) -> str:
-    """Messages of which frames came far too early for one sender; nothing where there are none."""
+    """Messages of which frames came far too early for one sender, or from several; nothing where there are none."""
     early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
-    if not early:
-        return ""
-    return f"frames came far too early for one sender ({early}): a second one, or two buses; they are not believed"
+    found = bundle.table.strangers() if bundle.table.rejected.unclear else []
+    if early:
+        why = "a second one, or two buses; they are not believed"
+        found.insert(0, f"frames came far too early for one sender ({early}): {why}")
+    return "; ".join(found)
 
 
 def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:

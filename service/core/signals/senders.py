@@ -118,6 +118,6 @@ def _which(name: str, seen: Mapping[int, int]) -> str:
         return ""
     there = ", ".join(f"{named(each)}{f' ({count} frames)' if count else ''}" for each, count in sorted(seen.items()))
     return (
-        f"{name} comes from {there}, and the DBC does not say which one is meant: choose with "
-        f"--sender {name}={named(min(seen))}"
+        f"{name} comes from {there}, and the DBC does not say which one is meant: choose one, "
+        f"as with --sender {name}={named(min(seen))}"
     )

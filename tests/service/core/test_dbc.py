@@ -54,16 +54,15 @@ EEC1, CCVS1, ET1 = 0x0CF00400, 0x18FEF100, 0x18FEEE00
 
 def test_a_vendors_file_is_read_and_its_units_become_the_bundles() -> None:
     table = compile_dbc(VENDORS, WANTED, "vendors.dbc")
-    assert table.decode(EEC1, True, bytes([0, 0, 0, 0x00, 0x19, 0, 0, 0])) == [
-        ("EngineSpeed", pytest.approx(800 / 60), Quality.GOOD)
-    ]
-    assert table.decode(CCVS1, True, bytes([0, 0, 90, 0, 0, 0, 0, 0])) == [
-        ("WheelBasedVehicleSpeed", pytest.approx(25.0), Quality.GOOD)
-    ]
-    assert table.decode(ET1, True, bytes([60, 0, 0x10, 0x27, 0, 0, 0, 0])) == [
-        ("EngineCoolantTemp", pytest.approx(293.15), Quality.GOOD),
-        ("Current", pytest.approx(0.01), Quality.GOOD),
-    ]
+    frames = (
+        (EEC1, bytes([0, 0, 0, 0x00, 0x19, 0, 0, 0]), {"EngineSpeed": 800 / 60}),
+        (CCVS1, bytes([0, 0, 90, 0, 0, 0, 0, 0]), {"WheelBasedVehicleSpeed": 25.0}),
+        (ET1, bytes([60, 0, 0x10, 0x27, 0, 0, 0, 0]), {"EngineCoolantTemp": 293.15, "Current": 0.01}),
+    )
+    for identifier, data, values in frames:
+        found = table.decode(identifier, True, data)
+        assert {name: value for name, value, _ in found} == pytest.approx(values)
+        assert {quality for *_, quality in found} == {Quality.GOOD}
     assert [q for *_, q in table.decode(ET1, True, b"\xfa" + bytes(7))] == [Quality.GOOD, Quality.GOOD]
     assert [q for *_, q in table.decode(ET1, True, b"\xff" + bytes(7))] == [Quality.NOT_AVAILABLE, Quality.GOOD]
 
