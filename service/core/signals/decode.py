@@ -99,14 +99,14 @@ class DecodeTable:
     def wanted(self) -> tuple[Wanted, ...]:
         """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
         found = {Wanted(n, STANDARD, False) for n in self._standard} | {Wanted(n, EXTENDED, True) for n in self._other}
-        found |= {_group(pgn) for pgn in self._senders.groups}
+        found |= {whole_group(pgn) for pgn in self._senders.groups}
         claim = identifier_of(ADDRESS_CLAIMED, 0)
         if (addresses := self._senders.addresses) is None:
             found.add(Wanted(claim, _ALL_SENDERS, True))
         else:
             found |= {Wanted(claim | address, PRIORITY_MASK, True) for address in addresses}
         if self.parts is not None:
-            found |= {_group(TP_CM), _group(TP_DT)}
+            found |= {whole_group(TP_CM), whole_group(TP_DT)}
         return tuple(sorted(found))
 
     def carries(self, can_id: int, is_extended: bool) -> bool:
@@ -217,8 +217,8 @@ class DecodeTable:
         yield from (one.read(little, big, layout.j1939) for one in layout.others if _there(one.only, little, big))
 
 
-def _group(pgn: int) -> Wanted:
-    """All frames of a parameter group."""
+def whole_group(pgn: int) -> Wanted:
+    """Return all frames of a parameter group of J1939, from whomever to whomever."""
     mask = _ALL_SENDERS & ~DESTINATION_MASK if is_addressed(pgn) else _ALL_SENDERS
     return Wanted(pgn << 8, mask, True)
 

@@ -3,7 +3,8 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,16 @@ from faultline.service.bundle.files import SEAL, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.cli import main
 from faultline.service.core.errors import InputError
+from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.event import encode
+from faultline.service.core.records.context import SCHEMA, decode_context
+from faultline.service.core.records.event import encode, schema_of
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.decode import Wanted
+from faultline.service.daemon.pipeline import BusChannel, watched
 from faultline.service.logs import Frame, open_log
+from faultline.service.recorded.bus import LogBus
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 BUNDLE, LOG = GOLDEN / "bundle", GOLDEN / "log"
@@ -163,3 +169,69 @@ def test_a_sender_of_a_message_that_there_is_not_is_refused(bundle: Path, capsys
     assert "a sender is chosen for EEC1; messages of J1939 with wanted signals: UDS_ECU, UDS_SENSORS" in (
         capsys.readouterr().err
     )
+
+
+CODES = bytes.fromhex("43ff bf000908 54000908 ed141f01")
+
+
+def with_trouble_codes(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """The frames, and DM1 each second: of the engine in parts until 60 s, of another device without a fault."""
+    due = 0.0
+    for frame in frames:
+        while frame.t >= due:
+            yield Frame(due, 0x18FECA0B, True, bytes.fromhex("00ff00000000ffff"))
+            if due < 60.0:
+                yield Frame(due, 0x1CECFF00, True, bytes.fromhex("20 0e 00 02 ff ca fe 00"))
+                for k in range(2):
+                    yield Frame(due, 0x1CEBFF00, True, bytes([k + 1]) + CODES[7 * k : 7 * k + 7])
+            due += 1.0
+        yield frame
+
+
+def test_trouble_codes_of_other_devices_stand_beside_the_golden_events(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    log = log_of(tmp_path / "golden.log", with_trouble_codes(open_log(LOG).relative()))
+    assert diagnose.main([str(log), "--bundle", str(BUNDLE), "--json"]) == 1
+    lines = capfdbinary.readouterr().out.splitlines(keepends=True)
+    records = [decode_context(line) for line in lines if schema_of(line) == SCHEMA]
+    assert b"".join(line for line in lines if schema_of(line) != SCHEMA) == EVENTS
+    told = [(r.sender, r.silent, [code.spn for code in r.codes]) for r in records]
+    assert told == [(0x0B, False, []), (0x00, False, [191, 84, 5357]), (0x00, True, [])]
+    assert [r.t_s is not None and round(r.t_s) for r in records] == [0, 0, 70]
+    times = [json.loads(line)["t_s"] for line in lines]
+    assert times == sorted(times)
+
+
+def test_and_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = (frame for frame in with_trouble_codes(open_log(LOG).relative()) if frame.t < 59.0)
+    broken = Frame(59.0, 0x18FECA33, True, b"?")
+    log = log_of(tmp_path / "codes.log", chain(frames, [broken]))
+    assert diagnose.main([str(log), "--bundle", str(BUNDLE)]) == 0
+    captured = capsys.readouterr()
+    assert "another device, 0x00, has SPN 191 FMI 9 (8 times), SPN 84 FMI 9 (8 times), SPN 5357" in captured.out
+    assert "trouble codes of other devices: 1 of 0x33 that make no sense" in captured.err
+
+
+def test_a_bus_is_watched_for_trouble_codes_where_it_is_asked_to(tmp_path: Path) -> None:
+    """Their frames are let through, and what they say is told beside what the bundles make of the others."""
+    frames = [frame for frame in with_trouble_codes(open_log(LOG).relative()) if frame.t < 5.0]
+    asked: list[Wanted] = []
+
+    class Asked(LogBus):
+        def want(self, wanted: Sequence[Wanted]) -> None:
+            asked.extend(wanted)
+
+    bus = Asked(frames)
+    line = BusChannel("powertrain", bus, [], print, codes=CodeTracker())
+    line.add(watched(load_bundle(BUNDLE), "truck", 1.0))
+    assert {Wanted(0x00FECA00, 0x03FFFF00, True), Wanted(0x00EC0000, 0x03FF0000, True)} < set(asked)
+    changes = []
+    for _ in range(20):
+        line.listen(bus.now)
+        changes += line.changes()
+    record = changes[1].record(("truck-1", 1, "2026-01-01T00:00:00Z"), None, line.name)
+    assert [(each.sender, each.message) for each in changes] == [(0x0B, "DM1"), (0x00, "DM1")]
+    assert (record.bus, record.t_s, [code.spn for code in record.codes]) == ("powertrain", None, [191, 84, 5357])
+    assert line.listen(bus.now + 11.0) is not None
+    assert [(each.sender, each.said) for each in line.changes()] == [(0x0B, None), (0x00, None)]

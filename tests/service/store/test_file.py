@@ -191,7 +191,7 @@ def test_a_full_disk_takes_nothing_and_loses_nothing(path: Path) -> None:
 
 def test_the_latest_of_each_kind_are_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A loose plug makes health records by the thousand: faults stay."""
-    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20})
+    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20, "context": 20})
     monkeypatch.setattr(module, "PRUNED", 10)
     store = StoreFile(path)
     store.append(records(1, 5))
@@ -209,7 +209,7 @@ def test_the_latest_of_each_kind_are_kept(path: Path, monkeypatch: pytest.Monkey
 
 def test_short_runs_keep_no_more_than_long_ones(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A vehicle that is driven for ten minutes at a time."""
-    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20})
+    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20, "context": 20})
     for run in range(10):
         store = StoreFile(path)
         for seq in range(1 + 100 * run, 101 + 100 * run):
