@@ -40,12 +40,13 @@ def test_what_was_added_is_there_again(path: Path) -> None:
     store.append(records(1, 3))
     store.append(records(4, 4, "health"))
     store.append(records(5, 6))
+    store.append(records(7, 7, "context"))
     store.close()
-    store = StoreFile(path, remembered=3)
-    assert store.last == 6
-    assert store.earlier == [*records(4, 4, "health"), *records(5, 6)]
+    store = StoreFile(path, remembered=4)
+    assert store.last == 7
+    assert store.earlier == [*records(4, 4, "health"), *records(5, 6), *records(7, 7, "context")]
     assert store.health == records(4, 4, "health")[0]
-    assert len(store.before(None, 100)) == 6
+    assert len(store.before(None, 100)) == 7
     store.close()
 
 
