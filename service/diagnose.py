@@ -10,7 +10,7 @@ from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.event import encode
+from faultline.service.core.records.line import encode
 from faultline.service.logs import Log, open_log
 from faultline.service.watching.records import describe, meanings
 

@@ -14,7 +14,7 @@ from faultline.service.core.memory.fault_memory import FaultMemory, News, Rememb
 from faultline.service.core.memory.freeze import Recorder, Sample
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
-from faultline.service.core.records.event import Event, encode
+from faultline.service.core.records.event import Event
 from faultline.service.core.records.fault import (
     CLEARED,
     SCHEMA,
@@ -22,10 +22,10 @@ from faultline.service.core.records.fault import (
     Cleared,
     Fault,
     FaultRecord,
-    encode_record,
 )
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
+from faultline.service.core.records.line import encode
 from faultline.service.daemon.cycle import Cycle, OperationCycle
 from faultline.service.daemon.kept_rows import KeptRows
 from faultline.service.daemon.pipeline import BusChannel, Pipeline
@@ -232,7 +232,7 @@ class FaultRecorder:
         cleared = Cleared(schema=CLEARED, id=named, seq=seq, wall=wall, numbers=numbers, by=by)
         gone: dict[str, bytes | None] = dict.fromkeys(chain.from_iterable(names[each] for each in numbers))
         gone["memory"] = msgspec.json.encode(self.memory.remembered)  # the overflow flag
-        self._put([Record(seq, "fault", encode_record(cleared))], gone)
+        self._put([Record(seq, "fault", encode(cleared))], gone)
         return cleared
 
     def frames(self, number: int) -> dict[str, msgspec.Raw]:
@@ -298,7 +298,7 @@ class FaultRecorder:
             if change is not None:
                 named, seq, wall = self._scribe.next()
                 record = FaultRecord(schema=SCHEMA, id=named, seq=seq, wall=wall, change=change, fault=fault)
-                records.append(Record(seq, "fault", encode_record(record)))
+                records.append(Record(seq, "fault", encode(record)))
             if fault.number not in self.memory.faults:
                 rows.update(dict.fromkeys(self._names(fault.number)))
             elif change == "withdrawn":  # the latest frame is of what it was not

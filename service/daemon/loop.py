@@ -24,10 +24,9 @@ from faultline.service.core.records.health import (
     Conditions,
     Health,
     Standing,
-    decode_health,
-    encode_health,
     meaning,
 )
+from faultline.service.core.records.line import encode
 from faultline.service.daemon.clocks import Clocks
 from faultline.service.daemon.config import MemoryConfig
 from faultline.service.daemon.control_server import ControlServer
@@ -240,7 +239,7 @@ class Loop:
         self._since = {condition: self._since.get(condition, wall) for condition in standing}
         self._say("; ".join(map(_said, standing)) or "all is well with buses and signals")
         health = Health(schema=SCHEMA, id=named, seq=seq, wall=wall, conditions=self._standing())
-        self._journal.put(Record(seq, "health", encode_health(health)))
+        self._journal.put(Record(seq, "health", encode(health)))
 
     def _standing(self) -> list[Standing]:
         return [Standing(kind=each.kind, of=each.of, since=self._since.get(each)) for each in self._conditions.standing]
@@ -276,7 +275,7 @@ class Loop:
 def _stood(told: Record | None) -> dict[Condition, str | None]:
     """The conditions in what an earlier run told last, and since when; none in what another version told otherwise."""
     try:
-        standing = decode_health(told.line).conditions if told is not None else []
+        standing = msgspec.json.decode(told.line, type=Health).conditions if told is not None else []
     except (msgspec.MsgspecError, ValueError):
         return {}
     return {Condition(KINDS[one.kind], one.of): one.since for one in standing if one.kind in KINDS}

@@ -5,6 +5,7 @@ import numpy as np
 
 from faultline.service.core.manifest import MODES
 from faultline.service.core.records.discrimination import separations
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.daemon.fault_recorder import SystemState
 from faultline.service.daemon.pipeline import BusChannel
@@ -100,7 +101,7 @@ def live_tick(here: SystemState, sent: int) -> tuple[int, bytes] | None:
         diagnoses=latest.diagnoses,
         separating=separations(manifest.generators, latest.diagnoses, latest.cannot_tell),
     )
-    return latest.tick, msgspec.json.encode(tick) + b"\n"
+    return latest.tick, encode(tick)
 
 
 def _numbers(values: FloatArray) -> list[float | None]:

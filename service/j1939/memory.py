@@ -8,10 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from faultline.service.core.records.fault import Fault
+from faultline.service.core.records.line import encode
 from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 from faultline.service.protocol.answers import FaultList
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import GarbledError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.reconnecting import Reconnecting

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.mqtt.throttled import Say
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import encode
 from faultline.service.protocol.reconnecting import Reconnecting
 from faultline.service.protocol.records import Record, RecordError, Subscription, read
 

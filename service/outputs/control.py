@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol, cast
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.outputs.lines import IDLE_S, Client, LineServer
 from faultline.service.protocol.errors import UNREADABLE, Code, ErrorAnswer, Refusal, RefusedError
 from faultline.service.protocol.questions import Question
@@ -126,7 +127,7 @@ class ControlSocket(LineServer):
         if client not in self._clients:
             return
         client.is_waiting = False
-        client.rest += msgspec.json.encode(answer) + b"\n"
+        client.rest += encode(answer)
         self._flush(client)
 
     def _next(self, client: Client) -> bytes | None:
@@ -139,7 +140,7 @@ class ControlSocket(LineServer):
 
     def _refuse(self, client: Client, reason: str) -> None:
         code: Code = "busy" if reason == "too many clients" else "bad-request"
-        client.rest += msgspec.json.encode(refusal(code, reason)) + b"\n"
+        client.rest += encode(refusal(code, reason))
         self._send(client)
         self._drop(client)
 

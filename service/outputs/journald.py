@@ -9,6 +9,8 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from faultline.service.core.records.event import schema_of
 from faultline.service.core.records.fault import (
     CLEARED,
@@ -16,8 +18,6 @@ from faultline.service.core.records.fault import (
     Change,
     Cleared,
     FaultRecord,
-    decode_cleared,
-    decode_record,
 )
 from faultline.service.store.file import Record
 
@@ -79,13 +79,13 @@ class Journald:
 def _fields(record: Record) -> dict[str, str] | None:
     """What an entry says; None of what is not worth one."""
     if schema_of(record.line) == CLEARED:
-        cleared = decode_cleared(record.line)
+        cleared = msgspec.json.decode(record.line, type=Cleared)
         return _entry(
             None, cleared, f"{', '.join(map(str, cleared.numbers)) or 'nothing'}", {"FAULTLINE_BY": cleared.by}
         )
     if schema_of(record.line) != SCHEMA:
         return None
-    told = decode_record(record.line)
+    told = msgspec.json.decode(record.line, type=FaultRecord)
     if told.change not in MESSAGES:
         return None
     fault = told.fault

@@ -16,10 +16,9 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
 
-import msgspec
-
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.errors import Rejection
 
 CLIENTS = 32  # at most
@@ -176,7 +175,7 @@ class LineServer(ABC):
             self._refuse(client, "the request has no end")
 
     def _refuse(self, client: Client, reason: str) -> None:
-        client.rest += msgspec.json.encode(Rejection(error=reason)) + b"\n"
+        client.rest += encode(Rejection(error=reason))
         self._send(client)
         self._drop(client)
 

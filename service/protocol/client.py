@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.connection import LONGEST, Connection
 from faultline.service.protocol.errors import UNREADABLE, AwayError, ErrorAnswer, GarbledError, RefusedError
 from faultline.service.protocol.live import LiveTick
@@ -23,11 +24,6 @@ CONNECT_S = 0.05
 REMEDY = "; is the service running, with a [control] socket there?"
 
 T = TypeVar("T")
-
-
-def encode(message: Question | Subscription) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(message) + b"\n"
 
 
 def decode(line: bytes, kind: type[T], where: object = "") -> T:

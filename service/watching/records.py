@@ -8,10 +8,10 @@ import msgspec
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Equation, Fault, Manifest
 from faultline.service.core.records.event import Diagnosis, Event, decode, schema_of
-from faultline.service.core.records.fault import CLEARED, Change, FaultRecord, decode_cleared, decode_record
+from faultline.service.core.records.fault import CLEARED, Change, Cleared, FaultRecord
 from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.core.records.health import SCHEMA as HEALTH
-from faultline.service.core.records.health import Health, decode_health, meaning
+from faultline.service.core.records.health import Health, meaning
 
 WORDS = {
     "started": "started",
@@ -50,11 +50,11 @@ def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: M
     try:
         schema = schema_of(line)
         if schema == HEALTH:
-            return describe_health(decode_health(line))
+            return describe_health(msgspec.json.decode(line, type=Health))
         if schema == FAULT:
-            return describe_fault(decode_record(line))
+            return describe_fault(msgspec.json.decode(line, type=FaultRecord))
         if schema == CLEARED:
-            cleared = decode_cleared(line)
+            cleared = msgspec.json.decode(line, type=Cleared)
             return f"{'':9}    erased by {cleared.by}: {', '.join(map(str, cleared.numbers)) or 'nothing'}"
         return describe(decode(line), faults, equations)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:

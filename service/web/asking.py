@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import answer
-from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import AwayError, RefusedError
 from faultline.service.protocol.questions import Question
 

@@ -10,10 +10,10 @@ from contextlib import aclosing
 from itertools import takewhile
 from pathlib import Path
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import connected, line_of
 from faultline.service.protocol.answers import RecordPage, ServiceState
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import encode
 from faultline.service.protocol.errors import AwayError, GarbledError, ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.records import Record, RecordError, Subscription, number_in

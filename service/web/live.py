@@ -3,9 +3,10 @@
 import asyncio
 from collections.abc import AsyncGenerator, Callable
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import connected, line_of
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import ProtocolError
 from faultline.service.protocol.questions import Question
 from faultline.service.web.asking import SharedControl

@@ -17,6 +17,7 @@ import msgspec
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import meaning
+from faultline.service.core.records.line import encode
 from faultline.service.pages import NoEngineError, check_engine
 from faultline.service.protocol.answers import FaultList, ServiceState
 from faultline.service.protocol.client import ControlClient
@@ -77,7 +78,7 @@ def main(argv: list[str]) -> int:
     seen, end = _at_the_end(options.control, begun, end)
     found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=path and str(path))
     if options.json:  # first: a disk that is full takes no verdict away
-        sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
+        sys.stdout.buffer.write(encode(found))
         sys.stdout.flush()
     else:
         print("\n".join(printable(line) for line in [*_said(found), f"report: {report}"]), flush=True)

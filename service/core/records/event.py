@@ -128,14 +128,8 @@ class _Header(msgspec.Struct):
     schema: str
 
 
-_ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(Event)
 _HEADER = msgspec.json.Decoder(_Header)
-
-
-def encode(event: Event) -> bytes:
-    """The event as one line of JSON, newline included."""
-    return _ENCODER.encode(event) + b"\n"
 
 
 def schema_of(line: bytes) -> str:

@@ -133,21 +133,6 @@ class Cleared(msgspec.Struct, frozen=True, kw_only=True):
 CLEARED = "faultline.cleared/1"
 
 
-def encode_record(record: FaultRecord | Cleared) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(record) + b"\n"
-
-
-def decode_record(line: bytes) -> FaultRecord:
-    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
-    return msgspec.json.decode(line, type=FaultRecord)
-
-
-def decode_cleared(line: bytes) -> Cleared:
-    """As `decode_record`, of faults that were erased."""
-    return msgspec.json.decode(line, type=Cleared)
-
-
 def check(fault: Fault, name: str) -> None:
     """Raise ValueError where the fault memory cannot go on with what was kept under `name`, by another version say."""
     if name != f"fault/{fault.number}":

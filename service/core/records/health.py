@@ -120,16 +120,6 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
     conditions: Annotated[list[Standing], Meta(description="all that stand; empty where all is well")]
 
 
-def encode_health(health: Health) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(health) + b"\n"
-
-
-def decode_health(line: bytes) -> Health:
-    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
-    return msgspec.json.decode(line, type=Health)
-
-
 class Conditions:
     """Conditions with their patience. State: those that are, or were lately.
 

@@ -22,7 +22,7 @@ from faultline.service.cli import main
 from faultline.service.core.errors import InputError
 from faultline.service.core.memory.fault_memory import FaultMemory, News
 from faultline.service.core.memory.rules import Rules
-from faultline.service.core.records.fault import Fault, decode_cleared, decode_record
+from faultline.service.core.records.fault import Cleared, Fault, FaultRecord
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.control_server import ControlServer
@@ -98,6 +98,10 @@ class Vehicle:
         return [each.line for each in self.told if each.about == about]
 
 
+def _changes(vehicle: Vehicle) -> list[str]:
+    return [msgspec.json.decode(line, type=FaultRecord).change for line in vehicle.of("fault")]
+
+
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store in which the golden recording's fault is remembered."""
@@ -119,12 +123,12 @@ def test_a_fault_is_told_with_the_event_that_it_is_of() -> None:
     records = [json.loads(each.line) for each in vehicle.told]
     assert [record["seq"] for record in records] == list(range(1, len(records) + 1))
     occurred = next(k for k, record in enumerate(records) if record.get("transition") == "occurred")
-    confirmed = decode_record(vehicle.told[occurred + 1].line)
+    confirmed = msgspec.json.decode(vehicle.told[occurred + 1].line, type=FaultRecord)
     assert confirmed.change == "confirmed"
     assert confirmed.fault.first.id == records[occurred]["id"]
     assert confirmed.fault.first.cycle == 1
     assert confirmed.fault.system == "uds4"
-    assert [decode_record(line).change for line in vehicle.of("fault")] == ["confirmed", "refined"]
+    assert _changes(vehicle) == ["confirmed", "refined"]
 
 
 def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
@@ -155,11 +159,12 @@ def test_everything_is_there_after_a_restart(driven: Path, tmp_path: Path) -> No
     (fault,) = again.remembering.memory.faults.values()
     assert fault.status.test_failed
     assert again.remembering.cycle == 1
-    assert again.journal.last == decode_record(again.journal.earlier[-1].line).seq if again.journal.earlier else True
+    if again.journal.earlier:
+        assert again.journal.last == msgspec.json.decode(again.journal.earlier[-1].line, type=FaultRecord).seq
     again.hear()
     (fault,) = again.remembering.memory.faults.values()
     assert (fault.number, fault.occurrences) == (1, 1), "the same one, that nobody has repaired"
-    assert [decode_record(line).change for line in again.of("fault")] == ["refined", "refined"]
+    assert _changes(again) == ["refined", "refined"]
     assert "frame/1/latest" not in again.journal.kept
 
 
@@ -468,7 +473,7 @@ def test_erasing_is_answered_once_it_is_on_the_disk(served: Served) -> None:
         assert control.ask_json("faults")["faults"] == []
         last = control.ask_json("records", count=1)["records"][0]
         assert (last["schema"], last["numbers"], last["id"]) == ("faultline.cleared/1", [1], answer["id"])
-        assert decode_cleared(json.dumps(last).encode()).by
+        assert msgspec.json.decode(json.dumps(last).encode(), type=Cleared).by
         assert control.ask_json("clear")["cleared"] == []
     served.vehicle.journal.finish(5.0)
     kept = StoreFile(cast(Path, served.vehicle.journal.path)).kept

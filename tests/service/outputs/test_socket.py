@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.records.event import SCHEMA, Event, decode, encode
+from faultline.service.core.records.event import SCHEMA, Event, decode
+from faultline.service.core.records.line import encode
 from faultline.service.outputs import lines
 from faultline.service.outputs import socket as module
 from faultline.service.outputs.socket import EventSocket, Read
