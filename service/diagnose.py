@@ -1,6 +1,5 @@
 """Diagnose a log without a bus, as fast as it goes."""
 
-import argparse
 import sys
 from collections.abc import Collection
 from pathlib import Path
@@ -30,9 +29,7 @@ def main(argv: list[str]) -> int:
         InputError: no fault was found, but the log is damaged, or some test could never tell, or the log ends in a
             suspicion, so that "no fault" would be a guess.
     """
-    parser = Parser(
-        "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline diagnose", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a log file")
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
     parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")

@@ -29,9 +29,7 @@ PAGE = 500
 
 def main(argv: list[str]) -> int:
     """Runs the command; `list` returns 1 where a fault is there now, `clear` where it could not be kept."""
-    parser = Parser(
-        "faultline faults", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline faults", description=__doc__, epilog=EXAMPLE)
     commands = parser.add_subparsers(dest="command", required=True, metavar="list|show|export|clear")
     each = {name: commands.add_parser(name, help=text, description=text) for name, text in TEXTS.items()}
     for sub in each.values():

@@ -1,6 +1,5 @@
 """Play a recorded log onto a CAN bus, in real time or faster."""
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -30,9 +29,7 @@ class Played(msgspec.Struct):
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = Parser(
-        "faultline replay", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline replay", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")
     parser.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     parser.add_argument("--speed", type=float, default=1.0, help="how many times real time (default: 1)")

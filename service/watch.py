@@ -25,9 +25,7 @@ CONTROL = "control.sock"
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
-    parser = Parser(
-        "faultline watch", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline watch", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("--socket", type=Path, required=True, help="where `faultline run` serves its events")
     parser.add_argument("--json", action="store_true", help="print the events as they are, one line of JSON each")
     parser.add_argument("--after", type=int, metavar="SEQ", help="begin after this event (0: with the first there is)")

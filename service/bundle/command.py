@@ -33,9 +33,7 @@ The password of an encrypted key is asked for, or taken from the environment's F
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = Parser(
-        "faultline bundle", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline bundle", description=__doc__, epilog=EXAMPLE)
     actions = parser.add_subparsers(dest="action", required=True)
     show = actions.add_parser("show", help="what is in it")
     show.add_argument("bundle", type=Path)

@@ -99,9 +99,7 @@ def _say(text: str) -> None:
 
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     """The options, and the configuration: the one in a file, or what the options of a trial make."""
-    parser = Parser(
-        "faultline run", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline run", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--config", type=Path, help="the configuration; its interfaces may come and go, and need not be there yet")
     add("--bundle", type=Path, help="without a configuration: the bundle folder")

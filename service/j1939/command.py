@@ -1,6 +1,5 @@
 """Tell faults as J1939 trouble codes (DM1, DM2) on a vehicle's bus."""
 
-import argparse
 import sys
 from contextlib import closing, suppress
 from pathlib import Path
@@ -20,9 +19,7 @@ EXAMPLE = """example:
 
 def main(argv: list[str]) -> int:
     """Runs the node until SIGTERM or SIGINT; returns its exit code."""
-    parser = Parser(
-        "faultline j1939", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline j1939", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("--config", type=Path, required=True, help="the configuration (TOML), which must allow sending")
     config = load_config(parser.parse_args(argv).config)
     name, notifier = config.name.value, Notifier()

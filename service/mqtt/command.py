@@ -1,6 +1,5 @@
 """Hand what is told to a fleet's MQTT 5 broker."""
 
-import argparse
 import signal
 import sys
 import time
@@ -26,12 +25,7 @@ EXAMPLE = """example:
 def main(argv: list[str]) -> int:
     """Runs until SIGTERM or SIGINT; returns the exit code."""
     layout = resources.files("faultline.service").joinpath("vehicle", "mqtt.toml").read_text()
-    parser = Parser(
-        "faultline mqtt",
-        description=__doc__,
-        epilog=f"{EXAMPLE}the file:\n\n{layout}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("faultline mqtt", description=__doc__, epilog=f"{EXAMPLE}the file:\n\n{layout}")
     parser.add_argument("--config", type=Path, required=True, help="the configuration, as below")
     options = parser.parse_args(argv)
     config = load_config(options.config)

@@ -76,9 +76,7 @@ def _open(where: str) -> None:
 
 
 def _asked(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser(
-        "faultline serve", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline serve", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--config", type=Path, help="the settings (docs/http.md)")
     add("--control", help="without them: the daemon's control socket")

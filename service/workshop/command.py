@@ -90,12 +90,7 @@ def main(argv: list[str]) -> int:
 
 
 def _options(argv: list[str]) -> argparse.Namespace:
-    parser = Parser(
-        "faultline workshop",
-        description=(__doc__ or "").partition("\n")[0],
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("faultline workshop", description=(__doc__ or "").partition("\n")[0], epilog=EXAMPLE)
     parser.add_argument("--control", type=Path, default=SOCKET, help=f"the service's control socket ({SOCKET})")
     parser.add_argument("--system", help="which one, where the service watches several")
     parser.add_argument(

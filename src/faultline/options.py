@@ -8,12 +8,15 @@ from typing import Any, NoReturn
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that suggests the nearest option for each one it does not know.
+    """An argument parser that suggests the nearest option for each one it does not know, and keeps lines as written.
 
     A misspelt option that is required is reported by argparse as missing: the suggestion is added to any error.
     """
 
     _given: Sequence[str] = ()
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **{"formatter_class": argparse.RawDescriptionHelpFormatter, **named})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse as argparse does, and keep the arguments for the error message."""
