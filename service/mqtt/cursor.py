@@ -15,11 +15,9 @@ import msgspec
 from msgspec import Meta
 
 from faultline.service.core.errors import InputError
-from faultline.writing import write_file
+from faultline.writing import put_aside, write_file
 
 VERSION = 1
-ASIDE = 3
-"""Files that were put aside and are left."""
 LARGEST = 1 << 20  # bytes
 
 _ANEW = "beginning with the oldest record there is"
@@ -74,10 +72,7 @@ class CursorFile:
         except FileNotFoundError:
             return Cursor(), ""
         except OSError as error:
-            return (
-                Cursor(),
-                f"{self._path}: cannot be read: {error.strerror}; {_ANEW}",
-            )
+            return Cursor(), f"{self._path}: cannot be read: {error.strerror}; {_ANEW}"
         try:
             return _decoded(content), ""
         except ValueError as error:
@@ -88,18 +83,10 @@ class CursorFile:
         write_file(self._path, _encoded(cursor), 0o600)
 
     def _put_aside(self) -> str:
-        """Renames the file; of older ones the latest are left. What has become of it."""
-        stem = f"{self._path.name}.damaged-"
         try:
-            tails = [each.name.removeprefix(stem) for each in self._path.parent.glob(f"{stem}*")]
-            numbers = sorted(int(tail) for tail in tails if tail.isdecimal())
-            for number in numbers[: -(ASIDE - 1)]:
-                self._path.with_name(f"{stem}{number}").unlink(missing_ok=True)
-            aside = self._path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
-            self._path.rename(aside)
+            return f"it is now {put_aside(self._path)}"
         except OSError as error:
             return f"it cannot be put aside: {error.strerror}"
-        return f"it is now {aside}"
 
 
 def _encoded(cursor: Cursor) -> bytes:

@@ -4,7 +4,6 @@ A commit that has returned survives a power cut (`journal_mode=WAL`, `synchronou
 acknowledged since the last checkpoint is lost). One process has it, exclusively: others ask the service.
 """
 
-import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -15,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import msgspec
 
 from faultline.service.core.errors import InputError
+from faultline.writing import put_aside, sync
 
 VERSION = 2  # 1 had no table `kept`
 
@@ -22,7 +22,6 @@ About = Literal["event", "health", "fault"]
 KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000}
 """The latest so many are kept. Each kind has its own number: a loose plug must not push out faults."""
 PRUNED = 256  # records between two looks whether there are too many
-ASIDE = 3  # damaged files that are left
 ENDLESS = 2**53  # larger than any number of a record
 NOTHING: Mapping[str, bytes | None] = MappingProxyType({})
 LOCKED_S = 5.0  # who looks at the file with a tool of his own has so long
@@ -134,18 +133,14 @@ class StoreFile:
         copy, aside = self.path.with_name(f".{self.path.name}.new"), None
         copy.unlink(missing_ok=True)
         self._db.execute("VACUUM INTO ?", (str(copy),))
-        for path in (copy, copy.parent):
-            descriptor = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+        sync(copy)
+        sync(copy.parent)
         self.close()
         log = _log(self.path)
         if _identity(log) == self._opened[log]:  # ours, and not of what was put there: SQLite would join them
             log.unlink(missing_ok=True)
         if self.path.exists():
-            aside = _put_aside(self.path)
+            aside = put_aside(self.path, ("", "-wal"))
         log.unlink(missing_ok=True)
         copy.rename(self.path)
         self._begin()
@@ -197,7 +192,7 @@ class StoreFile:
             except sqlite3.Error as error:
                 if not is_damage(error):
                     raise
-                self.aside = _put_aside(self.path)
+                self.aside = put_aside(self.path, ("", "-wal"))
                 self._read()
         except (OSError, sqlite3.Error) as error:
             is_locked = isinstance(error, sqlite3.Error) and _code(error) in (
@@ -300,19 +295,3 @@ def _is_new(db: sqlite3.Connection, path: Path) -> bool:
     if version == 0 and db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
         raise StoreError(f"{path}: is another program's database; nothing was changed: give another path")
     return bool(version == 0)
-
-
-def _put_aside(path: Path) -> Path:
-    """Renames a damaged store and its log; of older ones the latest are left."""
-    stem = f"{path.name}.damaged-"
-    numbers = sorted(
-        int(tail) for each in path.parent.glob(f"{stem}*") if (tail := each.name.removeprefix(stem)).isdecimal()
-    )
-    for number in numbers[: -(ASIDE - 1)]:
-        for suffix in ("", "-wal"):
-            path.with_name(f"{stem}{number}{suffix}").unlink(missing_ok=True)
-    aside = path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
-    for suffix in ("", "-wal"):
-        with suppress(FileNotFoundError):
-            path.with_name(f"{path.name}{suffix}").rename(aside.with_name(f"{aside.name}{suffix}"))
-    return aside

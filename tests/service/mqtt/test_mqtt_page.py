@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.mqtt import answers, broker, cursor, outbox, progress, throttled
+from faultline import writing
+from faultline.service.mqtt import answers, broker, outbox, progress, throttled
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, DIGITS
 from faultline.service.mqtt.daemon import RETRY_S
 from faultline.service.mqtt.topics import LEVEL
@@ -44,7 +45,7 @@ def test_numbers_are_those_of_the_code() -> None:
         f"looked for every {RETRY_S[0]:g} to {RETRY_S[1]:g} s": True,
         "the same once a minute at most": throttled.SAID_S == 60,
         f"in {DIGITS} digits": True,
-        "three are left": cursor.ASIDE == 3,
+        "three are left": writing.ASIDE == 3,
         "half a second": progress.KEPT_S == 0.5,
         f"tried every {progress.RETRY_S:.0f} s": True,
         f"most {LEVEL} of them": True,
