@@ -1,4 +1,4 @@
-"""What the service manager is told over $NOTIFY_SOCKET (sd_notify(3)); nothing where there is none.
+"""The service manager: states over $NOTIFY_SOCKET (sd_notify(3)), where there is one, and lines for its journal.
 
 The watchdog is fed by a thread of its own, and only while every part that must be alive has said so lately: a loop that
 hangs, or computes for ever, is a service that is restarted.
@@ -6,9 +6,11 @@ hangs, or computes for ever, is a service that is restarted.
 
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Protocol
 
 READY_S = 5.0
@@ -16,6 +18,16 @@ READY_S = 5.0
 
 FEEDS = 3
 """The watchdog is fed so many times in its time."""
+
+
+def log_as(command: str) -> Callable[[str], None]:
+    """Return a function that writes one line of a command to standard error, which the journal takes."""
+
+    def log(text: str) -> None:
+        with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+            print(f"faultline {command}: {text}", file=sys.stderr, flush=True)
+
+    return log
 
 
 class Notifier:
@@ -33,10 +45,8 @@ class Notifier:
         content = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in states.items()).encode()
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
             sock.settimeout(READY_S if "READY" in states else 0.0)  # the others are told again soon
-            try:
+            with suppress(OSError):  # its queue is full, or it is being replaced: the next feed comes soon
                 sock.sendto(content, self._address)
-            except OSError:  # its queue is full, or it is being replaced: the next feed comes soon
-                return
 
 
 def _watchdog(environment: Mapping[str, str]) -> float | None:

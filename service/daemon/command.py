@@ -2,9 +2,8 @@
 
 import argparse
 import socket
-import sys
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 from faultline.options import Parser
@@ -29,9 +28,11 @@ from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.outputs.socket import RING, EventSocket
 from faultline.service.store.journal import Journal
-from faultline.service.systemd import Notifier, Supervisor
+from faultline.service.systemd import Notifier, Supervisor, log_as
 
 BOOT = Path("/proc/sys/kernel/random/boot_id")  # random(4)
+
+_say = log_as("run")
 
 EXAMPLE = """example:
   faultline run --config /etc/faultline/faultline.toml
@@ -90,11 +91,6 @@ def _store(config: Config, path: Path | None) -> Path | None:
     if path is not None:
         _say(f"{path}: no [store]: events are told and not kept")
     return None
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline run: {text}", file=sys.stderr, flush=True)
 
 
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:

@@ -1,7 +1,6 @@
 """Tell faults as J1939 trouble codes (DM1, DM2) on a vehicle's bus."""
 
-import sys
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 from faultline.options import Parser
@@ -10,7 +9,9 @@ from faultline.service.j1939.loop import Loop
 from faultline.service.j1939.memory import Memory
 from faultline.service.j1939.node import Node
 from faultline.service.j1939.wire import Wire
-from faultline.service.systemd import Notifier, Supervisor
+from faultline.service.systemd import Notifier, Supervisor, log_as
+
+_say = log_as("j1939")
 
 EXAMPLE = """example:
   faultline j1939 --config /etc/faultline/j1939.toml
@@ -33,8 +34,3 @@ def main(argv: list[str]) -> int:
             loop.serve()
             notifier.tell(STOPPING=1)
     return 0
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline j1939: {text}", file=sys.stderr, flush=True)

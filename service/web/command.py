@@ -1,18 +1,19 @@
 """Serve the fault memory, events and live values over HTTP, for tools on this machine."""
 
 import argparse
-import sys
 import threading
 import webbrowser
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from faultline.options import Parser
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
+from faultline.service.systemd import log_as
 
 LISTEN = "127.0.0.1:8080"
+
+_say = log_as("serve")
 
 EXAMPLE = """example:
   faultline serve --config /etc/faultline/serve.toml
@@ -105,8 +106,3 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     elif missing := [f"--{name}" for name in ("control", "events", "listen") if getattr(options, name) is None]:
         parser.error(f"give --config or --recording, or {', '.join(missing)} too")
     return options
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline serve: {text}", file=sys.stderr, flush=True)
