@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -57,7 +57,7 @@ class _Connection(Client):
         self.uid: int = uid
 
 
-class ControlSocket(LineServer):
+class ControlSocket(LineServer[_Connection]):
     """Serves `answers`; the users named in `clear`, root and our own may erase faults.
 
     Raises:
@@ -69,9 +69,6 @@ class ControlSocket(LineServer):
         self._clear = frozenset(clear)
         self.answers: Answers | None = None
 
-    def __enter__(self) -> "ControlSocket":
-        return self
-
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
         """As any; and takes what was asked while an answer was on its way."""
         super().serve(ready)
@@ -82,36 +79,33 @@ class ControlSocket(LineServer):
     def tick(self) -> None:
         """There may be new live values."""
         for client in list(self._clients):
-            if cast(_Connection, client).live is not None and not client.rest:
+            if client.live is not None and not client.rest:
                 self._flush(client)
 
-    def _made(self, sock: socket.socket) -> Client:
+    def _made(self, sock: socket.socket) -> _Connection:
         return _Connection(sock)
 
-    def _is_idle(self, client: Client) -> bool:
+    def _is_idle(self, client: _Connection) -> bool:
         """True also if it asked, got its answer, and has asked nothing since for `IDLE_S`."""
-        connection = cast(_Connection, client)
-        if connection.is_waiting or connection.live is not None or client.rest:
+        if client.is_waiting or client.live is not None or client.rest:
             return False
         return not client.has_asked or time.monotonic() - client.active > IDLE_S
 
-    def _take(self, client: Client) -> None:
+    def _take(self, client: _Connection) -> None:
         """Not while an answer is on its way: the next question waits for its turn."""
-        connection = cast(_Connection, client)
-        if connection.live is not None:
+        if client.live is not None:
             self._refuse(client, "live values are the last that is asked")
-        while client in self._clients and not connection.is_waiting and not client.rest:
+        while client in self._clients and not client.is_waiting and not client.rest:
             before = client.request
             super()._take(client)
             if client.request == before:
                 return
 
-    def _asked(self, client: Client, line: bytes) -> None:
-        connection = cast(_Connection, client)
+    def _asked(self, client: _Connection, line: bytes) -> None:
         try:
-            self._answer(connection, _question(line))
+            self._answer(client, _question(line))
         except RefusedError as refused:
-            self._say(connection, refusal(refused.code, refused.message))
+            self._say(client, refusal(refused.code, refused.message))
 
     def _answer(self, client: _Connection, question: Question) -> None:
         if self.answers is None:
@@ -130,15 +124,14 @@ class ControlSocket(LineServer):
         client.rest += encode(answer)
         self._flush(client)
 
-    def _next(self, client: Client) -> bytes | None:
-        connection = cast(_Connection, client)
-        found = connection.live(connection.sent) if connection.live is not None else None
+    def _next(self, client: _Connection) -> bytes | None:
+        found = client.live(client.sent) if client.live is not None else None
         if found is None:
             return None
-        connection.sent = found[0]
+        client.sent = found[0]
         return found[1]
 
-    def _refuse(self, client: Client, reason: str) -> None:
+    def _refuse(self, client: _Connection, reason: str) -> None:
         code: Code = "busy" if reason == "too many clients" else "bad-request"
         client.rest += encode(refusal(code, reason))
         self._send(client)

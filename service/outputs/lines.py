@@ -6,19 +6,17 @@ the process is short of descriptors, the new one is refused, and that is a condi
 """
 
 import errno
-import os
 import resource
 import selectors
 import socket
-import stat
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
+from typing import Generic, Self, TypeVar
 
-from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
 from faultline.service.core.records.line import encode
+from faultline.service.outputs.listening import listen
 from faultline.service.protocol.errors import Rejection
 
 CLIENTS = 32  # at most
@@ -27,7 +25,6 @@ RESERVED = 16  # descriptors, or a quarter, that clients leave to the rest of th
 AGAIN_S = 1.0  # where no connection can be accepted, this is tried again after so long
 REFUSED_S = 10.0  # for so long after a client was refused, that is a condition
 REQUEST_SIZE = 4096  # bytes of a client's line
-MODE = 0o660  # the daemon's user and group
 
 
 _SHORT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
@@ -44,7 +41,10 @@ class Client:
         self.has_asked = False
 
 
-class LineServer(ABC):
+C = TypeVar("C", bound=Client)
+
+
+class LineServer(ABC, Generic[C]):
     """Listens at a path.
 
     Raises:
@@ -53,9 +53,9 @@ class LineServer(ABC):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._listener = _listen(path)
+        self._listener = listen(path, "--socket")
         self._selector: selectors.BaseSelector | None = None
-        self._clients: list[Client] = []
+        self._clients: list[C] = []
         self._accept_at = 0.0  # monotonic time before which nothing is accepted [s]
         self._refused_at = -float("inf")
 
@@ -65,12 +65,10 @@ class LineServer(ABC):
         lately = time.monotonic() - self._refused_at < REFUSED_S
         return {Condition("clients-refused", str(self._path))} if lately else set()
 
-    def __enter__(self) -> "LineServer":
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def register(self, selector: selectors.BaseSelector) -> None:
@@ -84,7 +82,7 @@ class LineServer(ABC):
             self._accept_at = 0.0
             self._selector.register(self._listener, selectors.EVENT_READ, self)
         for key, events in ready:
-            if isinstance(key.data, Client) and key.data in self._clients:
+            if key.data in self._clients:
                 if events & selectors.EVENT_READ:
                     self._read(key.data)
                 if events & selectors.EVENT_WRITE and key.data in self._clients:
@@ -101,18 +99,18 @@ class LineServer(ABC):
         self._path.unlink(missing_ok=True)
 
     @abstractmethod
-    def _asked(self, client: Client, line: bytes) -> None:
+    def _made(self, sock: socket.socket) -> C:
+        """The client of a new connection."""
+
+    @abstractmethod
+    def _asked(self, client: C, line: bytes) -> None:
         """The client has sent a line."""
 
     @abstractmethod
-    def _next(self, client: Client) -> bytes | None:
+    def _next(self, client: C) -> bytes | None:
         """What the client is to be sent next, None for nothing now."""
 
-    def _made(self, sock: socket.socket) -> Client:
-        """The client of a new connection."""
-        return Client(sock)
-
-    def _is_idle(self, client: Client) -> bool:
+    def _is_idle(self, client: C) -> bool:
         """True if the client may make room for another: it has asked for nothing."""
         return not client.has_asked
 
@@ -149,7 +147,7 @@ class LineServer(ABC):
         self._accept_at = self._refused_at + AGAIN_S
         self._forget(self._listener)
 
-    def _read(self, client: Client) -> None:
+    def _read(self, client: C) -> None:
         try:
             content = client.sock.recv(REQUEST_SIZE)
         except BlockingIOError:
@@ -165,7 +163,7 @@ class LineServer(ABC):
             return
         self._take(client)
 
-    def _take(self, client: Client) -> None:
+    def _take(self, client: C) -> None:
         """Takes what the client has asked, if that is a whole line."""
         line, end, rest = client.request.partition(b"\n")
         if end:
@@ -174,12 +172,12 @@ class LineServer(ABC):
         elif len(client.request) >= REQUEST_SIZE:
             self._refuse(client, "the request has no end")
 
-    def _refuse(self, client: Client, reason: str) -> None:
+    def _refuse(self, client: C, reason: str) -> None:
         client.rest += encode(Rejection(error=reason))
         self._send(client)
         self._drop(client)
 
-    def _flush(self, client: Client) -> None:
+    def _flush(self, client: C) -> None:
         """Sends until the client takes no more or has all."""
         while client in self._clients:
             if client.rest:
@@ -192,7 +190,7 @@ class LineServer(ABC):
                     self._want(client, selectors.EVENT_READ)
                 return
 
-    def _send(self, client: Client) -> bool:
+    def _send(self, client: C) -> bool:
         """Whether the client took all of `rest`."""
         try:
             sent = client.sock.send(client.rest)
@@ -206,11 +204,11 @@ class LineServer(ABC):
             self._want(client, selectors.EVENT_READ | selectors.EVENT_WRITE)
         return not client.rest
 
-    def _want(self, client: Client, events: int) -> None:
+    def _want(self, client: C, events: int) -> None:
         if self._selector is not None:
             self._selector.modify(client.sock, events, client)
 
-    def _drop(self, client: Client) -> None:
+    def _drop(self, client: C) -> None:
         if client in self._clients:
             self._clients.remove(client)
             self._forget(client.sock)
@@ -237,39 +235,3 @@ def _lowest(sock: socket.socket) -> socket.socket:
         return sock
     sock.close()
     return lower
-
-
-def _listen(path: Path) -> socket.socket:
-    """A listening socket at `path`; the file that a dead process left there is replaced."""
-    _clear(path)
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    mask = os.umask(~MODE & 0o777)
-    try:
-        listener.bind(str(path))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise InputError(f"{path}: cannot listen there: {error.strerror or error}; give another --socket") from error
-    finally:
-        os.umask(mask)
-    listener.setblocking(False)
-    return listener
-
-
-def _clear(path: Path) -> None:
-    try:
-        if not stat.S_ISSOCK(path.stat().st_mode):
-            raise InputError(f"{path}: is there already and is no socket; give another --socket")
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; give another --socket") from error
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; give another --socket") from error
-        else:
-            raise InputError(f"{path}: another process serves events there; stop it or give another --socket")

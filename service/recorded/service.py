@@ -5,7 +5,6 @@ import selectors
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.records.event import Event
@@ -126,9 +125,7 @@ class Serving:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.eventfd_write(self._end, 1)
         self._thread.join()
         os.close(self._end)

@@ -407,7 +407,7 @@ def test_a_dead_processes_file_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_living_processes_is_not(loop: Loop) -> None:
-    with pytest.raises(InputError, match="another process serves events there"):
+    with pytest.raises(InputError, match="another process listens there"):
         EventSocket(loop.path)
     assert loop.path.exists()
 
