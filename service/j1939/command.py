@@ -24,8 +24,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--config", type=Path, required=True, help="the configuration (TOML), which must allow sending")
     config = load_config(parser.parse_args(argv).config)
     name, notifier = config.name.value, Notifier()
+    wire = Wire(config.interface, config.addresses)
     with (
-        closing(Wire(config.interface, config.addresses)) as wire,
+        closing(wire.bus),
         closing(Memory(Path(config.control), Path(config.events), _say)) as memory,
     ):
         loop = Loop(Node(name, config.addresses), wire, memory, notifier, _say)

@@ -43,7 +43,7 @@ class Loop:
         self.turn()
         self._notifier.tell(READY=1)
         while not self._stopped:
-            waiting = [number for number in (self._wire.fileno(), *self._memory.filenos()) if number >= 0]
+            waiting = [number for number in (self._wire.bus.fileno(), *self._memory.filenos()) if number >= 0]
             select.select(waiting, [], [], self._patience())
             self.turn()
             self.heartbeat.beat()
@@ -51,7 +51,7 @@ class Loop:
     def turn(self) -> None:
         """Takes what has come, and sends what is due."""
         now = self._clock()
-        frames = self._wire.receive()
+        frames = self._wire.bus.receive()
         self._watch_bus(now)
         for frame in frames:
             self._node.hear(frame, now)
@@ -69,13 +69,13 @@ class Loop:
 
     def _watch_bus(self, now: float) -> None:
         """Begins when the bus is there, and ends when it is not."""
-        trouble = self._wire.trouble
+        trouble = self._wire.bus.trouble
         gone = trouble in _GONE
         if gone and self._node.status != "waiting":
             self._node.end()
         elif not gone and self._node.status == "waiting":
             self._node.begin(now)
-        text = (self._wire.why or f"{self._wire.name}: is {trouble}") if gone else ""
+        text = (self._wire.bus.why or f"{self._wire.name}: is {trouble}") if gone else ""
         if text != self._trouble:
             self._trouble = text
             self._say(f"{text}; nothing is sent" if text else f"{self._wire.name}: is there")
