@@ -13,7 +13,6 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from faultline.service.protocol.errors import ProtocolError
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import Hub
 from faultline.service.web.limits import Gate, Limits
 from faultline.service.web.live import Live
@@ -33,11 +32,11 @@ def application(
     settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
 ) -> ASGIApp:
     """All of it, for a daemon at the settings' sockets."""
-    control = SharedControl(Path(settings.control), limits.answer_s, limits.clear_s)
-    hub = Hub(Path(settings.events), control, counts, say)
+    vehicle = Vehicle(Path(settings.control), limits.answer_s, limits.clear_s)
+    hub = Hub(Path(settings.events), vehicle, counts, say)
     streams = Streams(limits, counts, ending)
     guarded = settings.allow_remote
-    routes = Routes(Vehicle(control), hub, Live(control, ending, say), streams, tokens, guarded=guarded)
+    routes = Routes(vehicle, hub, Live(vehicle, ending, say), streams, tokens, guarded=guarded)
     return Gate(_app(routes, hub, ending), limits, counts, settings.hosts, tokens if guarded else None)
 
 

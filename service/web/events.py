@@ -12,14 +12,14 @@ from pathlib import Path
 
 from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import connected, line_of
-from faultline.service.protocol.answers import RecordPage, ServiceState
+from faultline.service.protocol.answers import RecordPage
 from faultline.service.protocol.backoff import Backoff
 from faultline.service.protocol.errors import AwayError, GarbledError, ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.records import Record, RecordError, Subscription, number_in
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import SIZE, Ring, told
+from faultline.service.web.vehicle import Vehicle
 from faultline.service.web.waiting import News
 
 SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
@@ -36,8 +36,8 @@ class Hub:
     is known, and that place is None.
     """
 
-    def __init__(self, path: Path, control: SharedControl, counts: Counts, say: Callable[[str], None]) -> None:
-        self._path, self._control, self._counts, self._say = path, control, counts, say
+    def __init__(self, path: Path, vehicle: Vehicle, counts: Counts, say: Callable[[str], None]) -> None:
+        self._path, self._vehicle, self._counts, self._say = path, vehicle, counts, say
         self.ring, self.news = Ring(), News()
         self.there = False
         self.settled: int | None = None
@@ -65,18 +65,18 @@ class Hub:
             AwayError: they cannot be had now.
         """
         try:
-            found = await self._control.ask_alone(Question(ask="records", after=seq, count=count), RecordPage)
+            found = await self._vehicle.ask_alone(Question(ask="records", after=seq, count=count), RecordPage)
             return [told(bytes(line)) for line in found.records]
         except (RecordError, GarbledError) as error:
             raise AwayError(f"records cannot be read: {error}") from error
         except RefusedError as error:
-            store = (await self._control.ask(Question(ask="state"), ServiceState)).store
+            store = (await self._vehicle.state()).store
             if store is None or store.path is None:
                 return ()
             raise AwayError(error.message) from error
 
     async def _listen(self) -> None:
-        latest = (await self._control.ask(Question(ask="state"), ServiceState)).seq
+        latest = (await self._vehicle.state()).seq
         after = max(0, latest - SIZE) if self.ring.last is None else self.ring.last
         async with connected(self._path, encode(Subscription(after))) as reader:
             while True:
@@ -107,7 +107,7 @@ class Hub:
                 self._say(f"events: a line is no record: {error}: {line[:80]!r}")
             return
         if self.ring.add(record):
-            self._control.forget()  # who hears of it and asks must not get an answer from before
+            self._vehicle.forget()  # who hears of it and asks must not get an answer from before
         self._is_there(there=True)
 
     def _is_there(self, *, there: bool) -> None:

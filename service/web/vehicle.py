@@ -14,19 +14,16 @@ from faultline.service.web.queries import Page, Part
 from faultline.service.web.ring import told
 
 
-class Vehicle:
-    """The daemon, asked over its control socket; every method raises what `SharedControl.ask` does."""
-
-    def __init__(self, control: SharedControl) -> None:
-        self._control = control
+class Vehicle(SharedControl):
+    """The daemon, asked over its control socket; every method raises what `ask` does."""
 
     async def state(self) -> ServiceState:
         """How it is."""
-        return await self._control.ask(Question(ask="state"), ServiceState)
+        return await self.ask(Question(ask="state"), ServiceState)
 
     async def faults(self, system: str | None = None) -> Sequence[Fault]:
         """What is remembered, of one system or of all."""
-        memory = await self._control.ask(Question(ask="faults"), FaultList)
+        memory = await self.ask(Question(ask="faults"), FaultList)
         return [fault for fault in memory.faults if system in (None, fault.system)]
 
     async def systems(self) -> list[str]:
@@ -36,7 +33,7 @@ class Vehicle:
 
     async def fault(self, system: str, number: int) -> FaultDetail:
         """One of its faults; raises RequestError where it has none of that number."""
-        found = await self._control.ask(Question(ask="fault", number=number), FaultDetail)
+        found = await self.ask(Question(ask="fault", number=number), FaultDetail)
         if found.fault.system != system:
             raise RequestError(404, "unknown", f"fault {number} is none of {system!r}")
         return found
@@ -44,7 +41,7 @@ class Vehicle:
     async def meanings(self, system: str) -> Mapping[str, FaultMeaning]:
         """What its faults' names mean; nothing where it is not watched any more."""
         try:
-            names = await self._control.ask(Question(ask="system", name=system), SystemDescription)
+            names = await self.ask(Question(ask="system", name=system), SystemDescription)
         except RefusedError as error:
             if error.code != "unknown":
                 raise
@@ -53,13 +50,13 @@ class Vehicle:
 
     async def description(self, system: str) -> Mapping[str, object]:
         """All that its names mean, as the daemon says it."""
-        return await self._control.ask(Question(ask="system", name=system), dict[str, object])
+        return await self.ask(Question(ask="system", name=system), dict[str, object])
 
     async def records(self, page: Page) -> RecordPage:
         """A page of what was told."""
         before = page.before if page.after is None else None
         question = Question(ask="records", count=page.most, after=page.after, before=before)
-        found = await self._control.ask_alone(question, RecordPage)
+        found = await self.ask_alone(question, RecordPage)
         if page.after is None or page.before is None:
             return found
         try:
@@ -70,18 +67,18 @@ class Vehicle:
     async def history(self, system: str, part: Part) -> Mapping[str, object]:
         """Ticks of a finished recording, as columns."""
         question = Question(ask="history", name=system, after=part.after, before=part.before, count=part.most)
-        return await self._control.ask_alone(question, dict[str, object])
+        return await self.ask_alone(question, dict[str, object])
 
     async def erase(self, number: int) -> None:
         """Erases a fault: on return that is on the disk."""
-        erased = await self._control.clear(Question(ask="clear", number=number), Erased)
+        erased = await self.clear(Question(ask="clear", number=number), Erased)
         if number not in erased.cleared:
             raise GarbledError(f"fault {number} is not among those that were cleared")
 
     async def erase_all(self, system: str) -> None:
         """Erases all that is remembered of a system; at once, with the overflow flag, where there is no other."""
         if await self.systems() == [system]:
-            await self._control.clear(Question(ask="clear"), Erased)
+            await self.clear(Question(ask="clear"), Erased)
             return
         for fault in await self.faults(system):
             try:

@@ -11,17 +11,17 @@ from web_daemon import record
 
 from faultline.service.protocol.errors import AwayError
 from faultline.service.protocol.records import Record
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import Hub, stream
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import Ring, told
+from faultline.service.web.vehicle import Vehicle
 
 
 class Heard(Hub):
     """A hub whose store and ring are filled by hand; `away` fails so many looks into the store."""
 
     def __init__(self, stored: Sequence[int], heard: Sequence[int], size: int = 5) -> None:
-        super().__init__(Path("/e"), SharedControl(Path("/c"), 1, 1), Counts(), lambda _: None)
+        super().__init__(Path("/e"), Vehicle(Path("/c"), 1, 1), Counts(), lambda _: None)
         self.ring = Ring(size)
         self.stored = [*stored]
         self.there, self.settled, self.away = True, 0, 0
