@@ -26,7 +26,7 @@ from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.protocol.questions import Question
 from faultline.service.workshop.cycle import Cycle, End
 from faultline.service.workshop.hindrance import remedy
-from faultline.service.workshop.listening import Listening
+from faultline.service.workshop.listening import live_ticks
 from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
 from faultline.service.workshop.report import page
 from faultline.service.workshop.result import Frame, Result, result
@@ -166,9 +166,8 @@ def _screen(options: argparse.Namespace) -> Screen:
 
 def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
     """Follows the cycle to its end."""
-    listening = Listening(path, cycle.system.name)
     try:
-        for came in listening.ticks():
+        for came, is_behind in live_ticks(path, cycle.system.name):
             if isinstance(came, LiveTick):
                 if not came.fits(cycle.system):
                     return "begun-anew"
@@ -176,7 +175,7 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
             else:
                 cycle.silent(came)
             ended = cycle.ended
-            if ended is not None or not listening.is_behind:
+            if ended is not None or not is_behind:
                 screen.show(cycle)
             if ended is not None:
                 return ended
