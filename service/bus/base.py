@@ -52,11 +52,6 @@ class Counts:
     link_downs: int = 0
     removals: int = 0
 
-    @property
-    def left_alone(self) -> int:
-        """What came and was not taken as data."""
-        return self.remote + self.malformed + self.local
-
 
 class Bus(ABC):
     """Receives without blocking, and sends. `trouble` is None while it is well; `why` says more, once."""

@@ -122,15 +122,11 @@ class ControlServer:
         )
 
     def _records(self, question: Question, then: Then) -> None:
-        page = page_of(question)
-
         def found(records: list[Record] | None) -> None:
-            if records is None:
-                then(refusal("busy", "there is no store, or it cannot be read now"))
-            else:
-                then(page_with(records))
+            none = refusal("busy", "there is no store, or it cannot be read now")
+            then(none if records is None else page_with(records))
 
-        self._journal.read(page, found)
+        self._journal.read(page_of(question), found)
 
     def _observed(self, name: str | None) -> SystemState:
         observed = self._remembering.observed

@@ -13,7 +13,7 @@ from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 from faultline.service.protocol.answers import FaultList
 from faultline.service.protocol.backoff import Backoff
 from faultline.service.protocol.client import decode
-from faultline.service.protocol.errors import GarbledError, RefusedError
+from faultline.service.protocol.errors import ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.reconnecting import Reconnecting
 from faultline.service.protocol.records import Subscription
@@ -93,11 +93,10 @@ class Memory:
         self._asked = None
         try:
             faults = decode(line, FaultList).faults
-        except RefusedError as error:
-            self._answered_nothing(f"refused ({error.message})", now)
-            return
-        except GarbledError as error:
-            self._answered_nothing(f"gave no answer that is understood ({error.__cause__})", now)
+        except ProtocolError as error:
+            garbled = f"gave no answer that is understood ({error.__cause__})"
+            self._fail(f"refused ({error.message})" if isinstance(error, RefusedError) else garbled, now)
+            self._due = now + ASK_BLIND_S
             return
         if self._whys:
             self._say(f"{self._where}: the service answers")
@@ -105,10 +104,6 @@ class Memory:
         self._failing, self._answered = None, now
         self.known = known(faults)
         self._warn(faults)
-
-    def _answered_nothing(self, why: str, now: float) -> None:
-        self._fail(why, now)
-        self._due = now + ASK_BLIND_S
 
     def _fail(self, why: str, since: float) -> None:
         if self._failing is None:

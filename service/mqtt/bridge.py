@@ -88,7 +88,7 @@ class Bridge:
         self._broker.connect(self._naming.name, now)
         self._broker.hear(now)
         self._reconcile(now)
-        self._retained.health.daemon_is_there = self._daemon.is_there
+        self._retained.health.daemon_is_there = self._daemon.is_connected
         self._retained.health.lost = self._progress.lost
         self._broker.send(now)
         self._keep_at = self._progress.keep(self._naming.name, self._retained.faults.there, now)
@@ -104,12 +104,12 @@ class Bridge:
 
     def _ask_name(self, now: float) -> None:
         """Asks the daemon who it is, once a connection, where the configuration does not say it."""
-        if self._naming.is_fixed or not self._daemon.is_there or self._named == self._daemon.epoch:
+        if self._naming.is_fixed or not self._daemon.is_connected or self._named == self._daemon.connections:
             return
         state = self._asked(now)
         try:
             if state is not None:
-                self._named = self._daemon.epoch
+                self._named = self._daemon.connections
                 self._naming.answered(state.source)
             elif self._seen is not None:
                 self._naming.seen(self._seen)
@@ -118,8 +118,8 @@ class Bridge:
 
     def _reconcile(self, now: float) -> None:
         """Makes right what the broker retains, once for each connection to it and to the daemon."""
-        topics, wanted = self._broker.topics, (self._broker.connections, self._daemon.epoch)
-        if topics is None or not self._daemon.is_there or wanted == self._reconciled:
+        topics, wanted = self._broker.topics, (self._broker.connections, self._daemon.connections)
+        if topics is None or not self._daemon.is_connected or wanted == self._reconciled:
             return
         state = self._asked(now)
         if state is None:
@@ -130,7 +130,7 @@ class Bridge:
             self._no_answer(error, now)
             return
         self._reconciled = wanted
-        self._sender.publish(self._retained.now(state, remembered, self._daemon.epoch, topics))
+        self._sender.publish(self._retained.now(state, remembered, self._daemon.connections, topics))
 
     def _asked(self, now: float) -> State | None:
         """The daemon's state; None where it gives none, or it is not time to ask again."""
@@ -150,7 +150,7 @@ class Bridge:
 
     def _tell(self) -> None:
         broker = "connected to the broker" if self._broker.topics is not None else "broker away"
-        status = f"{broker}, {'connected to the daemon' if self._daemon.is_there else 'daemon away'}"
+        status = f"{broker}, {'connected to the daemon' if self._daemon.is_connected else 'daemon away'}"
         if status != self._status:
             self._notifier.tell(STATUS=status)
             self._status = status
@@ -158,11 +158,11 @@ class Bridge:
     def _wait(self, longest_s: float) -> None:
         """Until there is something to do."""
         now = self._clock()
-        dues = [*self._broker.due, self._daemon.retry_at, self._asking.at, self._keep_at or now]
+        dues = [*self._broker.due, self._daemon.retry.at, self._asking.at, self._keep_at or now]
         with selectors.PollSelector() as selector:
             selector.register(self._wake, selectors.EVENT_READ)
-            if self._sender.outbox.has_room:
-                self._daemon.register(selector)
+            if self._sender.outbox.has_room and self._daemon.is_connected:
+                selector.register(self._daemon, selectors.EVENT_READ)
             self._broker.register(selector)
             ready = selector.select(min([longest_s, *(due - now for due in dues if due > now)]))
         if any(key.fd == self._wake for key, _ in ready):

@@ -90,11 +90,6 @@ class Outbox:
         """What is in flight, where it is one; None otherwise."""
         return next(iter(self._flight)) if len(self._flight) == 1 else None
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether every record is done."""
-        return not self._records and not self._sent
-
     def add(self, record: Record) -> None:
         """The next record."""
         self._records.append(record)
