@@ -23,21 +23,21 @@ from faultline.service.web.settings import Settings
 from faultline.service.web.stream import Stream, Streams
 from faultline.service.web.tokens import Tokens
 from faultline.service.web.vehicle import Vehicle
-from faultline.service.web.waiting import Ending
+from faultline.service.web.waiting import Shutdown
 
 Handler = Callable[[Request], Awaitable[Response | Stream]]
 
 
 def application(
-    settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
+    settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, shutdown: Shutdown, say: Callable[[str], None]
 ) -> ASGIApp:
     """All of it, for a daemon at the settings' sockets."""
     vehicle = Vehicle(Path(settings.control), limits.answer_s, limits.clear_s)
     hub = Hub(Path(settings.events), vehicle, counts, say)
-    streams = Streams(limits, counts, ending)
+    streams = Streams(limits, counts, shutdown)
     guarded = settings.allow_remote
-    routes = Routes(vehicle, hub, Live(vehicle, ending, say), streams, tokens, guarded=guarded)
-    return Gate(_app(routes, hub, ending), limits, counts, settings.hosts, tokens if guarded else None)
+    routes = Routes(vehicle, hub, Live(vehicle, shutdown, say), streams, tokens, guarded=guarded)
+    return Gate(_app(routes, hub, shutdown), limits, counts, settings.hosts, tokens if guarded else None)
 
 
 def table(routes: Routes) -> list[Route]:
@@ -62,13 +62,13 @@ def table(routes: Routes) -> list[Route]:
     ]
 
 
-def _app(routes: Routes, hub: Hub, ending: Ending) -> Starlette:
+def _app(routes: Routes, hub: Hub, shutdown: Shutdown) -> Starlette:
     """The routes, hearing events while they are served; if that fails, this server ends."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(hub.run())
-        ending.watch(task)
+        shutdown.watch(task)
         yield
         task.cancel()
 

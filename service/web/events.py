@@ -20,7 +20,7 @@ from faultline.service.protocol.records import Record, RecordError, Subscription
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import SIZE, Ring, told
 from faultline.service.web.vehicle import Vehicle
-from faultline.service.web.waiting import News
+from faultline.service.web.waiting import ChangeNotifier
 
 SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
 BATCH = 64  # records in one piece of a stream
@@ -38,7 +38,7 @@ class Hub:
 
     def __init__(self, path: Path, vehicle: Vehicle, counts: Counts, say: Callable[[str], None]) -> None:
         self._path, self._vehicle, self._counts, self._say = path, vehicle, counts, say
-        self.ring, self.news = Ring(), News()
+        self.ring, self.changes = Ring(), ChangeNotifier()
         self.there = False
         self.settled: int | None = None
 
@@ -94,7 +94,7 @@ class Hub:
     def _settle(self) -> None:
         if self.settled is None:
             self.settled = self.ring.end
-            self.news.tell()
+            self.changes.notify()
 
     def _take(self, line: bytes) -> None:
         if line.startswith(b'{"error"'):
@@ -112,7 +112,7 @@ class Hub:
 
     def _is_there(self, *, there: bool) -> None:
         self.there = there
-        self.news.tell()
+        self.changes.notify()
 
 
 def frame(record: Record) -> bytes:
@@ -146,7 +146,7 @@ async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGene
         if hub.there != there:
             there = hub.there
             yield b": daemon back\n\n" if there else b": daemon away\n\n"
-        elif not await hub.news.wait(alive_s):
+        elif not await hub.changes.wait(alive_s):
             yield b": alive\n\n" if there else b": daemon away\n\n"
 
 
@@ -163,7 +163,7 @@ async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> Async
             page = await hub.page(seq)
         except AwayError:
             yield b": daemon away\n\n"
-            await hub.news.wait(alive_s)
+            await hub.changes.wait(alive_s)
             continue
         older = [*takewhile(lambda record: ring.where(record.id) is None, page)]
         if older:
@@ -177,7 +177,7 @@ async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> Async
         elif seq <= ring.newest:
             yield ring.beyond(seq)
             return
-        elif not await hub.news.wait(alive_s):  # the store is ahead of what was heard, as nothing was yet
+        elif not await hub.changes.wait(alive_s):  # the store is ahead of what was heard, as nothing was yet
             yield b": alive\n\n"
 
 

@@ -11,14 +11,14 @@ from faultline.service.protocol.errors import ProtocolError
 from faultline.service.protocol.questions import Question
 from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import RETRY_MS, RETRY_S
-from faultline.service.web.waiting import Ending, News
+from faultline.service.web.waiting import ChangeNotifier, Shutdown
 
 
 class _Feed:
     """The ticks of one system. State: the `latest` line, how many there were, and whether the daemon is `there`."""
 
     def __init__(self) -> None:
-        self.news = News()
+        self.changes = ChangeNotifier()
         self.latest, self.count = b"", 0
         self.there = True
         self.watchers = 0
@@ -40,21 +40,21 @@ class _Feed:
                 if self.count > before:
                     retry.well()
             self.there = False
-            self.news.tell()
+            self.changes.notify()
             await asyncio.sleep(retry.wait())
 
     def take(self, line: bytes) -> None:
         """A tick; raises RefusedError or GarbledError where it is none."""
         decode(line, dict)
         self.latest, self.count, self.there = line.rstrip(b"\r\n"), self.count + 1, True
-        self.news.tell()
+        self.changes.notify()
 
 
 class Live:
     """The systems that are watched now; this server ends if watching one fails."""
 
-    def __init__(self, control: SharedControl, ending: Ending, say: Callable[[str], None]) -> None:
-        self._control, self._ending, self._say = control, ending, say
+    def __init__(self, control: SharedControl, shutdown: Shutdown, say: Callable[[str], None]) -> None:
+        self._control, self._shutdown, self._say = control, shutdown, say
         self._feeds: dict[str, _Feed] = {}
 
     async def stream(self, system: str, alive_s: float) -> AsyncGenerator[bytes, None]:
@@ -70,7 +70,7 @@ class Live:
                 elif feed.there != there:
                     there = feed.there
                     yield b": daemon back\n\n" if there else b": daemon away\n\n"
-                elif not await feed.news.wait(alive_s):
+                elif not await feed.changes.wait(alive_s):
                     yield b": alive\n\n" if there else b": daemon away\n\n"
         finally:
             self._leave(system, feed)
@@ -80,7 +80,7 @@ class Live:
         feed.watchers += 1
         if feed.task is None:
             feed.task = asyncio.create_task(feed.run(self._control, system, self._say))
-            self._ending.watch(feed.task)
+            self._shutdown.watch(feed.task)
         return feed
 
     def _leave(self, system: str, feed: _Feed) -> None:

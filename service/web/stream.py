@@ -14,7 +14,7 @@ from faultline.service.web.connections import STALLED
 from faultline.service.web.limits import Limits
 from faultline.service.web.metrics import Counts
 from faultline.service.web.problems import RequestError
-from faultline.service.web.waiting import Ending
+from faultline.service.web.waiting import Shutdown
 
 HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
@@ -28,7 +28,7 @@ class Streams(NamedTuple):
 
     limits: Limits
     counts: Counts
-    ending: Ending
+    shutdown: Shutdown
 
     def seat(self) -> None:
         """Raises RequestError where as many streams are open as may be."""
@@ -50,7 +50,7 @@ class Stream:
         counts.streams[self._kind] += 1
         try:
             await send({"type": "http.response.start", "status": 200, "headers": [*HEADERS]})
-            await _first_of(self._write(scope, send), _gone(receive), self._streams.ending.wait())
+            await _first_of(self._write(scope, send), _gone(receive), self._streams.shutdown.wait())
         finally:
             counts.streams[self._kind] -= 1
         try:

@@ -30,12 +30,12 @@ class Heard(Hub):
 
     def hear(self, seq: int) -> None:
         self.ring.add(told(record(seq)))
-        self.news.tell()
+        self.changes.notify()
 
     async def page(self, seq: int, count: int = 3) -> Sequence[Record]:
         if self.away:
             self.away -= 1
-            self.news.tell()
+            self.changes.notify()
             raise AwayError("of the test")
         return [told(record(each)) for each in self.stored if each > seq][: min(count, 3)]
 
@@ -128,8 +128,8 @@ def test_a_store_that_cannot_be_read_now_is_waited_for() -> None:
         parts = begun(hub, 3)
         first = [await anext(parts) for _ in range(2)]
         hub.away, hub.there = 0, True
-        hub.news.tell()
-        asyncio.get_running_loop().call_later(0.01, hub.news.tell)
+        hub.changes.notify()
+        asyncio.get_running_loop().call_later(0.01, hub.changes.notify)
         return first, await seqs(parts, 17)
 
     first, rest = asyncio.run(run())
