@@ -3,10 +3,10 @@
 import selectors
 from collections.abc import Callable
 
-from faultline.service.mqtt.answers import name_of
 from faultline.service.mqtt.config import MqttConfig
 from faultline.service.mqtt.link import Answered, Down, Happened, Held, Link, Up
 from faultline.service.mqtt.outbox import Publication
+from faultline.service.mqtt.puback_policy import name_of
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.sender import Sender
 from faultline.service.mqtt.throttled import Say

@@ -33,7 +33,7 @@ def name_of(code: int) -> str:
     return {**TAKEN, **OF_THE_MESSAGE, **OF_THE_MOMENT}.get(code, f"reason code 0x{code:02x}")
 
 
-class Answers:
+class PubackPolicy:
     """Judges one answer after the other. State: since when [s] nothing but refusals came."""
 
     def __init__(self) -> None:

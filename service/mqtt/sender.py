@@ -6,10 +6,10 @@ States come before records, and records in order.
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from faultline.service.mqtt.answers import HANGS_UP, PATIENCE_S, Answers, name_of
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
 from faultline.service.mqtt.link import Answered, Link, Up
 from faultline.service.mqtt.outbox import IN_FLIGHT, Outbox, Passed, Publication
+from faultline.service.mqtt.puback_policy import HANGS_UP, PATIENCE_S, PubackPolicy, name_of
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import Topics
@@ -27,7 +27,7 @@ class Sender:
         self._retained, self._passed, self._say = retained, passed, say
         self.outbox = Outbox()
         self._states: deque[Publication] = deque()
-        self._answers = Answers()
+        self._policy = PubackPolicy()
         self._hold = Backoff(*RETRY_S)
         self._limit, self._largest = IN_FLIGHT, float("inf")
         self._alone = 0  # so many records go one by one, to find out which one makes the broker hang up
@@ -67,7 +67,7 @@ class Sender:
 
     def send(self, link: Link, topics: Topics, now: float) -> None:
         """Sends what there is, as far as the broker has acknowledged what was sent before."""
-        while link.is_up and self.outbox.in_flight < (1 if self._alone or self._answers.refusing else self._limit):
+        while link.is_up and self.outbox.in_flight < (1 if self._alone or self._policy.refusing else self._limit):
             if not self._send_state(link, topics, now) and not self._send_record(link, topics, now):
                 return
 
@@ -92,7 +92,7 @@ class Sender:
             if answer.code >= 0x80:
                 self._say(f"{refused}; check what it allows at {publication.topic}", about)
             return
-        verdict = self._answers.judge(answer.code, now)
+        verdict = self._policy.judge(answer.code, now)
         if verdict == "again":
             self._say(f"{refused}; it is tried again, check what is allowed at {publication.topic}", about)
             self.outbox.refused(answer.identifier)
