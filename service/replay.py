@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
         _say(log.report.summary())
     with open_bus(options.bus) as bus:
         length = log.duration_s
-        told = Told(lambda t: _say(f"{t:.0f} s of {length:.0f} s"), TOLD_EVERY_S * options.speed)
+        told = Progress(lambda t: _say(f"{t:.0f} s of {length:.0f} s"), TOLD_EVERY_S * options.speed)
         played = play(log.relative(), bus.send, options.speed, progress=told)
     _say(
         f"{played.frames} frames of {played.log_s:.1f} s in {played.wall_s:.1f} s, "
@@ -59,7 +59,7 @@ def _say(text: str) -> None:
     print(f"faultline replay: {text}", file=sys.stderr, flush=True)
 
 
-class Told:
+class Progress:
     """Passes on a log time [s] when `every` [s] of it have gone since the last one."""
 
     def __init__(self, say: Callable[[float], None], every: float) -> None:

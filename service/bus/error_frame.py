@@ -11,7 +11,7 @@ OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x01, 0x04 | 0x08, 0x10 | 0x20, 0x40
 _STATUS = 1
 
 
-class News(NamedTuple):
+class StateChange(NamedTuple):
     """What an error frame changes: whether the bus is now in `trouble` or, None, well; and whether frames were lost."""
 
     changed: bool = False
@@ -19,15 +19,15 @@ class News(NamedTuple):
     overflow: bool = False
 
 
-def read_error(identifier: int, data: bytes) -> News:
+def read_error(identifier: int, data: bytes) -> StateChange:
     """What the frame says; `identifier` without its flags."""
     if identifier & BUS_OFF:
-        return News(True, "bus-off")
+        return StateChange(True, "bus-off")
     if identifier & RESTARTED:
-        return News(True)
+        return StateChange(True)
     if not identifier & CONTROLLER or len(data) <= _STATUS:
-        return News()
+        return StateChange()
     status = data[_STATUS]
     if status & PASSIVE:
-        return News(True, "error-passive", bool(status & OVERFLOW))
-    return News(bool(status & (WARNING | ACTIVE)), None, bool(status & OVERFLOW))
+        return StateChange(True, "error-passive", bool(status & OVERFLOW))
+    return StateChange(bool(status & (WARNING | ACTIVE)), None, bool(status & OVERFLOW))

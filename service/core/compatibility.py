@@ -3,7 +3,7 @@
 from faultline.service.core.manifest import Manifest
 
 
-def decide_alike(one: Manifest, other: Manifest) -> bool:
+def are_compatible(one: Manifest, other: Manifest) -> bool:
     """Whether the same frames give the same decisions; version, descriptions and provenance may differ."""
     return _deciding(one) == _deciding(other)
 

@@ -35,11 +35,11 @@ class ControlServer:
 
     def __init__(
         self,
-        remembering: FaultRecorder,
+        fault_recorder: FaultRecorder,
         journal: Journal,
         state: Callable[[], tuple[str, str | None, int, list[Standing]]],
     ) -> None:
-        self._remembering, self._journal, self._state = remembering, journal, state
+        self._fault_recorder, self._journal, self._state = fault_recorder, journal, state
         self._waiting: list[tuple[int, Erased, Then]] = []  # erased, and not told yet
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
@@ -56,7 +56,7 @@ class ControlServer:
             case "records":
                 self._records(question, then)
             case "system":
-                then(description(self._observed(question.name)))
+                then(description(self._system(question.name)))
             case "history":
                 raise RefusedError("unknown", "a service on the vehicle keeps no history; a recording has one")
             case "live":
@@ -64,7 +64,7 @@ class ControlServer:
 
     def live(self, name: str | None) -> Live:
         """What gives the newest tick of a system; raises `RefusedError`."""
-        here = self._observed(name)
+        here = self._system(name)
         before = here.recorder.latest  # however old it is: who asks now is told what comes from now on
         return lambda sent: None if here.recorder.latest is before else live_tick(here, sent)
 
@@ -79,23 +79,23 @@ class ControlServer:
         self._waiting = [each for each in self._waiting if each[0] != record.seq]
 
     def _faults(self) -> FaultList:
-        memory = self._remembering.memory
+        memory = self._fault_recorder.memory
         return FaultList(faults=[*memory.faults.values()], overflow=memory.remembered.overflow, seq=self._state()[2])
 
     def _fault(self, number: int | None) -> FaultDetail:
-        faults = self._remembering.memory.faults
+        faults = self._fault_recorder.memory.faults
         if number is None:
             raise RefusedError("bad-request", "name the fault by its `number`")
         if number not in faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
-        return FaultDetail(fault=faults[number], frames=FreezeFrames(**self._remembering.frames(number)))
+        return FaultDetail(fault=faults[number], frames=FreezeFrames(**self._fault_recorder.frames(number)))
 
     def _clear(self, number: int | None, asker: Asker, then: Then) -> None:
         if not asker.may_clear:
             raise RefusedError("not-allowed", f"{asker.user} may not erase faults: see [control] clear")
-        if number is not None and number not in self._remembering.memory.faults:
+        if number is not None and number not in self._fault_recorder.memory.faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
-        cleared = self._remembering.clear(number, asker.user)
+        cleared = self._fault_recorder.clear(number, asker.user)
         if cleared is None:
             raise RefusedError("not-kept", "the fault memory failed, and nothing was erased: see the service's log")
         self._waiting.append((cleared.seq, Erased(cleared=cleared.numbers, id=cleared.id), then))
@@ -109,7 +109,7 @@ class ControlServer:
             since=since,
             wall=now(),
             is_recording=self.is_recording,
-            cycle=self._remembering.cycle,
+            cycle=self._fault_recorder.cycle,
             seq=seq,
             conditions=conditions,
             store=StoreStatus(
@@ -117,8 +117,8 @@ class ControlServer:
                 kept=journal.kept_up_to,
                 failing=any(each.kind == "store-failed" for each in journal.conditions),
             ),
-            buses=[bus_status(line) for line in self._remembering.lines],
-            systems=[system_status(each) for each in self._remembering.observed.values()],
+            buses=[bus_status(line) for line in self._fault_recorder.lines],
+            systems=[system_status(each) for each in self._fault_recorder.systems.values()],
         )
 
     def _records(self, question: Question, then: Then) -> None:
@@ -128,13 +128,13 @@ class ControlServer:
 
         self._journal.read(page_of(question), found)
 
-    def _observed(self, name: str | None) -> SystemState:
-        observed = self._remembering.observed
-        if name is None and len(observed) == 1:
-            return next(iter(observed.values()))
-        if name not in observed:
-            raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(observed)}")
-        return observed[name]
+    def _system(self, name: str | None) -> SystemState:
+        systems = self._fault_recorder.systems
+        if name is None and len(systems) == 1:
+            return next(iter(systems.values()))
+        if name not in systems:
+            raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(systems)}")
+        return systems[name]
 
 
 def page_of(question: Question) -> Page:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.service.core.memory.fault_memory import FaultMemory, News, Remembered
+from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory, Remembered
 from faultline.service.core.memory.freeze import Recorder, Sample
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
@@ -80,7 +80,7 @@ class FaultRecorder:
 
     def __init__(
         self,
-        scribe: Sequencer,
+        sequencer: Sequencer,
         journal: Journal,
         lines: Sequence[BusChannel],
         rules: Rules,
@@ -91,7 +91,7 @@ class FaultRecorder:
         standing: Callable[[], Sequence[str]],
         absent: Collection[str] = (),
     ) -> None:
-        self._scribe, self._journal, self.lines = scribe, journal, lines
+        self._sequencer, self._journal, self.lines = sequencer, journal, lines
         self._say, self._standing = say, standing
         self._rules, self._boot, self._now = rules, boot, now
         self._failed_at, self._failure = -float("inf"), ""
@@ -99,7 +99,7 @@ class FaultRecorder:
         self._frame_s, self._absent = frame_s, frozenset(absent)
         self._unkept = deque[tuple[SystemState, Event, list[str]]](maxlen=UNKEPT)
         self._given = next(self._rows.read(["names"], dict[str, str]), {})
-        self.observed: dict[str, SystemState] = {}
+        self.systems: dict[str, SystemState] = {}
         for line in lines:
             for each in line.bundles:
                 self._observe(line, each)
@@ -111,8 +111,8 @@ class FaultRecorder:
 
     def take_up(self) -> None:
         """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
-        systems = [*self.observed.values()]
-        self.observed, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
+        systems = [*self.systems.values()]
+        self.systems, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
         for here in systems:
             self._name(here)
         self.begin()
@@ -135,15 +135,15 @@ class FaultRecorder:
         """
         line, own = here.line, here.bundle.manifest.name
         key = f"{here.watched.place} on {line.name}"
-        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.observed.values()]
+        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.systems.values()]
         before = self._given.get(key, "") if is_first else ""
-        taken = {*self.observed, *(name for of, name in self._given.items() if of in self._absent and of != key)}
+        taken = {*self.systems, *(name for of, name in self._given.items() if of in self._absent and of != key)}
         everybody = [each.bundle.manifest.name for other in self.lines for each in other.bundles]
         usual = own if everybody.count(own) == 1 and own not in taken else f"{own}@{line.name}"
         names = chain([before] * before.startswith(own), [usual], (f"{usual}-{number}" for number in count(2)))
         name = next(each for each in names if each not in taken)
         here.rename(name)
-        self.observed[name] = here
+        self.systems[name] = here
         if is_first and before != name:
             self._given = {**self._given, key: name}
             self._journal.remember({"names": msgspec.json.encode(self._given)})
@@ -163,7 +163,7 @@ class FaultRecorder:
         used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
         memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
         self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
-        for each in self.observed.values():
+        for each in self.systems.values():
             each.unfinished.clear()
             self.memory.watch(each.system)
 
@@ -184,7 +184,7 @@ class FaultRecorder:
 
     def take(self, watched: Pipeline, events: Iterable[Event]) -> None:
         """Takes the ticks of a bundle since the last time, and what was told in them."""
-        here = next(each for each in self.observed.values() if each.watched is watched)
+        here = next(each for each in self.systems.values() if each.watched is watched)
         if here.bundle is not watched.bundle:
             here.begin()
             self.memory.watch(here.system)
@@ -194,7 +194,7 @@ class FaultRecorder:
                 self._see(here, sample)
                 if sample.tick >= event.tick:
                     break
-            self._hear(here, self._scribe.event(event))
+            self._hear(here, self._sequencer.event(event))
         for sample in samples:
             self._see(here, sample)
 
@@ -203,7 +203,7 @@ class FaultRecorder:
         self._now = now
         with self._surviving():
             self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
-            for here in self.observed.values():
+            for here in self.systems.values():
                 for name, frame in [*here.unfinished.items()]:
                     if (done := here.recorder.completed(frame)) is not None:
                         del here.unfinished[name]
@@ -228,7 +228,7 @@ class FaultRecorder:
     def _clear(self, number: int | None, by: str) -> Cleared:
         names = {fault: self._names(fault) for fault in self.memory.faults}
         numbers = self.memory.clear(number)
-        named, seq, wall = self._scribe.next()
+        named, seq, wall = self._sequencer.next()
         cleared = Cleared(schema=CLEARED, id=named, seq=seq, wall=wall, numbers=numbers, by=by)
         gone: dict[str, bytes | None] = dict.fromkeys(chain.from_iterable(names[each] for each in numbers))
         gone["memory"] = msgspec.json.encode(self.memory.remembered)  # the overflow flag
@@ -275,7 +275,7 @@ class FaultRecorder:
             self._failed_at, self._failure = self._now, failure
             self.begin()
 
-    def _framed(self, here: SystemState, news: Iterable[News], event: Event) -> dict[str, bytes]:
+    def _framed(self, here: SystemState, news: Iterable[FaultChange], event: Event) -> dict[str, bytes]:
         """The freeze frames of what has failed, by their names in the store."""
         frames: dict[str, bytes] = {}
         for each in news:
@@ -291,12 +291,12 @@ class FaultRecorder:
             news = self.memory.begin_cycle(self.cycle) if step == "begun" else self.memory.end_cycle()
             self._tell([], news, {"cycle": msgspec.json.encode(self._cycle.cycle)})
 
-    def _tell(self, records: list[Record], news: Sequence[News], kept: dict[str, bytes] | None = None) -> None:
+    def _tell(self, records: list[Record], news: Sequence[FaultChange], kept: dict[str, bytes] | None = None) -> None:
         """Puts the records, those of what has become of faults, and what is kept of it: all of it or nothing."""
         rows: dict[str, bytes | None] = {}
         for change, fault in news:
             if change is not None:
-                named, seq, wall = self._scribe.next()
+                named, seq, wall = self._sequencer.next()
                 record = FaultRecord(schema=SCHEMA, id=named, seq=seq, wall=wall, change=change, fault=fault)
                 records.append(Record(seq, "fault", encode(record)))
             if fault.number not in self.memory.faults:
@@ -304,7 +304,7 @@ class FaultRecorder:
             elif change == "withdrawn":  # the latest frame is of what it was not
                 latest = self._names(fault.number)[2]
                 rows[latest] = None
-                for here in self.observed.values():
+                for here in self.systems.values():
                     here.unfinished.pop(latest, None)
                 rows[self._names(fault.number)[0]] = msgspec.json.encode(fault)
             else:

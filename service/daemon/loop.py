@@ -56,7 +56,7 @@ class Loop:
 
     def __init__(
         self,
-        scribe: Sequencer,
+        sequencer: Sequencer,
         lines: Sequence[BusChannel],
         journal: Journal,
         subscribers: EventSocket,
@@ -74,7 +74,7 @@ class Loop:
 
         `refused` are the bundles that could not be loaded; `boot` is the kernel's identifier of this boot.
         """
-        self._scribe, self._lines, self._journal, self._subscribers = scribe, lines, journal, subscribers
+        self._sequencer, self._lines, self._journal, self._subscribers = sequencer, lines, journal, subscribers
         self._notifier, self._say, self._clock = notifier, say, clock
         self._clocks = clocks or Clocks()
         self.heartbeat = Heartbeat(ALIVE_S, clock)
@@ -83,17 +83,17 @@ class Loop:
         self._conditions = Conditions(self._since, clock())
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
         self._registered: dict[BusChannel, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
-        self._remembering = FaultRecorder(
-            *(scribe, journal, lines, memory, memory.frame_s, boot, clock(), say),
+        self._fault_recorder = FaultRecorder(
+            *(sequencer, journal, lines, memory, memory.frame_s, boot, clock(), say),
             standing=lambda: [f"{each.kind}: {each.of}" for each in self._conditions.standing],
             absent=refused.places if refused is not None else (),
         )
-        self._answerer = ControlServer(self._remembering, journal, self._state)
+        self._control_server = ControlServer(self._fault_recorder, journal, self._state)
         self._begun_at, self._told = now(), journal.last
         self._journald = Journald(clock) if Journald.is_wanted() else None
         self._control = control
         if control is not None:
-            control.answers = self._answerer
+            control.answers = self._control_server
         self._stopped = self._asked = self._ready = False
         self._reload = reload
         self._printing = sys.stdout is not None
@@ -126,14 +126,14 @@ class Loop:
                 self._register(line, selector)
         for line in self._lines:
             for watched, events in line.listen(self._clock()):
-                self._remembering.take(watched, events)
+                self._fault_recorder.take(watched, events)
             self._register(line, selector)  # now: a subscriber may get the number of one that was closed
         self._tell(self._journal.take())
         if self._journal.take_up():
-            self._scribe.last = self._told = max(self._scribe.last, self._journal.last)
+            self._sequencer.last = self._told = max(self._sequencer.last, self._journal.last)
             self._subscribers.renew(self._journal.earlier)
             self._journal.earlier = []
-            self._remembering.take_up()
+            self._fault_recorder.take_up()
         self._subscribers.serve(ready)
         if self._control is not None:
             self._control.serve(ready)
@@ -188,13 +188,13 @@ class Loop:
         if now < self._look_due:
             return
         self._look_due = now + LOOK_S
-        self._remembering.look(now)
-        kept, clients = self._journal.conditions | self._remembering.conditions, self._subscribers.conditions
+        self._fault_recorder.look(now)
+        kept, clients = self._journal.conditions | self._fault_recorder.conditions, self._subscribers.conditions
         if self._control is not None:
             clients = clients | self._control.conditions
         refused: set[Condition] = set()
         if self._refused is not None:
-            self._refused.look(now, self._lines, self._say, self._remembering.add)
+            self._refused.look(now, self._lines, self._say, self._fault_recorder.add)
             refused = self._refused.conditions
         present = refused.union(kept, clients, *(line.look(now) for line in self._lines))
         if not all(line.knows(now) for line in self._lines):  # what stood before a restart still may
@@ -218,7 +218,7 @@ class Loop:
         )
         self._say(f"{what}; what was seen before is forgotten")
         if moved.slept_s:
-            self._remembering.slept()
+            self._fault_recorder.slept()
         for line in self._lines:
             for _ in range(QUEUED):
                 if not line.bus.receive():  # queued before that
@@ -235,7 +235,7 @@ class Loop:
 
     def _keep_health(self) -> None:
         standing = self._conditions.standing
-        named, seq, wall = self._scribe.next()
+        named, seq, wall = self._sequencer.next()
         self._since = {condition: self._since.get(condition, wall) for condition in standing}
         self._say("; ".join(map(_said, standing)) or "all is well with buses and signals")
         health = Health(schema=SCHEMA, id=named, seq=seq, wall=wall, conditions=self._standing())
@@ -246,14 +246,14 @@ class Loop:
 
     def _state(self) -> tuple[str, str, int, list[Standing]]:
         """Whose service this is, since when, the number of what was told last, and what stands."""
-        return self._scribe.source, self._begun_at, self._told, self._standing()
+        return self._sequencer.source, self._begun_at, self._told, self._standing()
 
     def _tell(self, records: list[Record]) -> None:
         """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
         for record in records:
             self._told = record.seq
             self._subscribers.publish(record)
-            self._answerer.told(record)
+            self._control_server.told(record)
             if self._journald is not None:
                 self._journald.told(record)
             if self._printing:

@@ -9,7 +9,7 @@ from faultline.service.bundle.load import GRAPH_ERRORS, Bundle
 from faultline.service.bus import Bus
 from faultline.service.bus.base import Trouble
 from faultline.service.bus.losses import Losses
-from faultline.service.core.compatibility import decide_alike
+from faultline.service.core.compatibility import are_compatible
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.memory.freeze import Sample
 from faultline.service.core.monitor import Monitor
@@ -119,7 +119,7 @@ class Pipeline:
 
     def take_up(self, bundle: Bundle) -> bool:
         """Goes on with another bundle: with all that was seen if it decides alike, which is returned."""
-        if decide_alike(self.bundle.manifest, bundle.manifest) and self.bundle.table.layouts == bundle.table.layouts:
+        if are_compatible(self.bundle.manifest, bundle.manifest) and self.bundle.table.layouts == bundle.table.layouts:
             self.bundle = bundle._replace(table=self.bundle.table)  # with its counts
             self._monitor.rename(bundle.id)
             return True

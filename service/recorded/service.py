@@ -43,13 +43,13 @@ class Recording:
         self._bus = LogBus(log.relative())
         self._line = BusChannel("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
         self._journal = Journal(None, say)
-        scribe = Sequencer(log.id, 0, run="", wall=lambda: None)
+        sequencer = Sequencer(log.id, 0, run="", wall=lambda: None)
         memory = MemoryConfig()
-        self._remembering = FaultRecorder(
-            scribe, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
+        self._fault_recorder = FaultRecorder(
+            sequencer, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
         )
         self._diagnose(progress)
-        self.answers = _Answers(self._remembering, self._journal, log.id, self)
+        self.answers = _Answers(self._fault_recorder, self._journal, log.id, self)
 
     def _diagnose(self, progress: Callable[[float], None]) -> None:
         [kept] = self._line.bundles
@@ -59,8 +59,8 @@ class Recording:
         self._take(kept, kept.silence(self._bus.now + LAG_S))
 
     def _take(self, kept: Pipeline, events: list[Event]) -> None:
-        self._remembering.take(kept, events)
-        self._remembering.look(self._bus.now)
+        self._fault_recorder.take(kept, events)
+        self._fault_recorder.look(self._bus.now)
         self.records += self._journal.take()
 
 
@@ -69,8 +69,8 @@ class _Answers(ControlServer):
 
     is_recording = True
 
-    def __init__(self, remembering: FaultRecorder, journal: Journal, source: str, recording: Recording) -> None:
-        super().__init__(remembering, journal, lambda: (source, None, len(recording.records), []))
+    def __init__(self, fault_recorder: FaultRecorder, journal: Journal, source: str, recording: Recording) -> None:
+        super().__init__(fault_recorder, journal, lambda: (source, None, len(recording.records), []))
         self._recording = recording
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
@@ -84,7 +84,7 @@ class _Answers(ControlServer):
                 super().answer(question, asker, then)
 
     def _history(self, question: Question) -> History:
-        self._observed(question.name)
+        self._system(question.name)
         most = SHOWN_TICKS if question.count is None else question.count
         if not 1 <= most <= MOST_TICKS:
             raise RefusedError("bad-request", f"`count` must be 1 to {MOST_TICKS}")

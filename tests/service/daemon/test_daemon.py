@@ -261,8 +261,10 @@ class Told:
         lines = [BusChannel(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
         kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
         self.journal = Journal(store, self.said.append)
-        scribe = Sequencer(name, self.journal.last, "")
-        self.loop = Loop(scribe, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel)
+        sequencer = Sequencer(name, self.journal.last, "")
+        self.loop = Loop(
+            sequencer, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel
+        )
 
     def watched(self, k: int) -> Pipeline:
         def make(_: Bundle) -> tuple[Monitor, Traffic]:
@@ -466,7 +468,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
     traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted={})
     watched = Pipeline(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
     made.loop._lines[0].bundles[:] = [watched]
-    made.loop._remembering.observed["uds4"].watched = watched
+    made.loop._fault_recorder.systems["uds4"].watched = watched
     made.run(*[nothing] * 29, lambda: found.append(silent), *[nothing] * 20)
     assert capfdbinary.readouterr().out == b"", "it stands, as before: nothing is news"
     made.wires[0].close()
