@@ -12,32 +12,12 @@ from msgspec import Meta
 
 SCHEMA = "faultline.health/1"
 
-Kind = Literal[
-    "bus-down",
-    "bus-removed",
-    "bus-off",
-    "error-passive",
-    "frames-lost",
-    "no-traffic",
-    "missing",
-    "not-available",
-    "error",
-    "out-of-range",
-    "frozen",
-    "jump",
-    "second-sender",
-    "address-claim",
-    "short-frames",
-    "unknown-selector",
-    "bundle-failed",
-    "bundle-refused",
-    "store-failed",
-    "store-reset",
-    "clients-refused",
-    "store-removed",
-    "rows-set-aside",
-    "memory-failed",
-]
+BusKind = Literal["bus-down", "bus-removed", "bus-off", "error-passive", "frames-lost"]
+MessageKind = Literal["no-traffic", "second-sender", "address-claim", "short-frames", "unknown-selector"]
+SignalKind = Literal["missing", "not-available", "error", "out-of-range", "frozen", "jump"]
+ServiceKind = Literal["bundle-failed", "bundle-refused", "clients-refused", "memory-failed"]
+StoreKind = Literal["store-failed", "store-reset", "store-removed", "rows-set-aside"]
+Kind = Literal[BusKind, MessageKind, SignalKind, ServiceKind, StoreKind]
 
 MEANINGS: dict[str, str] = {
     "bus-down": "the interface is down",
@@ -67,12 +47,7 @@ MEANINGS: dict[str, str] = {
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""
 
-OF_FRAMES: frozenset[Kind] = frozenset(
-    (
-        *("no-traffic", "missing", "not-available", "error", "out-of-range", "frozen", "jump"),
-        *("second-sender", "address-claim", "short-frames", "unknown-selector"),
-    )
-)
+OF_FRAMES: frozenset[Kind] = frozenset((*get_args(MessageKind), *get_args(SignalKind)))
 """What only frames, or their absence for a while, can show."""
 
 KINDS: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
