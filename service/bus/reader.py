@@ -13,13 +13,15 @@ import sys
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40  # asm-generic/socket.h
+from faultline.service.bus.base import SO_TIMESTAMPNS, wall_stamp
+
+SO_RXQ_OVFL = 40  # asm-generic/socket.h
 CLASSIC = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
 FD_FLAGS = 0x07  # FD itself, the higher bit rate, and the sender's state of error
 FD_SIZES = frozenset([*range(9), 12, 16, 20, 24, 32, 48, 64])
 
-_TIMESPEC, _DROPS = struct.Struct("@ll"), struct.Struct("@I")
+_DROPS = struct.Struct("@I")
 
 
 class Message(NamedTuple):
@@ -86,14 +88,9 @@ class OneByOne:
                     raise
                 self._later = error
                 break
-            stamp, drops = 0.0, None
-            for level, kind, data in extras:
-                if (level, kind, len(data)) == (socket.SOL_SOCKET, SO_TIMESTAMPNS, _TIMESPEC.size):
-                    seconds, nanoseconds = _TIMESPEC.unpack(data)
-                    stamp = seconds + nanoseconds * 1e-9
-                elif (level, kind, len(data)) == (socket.SOL_SOCKET, SO_RXQ_OVFL, _DROPS.size):
-                    (drops,) = _DROPS.unpack(data)
-            found.append(Message(*unpack(raw), bool(flags & socket.MSG_DONTROUTE), stamp, drops))
+            counts = [data for level, kind, data in extras if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL)]
+            drops = _DROPS.unpack(counts[-1])[0] if counts and len(counts[-1]) == _DROPS.size else None
+            found.append(Message(*unpack(raw), bool(flags & socket.MSG_DONTROUTE), wall_stamp(extras), drops))
         return found
 
 

@@ -10,10 +10,10 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
+from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, SO_TIMESTAMPNS, Bus, BusError
 from faultline.service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
 from faultline.service.bus.interface import Interface, interface, losses
-from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
+from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, Message, Reader, reader_of
 from faultline.service.core.signals.decode import Wanted
 from faultline.service.logs import Frame
 
