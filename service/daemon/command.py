@@ -52,9 +52,9 @@ def main(argv: list[str]) -> int:
         read = None if journal.path is None else journal.read
         subscribers = opened.enter_context(EventSocket(Path(config.events.socket), journal.earlier, read))
         journal.earlier = []  # the socket has them
-        control = _control(config)
-        if control is not None:
-            opened.enter_context(control)
+        control = None
+        if (given := config.control) is not None:
+            control = opened.enter_context(ControlSocket(Path(given.socket), given.clear))
         lines = _lines(config, bundles, options.speed, required=options.config is None)
         for line in lines:
             opened.enter_context(line.bus)
@@ -76,12 +76,6 @@ def main(argv: list[str]) -> int:
             loop.serve()
             notifier.tell(STOPPING=1)
     return 0
-
-
-def _control(config: Config) -> ControlSocket | None:
-    if config.control is None:
-        return None
-    return ControlSocket(Path(config.control.socket), config.control.clear)
 
 
 def _store(config: Config, path: Path | None) -> Path | None:
@@ -108,13 +102,10 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
     trial = ("bundle", "bus", "socket")
-    given = [f"--{name}" for name in (*trial, "control", "source") if getattr(options, name) is not None]
     if options.config is not None:
-        if given:
-            parser.error(f"--config says that already: leave out {', '.join(given)}")
+        parser.refuse(options, (*trial, "control", "source"), "--config says that already")
         return options, load_config(options.config)
-    if missing := [f"--{name}" for name in trial if getattr(options, name) is None]:
-        parser.error(f"give --config, or {', '.join(missing)} too")
+    parser.require(options, trial, "--config")
     config = Config(
         bus=[BusConfig(name="bus", interface=options.bus)],
         bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
@@ -130,10 +121,7 @@ def _trust(config: Config) -> Trust | None:
     """Who must have signed the bundles; None where anybody may have made them."""
     if config.trust.keys is None:
         return None
-    from faultline.service.bundle.signing import (  # brings in a cryptographic library, which a trial does without
-        Signed,
-        load_keys,
-    )
+    from faultline.service.bundle.signing import Signed, load_keys  # with a cryptographic library, which a trial lacks
 
     return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 

@@ -90,9 +90,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)
     if options.recording is not None:
-        names = ("config", "control", "events", "token_file")
-        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
-            parser.error(f"--recording needs no service: leave out {', '.join(given)}")
+        parser.refuse(options, ("config", "control", "events", "token_file"), "--recording needs no service")
         if options.bundle is None:
             parser.error("--recording needs --bundle too")
         options.listen = options.listen or LISTEN
@@ -100,9 +98,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     if options.bundle is not None:
         parser.error("--bundle goes with --recording")
     if options.config is not None:
-        names = ("control", "events", "listen", "token_file")
-        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
-            parser.error(f"--config says that already: leave out {', '.join(given)}")
-    elif missing := [f"--{name}" for name in ("control", "events", "listen") if getattr(options, name) is None]:
-        parser.error(f"give --config or --recording, or {', '.join(missing)} too")
+        parser.refuse(options, ("control", "events", "listen", "token_file"), "--config says that already")
+    else:
+        parser.require(options, ("control", "events", "listen"), "--config or --recording")
     return options

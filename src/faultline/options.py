@@ -3,7 +3,7 @@
 import argparse
 import difflib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 
@@ -31,6 +31,16 @@ class Parser(argparse.ArgumentParser):
         """Exit with 2 and one line on standard error, after the usage."""
         super().error("; ".join([message, *self._suggestions()]))
 
+    def refuse(self, options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+        """End with an error that says why, where any of these options was given."""
+        if given := [name for name in names if getattr(options, name) is not None]:
+            self.error(f"{why}: leave out {_listed(given)}")
+
+    def require(self, options: argparse.Namespace, names: Iterable[str], instead: str) -> None:
+        """End with an error, where any of these options is missing that are needed where none is given `instead`."""
+        if missing := [name for name in names if getattr(options, name) is None]:
+            self.error(f"give {instead}, or {_listed(missing)} too")
+
     def _suggestions(self) -> list[str]:
         known = self._options()
         found = []
@@ -52,3 +62,7 @@ class Parser(argparse.ArgumentParser):
                 named = (action.choices[word] for word in self._given if word in action.choices)
                 options += [option for parser in named for option in parser._option_string_actions]
         return options
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"--{name.replace('_', '-')}" for name in names)
