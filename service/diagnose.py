@@ -5,12 +5,12 @@ from collections.abc import Collection
 from pathlib import Path
 
 from faultline.options import Parser
-from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
+from faultline.service.bundle.load import Bundle, load_with_log
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.line import encode
-from faultline.service.logs import Log, open_log
+from faultline.service.logs import Log
 from faultline.service.watching.records import describe, meanings
 
 EXAMPLE = """example:
@@ -36,13 +36,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--channel", help="the bus to take, of a log of several")
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
     options = parser.parse_args(argv)
-    bundle = load_bundle(options.bundle)
-    verify_golden(bundle)
-    log = open_log(options.log, options.channel)
-    log.check_channels(bundle.table.carries)
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
-    if log.recording is not None:
-        log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")
+    bundle, log = load_with_log(options.bundle, options.log, options.channel)
     accepted = options.partial or not log.report.damaged
     if log.report.lost and accepted:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)

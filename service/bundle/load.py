@@ -18,6 +18,7 @@ from faultline.service.core.residuals.graph_file import GraphError, check_graph_
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.logs import Log, open_log
 
 T = TypeVar("T")
 
@@ -65,6 +66,21 @@ def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
         SignatureError: it is not signed by enough of those who are trusted.
     """
     return bundle_of(whole(folder, trust), folder)
+
+
+def load_with_log(folder: Path, path: Path, channel: str | None) -> tuple[Bundle, Log]:
+    """Load the bundle in `folder` and the log at `path`, of one bus if that is given, that it can diagnose.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not fit together.
+    """
+    bundle, log = load_bundle(folder), open_log(path, channel)
+    verify_golden(bundle)
+    log.check_channels(bundle.table.carries)
+    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    if log.recording is not None:
+        log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
+    return bundle, log
 
 
 def bundle_of(given: Whole, folder: Path) -> Bundle:

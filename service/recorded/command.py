@@ -5,9 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faultline.service.bundle.load import load_bundle, verify_golden
+from faultline.service.bundle.load import load_with_log
 from faultline.service.core.errors import InputError
-from faultline.service.logs import open_log
 from faultline.service.recorded.service import Recording, Serving
 
 EVERY = 0.1  # of the log between two words of progress
@@ -22,13 +21,7 @@ def served(
     Raises:
         InputError: the log or the bundle cannot be read, do not fit together, or the log has not all signals.
     """
-    bundle = load_bundle(folder)
-    verify_golden(bundle)
-    log = open_log(path, channel)
-    log.check_channels(bundle.table.carries)
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
-    if log.recording is not None:
-        log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
+    bundle, log = load_with_log(folder, path, channel)
     if log.report.lost:
         say(f"{path}: {log.report.summary()}")
     recording = Recording(log, path, bundle, say, _Progress(log.duration_s, say))
