@@ -134,12 +134,9 @@ def _print(answer: object) -> None:
 
 def _summary(fault: Fault) -> list[str]:
     """What it is, and how it stands."""
-    status = fault.status
-    now = "is there" if status.test_failed else "is not there any more"
-    kind = "confirmed" if status.confirmed else "pending" if status.pending else "was pending"
     codes = ", ".join(f"SPN {code.spn} FMI {code.fmi}" for code in fault.dtcs) or "no J1939 code"
     return [
-        f"{fault.number}. {fault.system}: {now}, {kind}, status 0x{fault.mask:02X}, {codes}",
+        f"{fault.number}. {fault.system}: {fault.status.words}, status 0x{fault.mask:02X}, {codes}",
         *(_candidate(each) for each in fault.diagnoses),
         f"seen {fault.occurrences} {'time' if fault.occurrences == 1 else 'times'}, first {_when(fault.first.wall)}, "
         f"last {_when(fault.latest.wall)}",

@@ -16,16 +16,7 @@ from faultline.service.core.records.event import Diagnosis
 SCHEMA = "faultline.fault/1"
 
 Change = Literal[
-    "pending",
-    "confirmed",
-    "failed",
-    "refined",
-    "withdrawn",
-    "revoked",
-    "passed",
-    "settled",
-    "aged",
-    "displaced",
+    "pending", "confirmed", "failed", "refined", "withdrawn", "revoked", "passed", "settled", "aged", "displaced"
 ]
 """pending: failed, in fewer operation cycles than confirm it. confirmed: failed in as many. failed: one that was
 confirmed before, and had passed, is there again. refined: its candidates changed. withdrawn: what looked like it again
@@ -59,6 +50,12 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     failed_since_clear: Annotated[bool, Meta(description="it failed since all were erased")]
     not_completed_this_cycle: Annotated[bool, Meta(description="nobody could tell in this cycle")]
     warning: Annotated[bool, Meta(description="it is warned of")]
+
+    @property
+    def words(self) -> str:
+        """The status for a person."""
+        kind = "confirmed" if self.confirmed else "pending" if self.pending else "was pending"
+        return f"{'is there' if self.test_failed else 'is not there any more'}, {kind}"
 
     @property
     def mask(self) -> int:
