@@ -182,18 +182,13 @@ async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> Async
 
 
 def _place(ring: Ring, after: int | str) -> int | None:
-    """The place that follows it, where the ring has that."""
-    if isinstance(after, int):
-        return ring.after(after)
-    where = ring.where(after)
-    return None if where is None else where + 1
+    """Return the place that follows a record by number or id; None if that is not in the ring."""
+    where = ring.after(after) if isinstance(after, int) else ring.where(after)
+    return where + 1 if isinstance(after, str) and where is not None else where
 
 
 async def _number(hub: Hub, after: int | str | None) -> int:
-    """The number of a record that is older than the ring; 0, before all there are, where it is not known.
-
-    An id ends with the number.
-    """
+    """Return the number of a record that is older than the ring; 0, before all there are, if it is not known."""
     if not isinstance(after, str):
         return after if after is not None and after <= hub.ring.newest else 0
     number = number_in(after)

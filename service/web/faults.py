@@ -157,18 +157,5 @@ def _symptom(fault: Fault) -> str:
 
 
 def _extended(fault: Fault) -> ExtendedData:
-    return ExtendedData(
-        occurrences=fault.occurrences,
-        trips=fault.trips,
-        healing=fault.healing,
-        aging=fault.aging,
-        fdc=fault.fdc,
-        first=fault.first,
-        latest=fault.latest,
-        candidates=fault.diagnoses,
-        components=fault.components,
-        dtcs=fault.dtcs,
-        tests=fault.tests,
-        modes=fault.modes,
-        bundle=fault.bundle,
-    )
+    known = {name: getattr(fault, name) for name in ExtendedData.__struct_fields__ if name != "candidates"}
+    return ExtendedData(candidates=fault.diagnoses, **known)

@@ -12,11 +12,7 @@ UNANSWERED_MS = 30_000  # after which a peer that acknowledges nothing is gone
 
 
 def listen(place: Tcp | Unix) -> socket.socket:
-    """A listening socket there.
-
-    Raises:
-        InputError: the address is taken, or cannot be used.
-    """
+    """A listening socket there; raises InputError if the address is taken, or cannot be used."""
     return _tcp(place) if isinstance(place, Tcp) else listening.listen(place.path, "--listen", WAITING)
 
 

@@ -12,7 +12,6 @@ from faultline.service.protocol.records import Record, RecordError, read
 
 SIZE = 4096  # as many as the daemon has at hand
 
-
 _SCHEMA = re.compile(r"faultline\.[a-z]+/[0-9]+")
 _ID = re.compile(r"[!-~]{1,200}")
 

@@ -56,11 +56,7 @@ class Settings(Part, frozen=True):
 
 
 def load_settings(path: Path) -> Settings:
-    """Return the settings in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the settings in the file at `path`; raises ConfigError, which names the line."""
     given = read(path, Settings)
     try:
         given.said.place  # noqa: B018 (it looks)
