@@ -80,8 +80,6 @@ def _show(
 
 
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    from faultline.service.bundle.load import (
-        load_bundle,  # brings in the inference library, which watching does without
-    )
+    from faultline.service.bundle.load import load_bundle  # with the inference library, which watching does without
 
     return meanings(load_bundle(folder).manifest)

@@ -56,9 +56,8 @@ def main(argv: list[str]) -> int:
     install.add_argument("--signatures", type=int, default=1, metavar="N", help="by how many of them (default: 1)")
     install.add_argument("--allow-unsigned", action="store_true", help="instead of --keys, for trials")
     options = parser.parse_args(argv)
-    return {"show": _show, "verify": _verify, "sign": _sign, "public": _public, "install": _install}[options.action](
-        options
-    )
+    run = {"show": _show, "verify": _verify, "sign": _sign, "public": _public, "install": _install}[options.action]
+    return run(options)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -85,10 +84,7 @@ def _trust(options: argparse.Namespace) -> Trust | None:
         raise InputError(f"--signatures {options.signatures}: at least 1")
     if options.keys is None:
         return None
-    from faultline.service.bundle.signing import (  # brings in a cryptographic library, which showing does without
-        Signed,
-        load_keys,
-    )
+    from faultline.service.bundle.signing import Signed, load_keys  # with a cryptographic library, which `show` lacks
 
     return Signed(load_keys(options.keys), options.signatures)
 

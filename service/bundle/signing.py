@@ -91,11 +91,7 @@ def public_text(key: PublicKey) -> str:
 
 
 def load_public(path: Path) -> PublicKey:
-    """The public key in a file of minisign's.
-
-    Raises:
-        SignatureError: it is none.
-    """
+    """The public key in a file of minisign's; raises SignatureError if it is none."""
     what = "a public key of minisign's, or of `faultline bundle public`"
     lines = _lines(_read(path, f"give {what}"), str(path), 2, what)
     raw = _bytes(lines[1], str(path), 2)

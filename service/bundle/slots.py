@@ -48,11 +48,7 @@ class Slots:
 
     @property
     def current(self) -> str | None:
-        """The slot in use; None where there is none yet.
-
-        Raises:
-            SlotError: the link leads elsewhere.
-        """
+        """The slot in use, None where there is none yet; raises SlotError if the link leads elsewhere."""
         link = self._folder / CURRENT
         if not link.is_symlink():
             if link.exists():

@@ -109,12 +109,7 @@ class PythonCan(Bus):
 
     def _open(self) -> None:
         try:
-            self._bus = can.Bus(
-                interface=self._interface,
-                channel=self._channel,
-                ignore_config=True,
-                **self._options,
-            )
+            self._bus = can.Bus(interface=self._interface, channel=self._channel, ignore_config=True, **self._options)
         except ERRORS as error:
             told = " ".join(str(error).split())
             raise BusError(f"{self._name}: {told}; name an interface that python-can has, and that is there") from error

@@ -76,11 +76,7 @@ class Config(Part, frozen=True):
 
 
 def load_config(path: Path) -> Config:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the configuration in the file at `path`; raises ConfigError, which names the line."""
     file = read(path, Config)
     _check(file)
     return file.said

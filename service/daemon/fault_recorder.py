@@ -15,14 +15,7 @@ from faultline.service.core.memory.freeze import Recorder, Sample
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
 from faultline.service.core.records.event import Event
-from faultline.service.core.records.fault import (
-    CLEARED,
-    SCHEMA,
-    Change,
-    Cleared,
-    Fault,
-    FaultRecord,
-)
+from faultline.service.core.records.fault import CLEARED, SCHEMA, Change, Cleared, Fault, FaultRecord
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
 from faultline.service.core.records.line import encode

@@ -192,11 +192,10 @@ class Loop:
         kept, clients = self._journal.conditions | self._fault_recorder.conditions, self._subscribers.conditions
         if self._control is not None:
             clients = clients | self._control.conditions
-        refused: set[Condition] = set()
         if self._refused is not None:
             self._refused.look(now, self._lines, self._say, self._fault_recorder.add)
-            refused = self._refused.conditions
-        present = refused.union(kept, clients, *(line.look(now) for line in self._lines))
+            kept |= self._refused.conditions
+        present = kept.union(clients, *(line.look(now) for line in self._lines))
         if not all(line.knows(now) for line in self._lines):  # what stood before a restart still may
             present |= {condition for condition in self._conditions.standing if condition.kind in OF_FRAMES}
         if self._conditions.update(now, present):
@@ -211,11 +210,8 @@ class Loop:
             self._say(f"the wall clock was set by {moved.stepped_s:+.0f} s; decisions do not use it")
         if not moved.slept_s and not moved.stopped_s:
             return False
-        what = (
-            f"the machine slept for {moved.slept_s:.0f} s"
-            if moved.slept_s
-            else f"this process was stopped for {moved.stopped_s:.0f} s"
-        )
+        stopped = f"this process was stopped for {moved.stopped_s:.0f} s"
+        what = f"the machine slept for {moved.slept_s:.0f} s" if moved.slept_s else stopped
         self._say(f"{what}; what was seen before is forgotten")
         if moved.slept_s:
             self._fault_recorder.slept()

@@ -153,11 +153,7 @@ class Pipeline:
 
 
 def watched(
-    bundle: Bundle,
-    source: str,
-    speed: float,
-    seen: Callable[[Sample], None] | None = None,
-    place: str | None = None,
+    bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], None] | None = None, place: str | None = None
 ) -> Pipeline:
     """A bundle at work; `source` is the vehicle's name, `seen` who keeps all ticks."""
 

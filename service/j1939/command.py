@@ -25,10 +25,7 @@ def main(argv: list[str]) -> int:
     config = load_config(parser.parse_args(argv).config)
     name, notifier = config.name.value, Notifier()
     wire = Wire(config.interface, config.addresses)
-    with (
-        closing(wire.bus),
-        closing(Memory(Path(config.control), Path(config.events), _say)) as memory,
-    ):
+    with closing(wire.bus), closing(Memory(Path(config.control), Path(config.events), _say)) as memory:
         loop = Loop(Node(name, config.addresses), wire, memory, notifier, _say)
         _say(f"NAME {name:016X}, {config.interface}, asks {config.control}")
         with Supervisor(notifier, {"loop": loop.heartbeat}, _say):

@@ -10,13 +10,9 @@ from faultline.service.j1939.claim import CONTENDED
 from faultline.service.j1939.name import name_of
 from faultline.service.strict import ControlSocket, EventsSocket, Part, Read, read
 
-Interface = Annotated[
-    str,
-    Meta(
-        pattern=r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z",
-        description="socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials",
-    ),
-]
+_BUS = r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z"
+_BUSES = "socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials"
+Interface = Annotated[str, Meta(pattern=_BUS, description=_BUSES)]
 Address = Annotated[int, Meta(ge=0, le=253, description="addresses from 0 to 253, the preferred one first")]
 
 
@@ -55,12 +51,7 @@ class _File(Part, frozen=True):
 
 
 def load_config(path: Path) -> J1939Config:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, says what makes no sense, or that nothing may be transmitted; the
-            message names the line.
-    """
+    """Return the configuration in the file at `path`, if it allows to transmit; else raises ConfigError, as `read`."""
     file = read(path, _File)
     _check(file)
     return file.said.j1939

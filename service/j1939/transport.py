@@ -36,11 +36,7 @@ class Reason(IntEnum):
 
 
 class Parts:
-    """A message of 9 to 1785 bytes, cut.
-
-    Raises:
-        ValueError: it is shorter or longer.
-    """
+    """A message of 9 to 1785 bytes, cut; raises ValueError if it is shorter or longer."""
 
     def __init__(self, pgn: int, payload: bytes, destination: int) -> None:
         if not 8 < len(payload) <= LARGEST:

@@ -58,11 +58,7 @@ class _File(Part, frozen=True):
 
 
 def load_config(path: Path) -> MqttConfig:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the configuration in the file at `path`; raises ConfigError, which names the line."""
     file = read(path, _File)
     _check(file)
     return file.said.mqtt

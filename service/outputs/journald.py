@@ -12,13 +12,7 @@ from pathlib import Path
 import msgspec
 
 from faultline.service.core.records.event import schema_of
-from faultline.service.core.records.fault import (
-    CLEARED,
-    SCHEMA,
-    Change,
-    Cleared,
-    FaultRecord,
-)
+from faultline.service.core.records.fault import CLEARED, SCHEMA, Change, Cleared, FaultRecord
 from faultline.service.store.file import Record
 
 SOCKET = Path("/run/systemd/journal/socket")

@@ -45,11 +45,7 @@ C = TypeVar("C", bound=Client)
 
 
 class LineServer(ABC, Generic[C]):
-    """Listens at a path.
-
-    Raises:
-        InputError: the path cannot be used, or another process serves it.
-    """
+    """Listens at a path; raises InputError if the path cannot be used, or another process serves it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

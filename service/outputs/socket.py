@@ -45,12 +45,7 @@ class EventSocket(LineServer[_Subscriber]):
         InputError: the path cannot be used, or another process serves it.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        earlier: Sequence[Record] = (),
-        read: Read | None = None,
-    ) -> None:
+    def __init__(self, path: Path, earlier: Sequence[Record] = (), read: Read | None = None) -> None:
         super().__init__(path)
         self._read_store = read
         self._ring = deque(earlier, maxlen=RING)

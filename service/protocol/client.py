@@ -67,11 +67,7 @@ class ControlClient:
         self._connection.close()
 
     def ask(self, question: Question, kind: type[T]) -> T:
-        """Return the answer to a question.
-
-        Raises:
-            AwayError, RefusedError, GarbledError: there is none.
-        """
+        """Return the answer to a question; raises AwayError, RefusedError, GarbledError if there is none."""
         self._send(question)
         line = self._line()
         assert line is not None

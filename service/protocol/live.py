@@ -96,8 +96,7 @@ class LiveTick(msgspec.Struct, frozen=True, kw_only=True):
     r: Annotated[list[float | None], Meta(description="its residual, in the same unit")]
     sigma: Annotated[list[float | None], Meta(description="the residual's spread without a fault, in the same unit")]
     sums: Annotated[
-        list[float | None],
-        Meta(description="its largest detector in parts of the threshold, with the residual's sign"),
+        list[float | None], Meta(description="its largest detector in parts of the threshold, with the residual's sign")
     ]
     usable: Annotated[list[bool], Meta(description="it can tell")]
     alarm: Annotated[list[str], Meta(description="as in an event")]

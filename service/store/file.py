@@ -154,8 +154,7 @@ class StoreFile:
     def before(self, seq: int | None, count: int) -> list[Record]:
         """The latest records, before number `seq` where that is given; oldest first."""
         rows = self._db.execute(
-            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC",
-            (ENDLESS if seq is None else seq,),
+            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC", (ENDLESS if seq is None else seq,)
         )
         return self._records(rows, count)[::-1]
 

@@ -83,9 +83,8 @@ class Journal:
         self._file: StoreFile | None = None  # opened, and not taken up yet
         self._opener: threading.Thread | None = None
         self._changed = threading.Condition()
-        self._wake = os.eventfd(
-            0, os.EFD_NONBLOCK | os.EFD_CLOEXEC
-        )  # never closed: a disk that hangs may still wake us
+        # Never closed: a disk that hangs may still wake us.
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread: threading.Thread | None = None
         if path is not None:
             self._begin(path, remembered)

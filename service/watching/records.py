@@ -42,11 +42,7 @@ CHANGES: dict[Change, str] = {
 
 
 def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
-    """A record that came from `path`, for a person.
-
-    Raises:
-        InputError: it is none.
-    """
+    """A record that came from `path`, for a person; raises InputError if it is none."""
     try:
         schema = schema_of(line)
         if schema == HEALTH:

@@ -192,9 +192,8 @@ def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
         with ControlClient(path) as control:
             state, memory = control.ask(STATE, ServiceState), control.ask(FAULTS, FaultList)
     except ProtocolError:
-        return Seen(
-            begun.memory.faults, begun.state.conditions
-        ), "interrupted" if end == "interrupted" else "service-ended"
+        seen = Seen(begun.memory.faults, begun.state.conditions)
+        return seen, "interrupted" if end == "interrupted" else "service-ended"
     same = any(each.name == begun.system.name and each.bundle == begun.system.bundle for each in state.systems)
     return Seen(memory.faults, state.conditions), end if same or end == "interrupted" else "begun-anew"
 

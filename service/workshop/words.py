@@ -10,11 +10,7 @@ from faultline.service.workshop.verdict import Candidate, Kind, named
 
 SILENCE_S = 2.0
 
-HEADLINES: dict[Kind, str] = {
-    "fault": "FAULT",
-    "no-fault": "NO FAULT FOUND",
-    "cannot-tell": "CANNOT TELL",
-}
+HEADLINES: dict[Kind, str] = {"fault": "FAULT", "no-fault": "NO FAULT FOUND", "cannot-tell": "CANNOT TELL"}
 
 
 def order(cycle: Cycle) -> str:
