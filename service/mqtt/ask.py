@@ -1,4 +1,4 @@
-"""Questions to the daemon whose answers are handed on as they came, with the fields of a newer daemon too."""
+"""Questions to the daemon, whose answers are forwarded unchanged, with the fields of a newer daemon too."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ LARGEST = 4 << 20
 
 
 class State(NamedTuple):
-    """Of the daemon's state its name, the number of the last record, and what stands, as JSON."""
+    """The daemon's state: its name, the number of the last record, and the standing conditions as JSON."""
 
     source: str
     seq: int
@@ -34,14 +34,14 @@ class Remembered(NamedTuple):
 
 
 def ask_state(path: Path) -> State:
-    """Return what the daemon says of itself; raises ProtocolError."""
+    """Return the daemon's state; raises ProtocolError."""
     with _asked(path, "state") as parts:
         conditions = part_of(parts, "conditions", msgspec.Raw)
         return State(part_of(parts, "source", str), part_of(parts, "seq", int), conditions)
 
 
 def ask_faults(path: Path) -> Remembered:
-    """Return what the daemon remembers; raises ProtocolError."""
+    """Return the daemon's fault memory; raises ProtocolError."""
     with _asked(path, "faults") as parts:
         faults = part_of(parts, "faults", list[msgspec.Raw])
         return Remembered({number_of(fault): bytes(fault) for fault in faults}, part_of(parts, "seq", int))
@@ -60,7 +60,7 @@ def number_of(fault: msgspec.Raw) -> int:
 
 @contextmanager
 def _asked(path: Path, ask: Ask) -> Iterator[dict[str, msgspec.Raw]]:
-    """The answer's JSON by field; where it lacks one that is read of it, that is a GarbledError."""
+    """Yield the answer's JSON by field; raises GarbledError if it lacks one that is read of it."""
     with ControlClient(path, TIMEOUT_S, LARGEST) as control:
         parts = control.ask(Question(ask=ask), dict[str, msgspec.Raw])
     try:

@@ -1,4 +1,4 @@
-"""Hand what is told to a fleet's MQTT 5 broker."""
+"""Forward events to an MQTT 5 broker."""
 
 import signal
 import time

@@ -42,7 +42,7 @@ class Daemon(Reconnecting):
         return encode(Subscription(self._id if self._id is not None else 0))
 
     def _record(self, line: bytes) -> Record | None:
-        """The record, which knows how many are missing before it; None where the line is none, or was read before."""
+        """Return the record with the number of those missing before it; None if it is none, or was read before."""
         try:
             record = read(line, self.connections)
         except RecordError as error:
