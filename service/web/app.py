@@ -1,4 +1,4 @@
-"""The application: the routes by path, what wires them to the daemon, and the gate before all of them."""
+"""ASGI application: routes by path, their connection to the daemon, and the gate before all of them."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -31,7 +31,7 @@ Handler = Callable[[Request], Awaitable[Response | Stream]]
 def application(
     settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, shutdown: Shutdown, say: Callable[[str], None]
 ) -> ASGIApp:
-    """All of it, for a daemon at the settings' sockets."""
+    """Return the application for a daemon at the settings' sockets."""
     vehicle = Vehicle(Path(settings.control), limits.answer_s, limits.clear_s)
     hub = Hub(Path(settings.events), vehicle, counts, say)
     streams = Streams(limits, counts, shutdown)
@@ -41,7 +41,7 @@ def application(
 
 
 def table(routes: Routes) -> list[Route]:
-    """The routes by path."""
+    """Return the routes by path."""
     return [
         _route("/", GET=routes.index),
         _route("/static/{name:path}", GET=routes.static),
@@ -63,7 +63,7 @@ def table(routes: Routes) -> list[Route]:
 
 
 def _app(routes: Routes, hub: Hub, shutdown: Shutdown) -> Starlette:
-    """The routes, hearing events while they are served; if that fails, this server ends."""
+    """Return the routes with a task that receives events; if that fails, this server ends."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -79,7 +79,7 @@ def _app(routes: Routes, hub: Hub, shutdown: Shutdown) -> Starlette:
 
 
 def _route(path: str, **handlers: Handler) -> Route:
-    """A path with its methods and no other: a GET is no HEAD here, as a stream has no end to wait for."""
+    """Return a path with its methods and no other: a GET is no HEAD here, as a stream has no end to wait for."""
 
     async def answer(request: Request) -> Response | Stream:
         return await handlers[request.method](request)

@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    """Serves until it is told to end."""
+    """Serve until the end is requested."""
     from faultline.service.web.listen import listen, remove, url
     from faultline.service.web.server import serve
     from faultline.service.web.settings import Settings, load_settings
@@ -71,7 +71,7 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _open(where: str) -> None:
-    """In the machine's browser, which may take its time, and may be waiting for us."""
+    """Open the page in the machine's browser, which may take its time, and may be waiting for us."""
     if not where.startswith("http") or not webbrowser.open(where):
         _say(f"no browser is opened: open {where} yourself")
 

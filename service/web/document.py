@@ -44,7 +44,7 @@ ANY = {"type": "object"}
 
 
 def document(*, guarded: bool = False) -> Json:
-    """The document; `guarded`: every request needs a token."""
+    """Return the document; `guarded`: every request needs a token."""
     _, schemas = msgspec.json.schema_components([*RECORDS, *BODIES], ref_template="#/components/schemas/{name}")
     return {
         "openapi": "3.1.0",

@@ -1,4 +1,4 @@
-"""One subscription to the daemon's events for all who listen here, and the stream each of them gets.
+"""Event stream: one subscription to the daemon's events, shared by all clients of this server.
 
 The daemon serves few clients; this one asks for the latest, and for what came after the last id when the connection is
 lost. Whoever connects here has a place in the ring; what is older than that is read a page at a time.
@@ -30,7 +30,7 @@ RETRY_MS = 1000  # after which a client connects again
 
 
 class Hub:
-    """Holds the latest records. State: the ring, whether the daemon is `there`, and the place at which it `settled`.
+    """Latest records. State: the ring, whether the daemon is `there`, and the place at which it `settled`.
 
     It has settled once the daemon has sent the latest that it had when this process began: before that, nobody's place
     is known, and that place is None.
@@ -43,7 +43,7 @@ class Hub:
         self.settled: int | None = None
 
     async def run(self) -> None:
-        """Listens for ever; connects again where the daemon went away."""
+        """Receive for ever; connect again if the daemon went away."""
         retry, said = Backoff(*RETRY_S), ""
         while True:
             try:
@@ -59,7 +59,7 @@ class Hub:
             await asyncio.sleep(retry.wait())
 
     async def page(self, seq: int, count: int = PAGE) -> Sequence[Record]:
-        """Records after that number, from the daemon's store; none where it has no store.
+        """Return records after that number from the daemon's store; none if it has no store.
 
         Raises:
             AwayError: they cannot be had now.
@@ -116,12 +116,12 @@ class Hub:
 
 
 def frame(record: Record) -> bytes:
-    """A record as an event of a stream."""
+    """Return a record as an event of a stream."""
     return b"id: %b\nevent: %b\ndata: %b\n\n" % (record.id.encode(), record.kind.encode(), record.line)
 
 
 async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes, None]:
-    """What a client is sent that has all records up to `after`; a comment every `alive_s` [s] where nothing comes.
+    """Yield all records after `after`; and a comment every `alive_s` [s] if nothing comes.
 
     It ends where the client fell out of the ring: it connects again, with the last id that it has.
     """
@@ -151,7 +151,7 @@ async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGene
 
 
 async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes | int, None]:
-    """What is older than the ring, as pieces of the stream, and then the place in the ring that follows it."""
+    """Yield what is older than the ring, as pieces of the stream, and then the place in the ring that follows it."""
     ring, seq = hub.ring, None
     while True:
         place = hub.settled if after is None else _place(ring, after if seq is None else seq)

@@ -1,4 +1,4 @@
-"""The listening socket: made before anything else, so that what cannot be listened on is said at once."""
+"""Listening socket, made before anything else, so that an unusable address is reported at once."""
 
 import socket
 
@@ -12,12 +12,12 @@ UNANSWERED_MS = 30_000  # after which a peer that acknowledges nothing is gone
 
 
 def listen(place: Tcp | Unix) -> socket.socket:
-    """A listening socket there; raises InputError if the address is taken, or cannot be used."""
+    """Return a listening socket; raises InputError if the address is taken, or cannot be used."""
     return _tcp(place) if isinstance(place, Tcp) else listening.listen(place.path, "--listen", WAITING)
 
 
 def url(sock: socket.socket) -> str:
-    """Where it listens, for a person."""
+    """Return the URL for a person."""
     name = sock.getsockname()
     if sock.family == socket.AF_UNIX:
         return f"unix:{name}"
@@ -26,7 +26,7 @@ def url(sock: socket.socket) -> str:
 
 
 def remove(place: Tcp | Unix) -> None:
-    """Removes the file of a Unix socket."""
+    """Remove the file of a Unix socket."""
     if isinstance(place, Unix):
         place.path.unlink(missing_ok=True)
 

@@ -1,4 +1,4 @@
-"""Live ticks of a system: one connection to the daemon for all who watch it, and to each the latest one only."""
+"""Live ticks: one connection to the daemon for all clients of a system, and to each the latest tick only."""
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable
@@ -15,7 +15,7 @@ from faultline.service.web.waiting import ChangeNotifier, Shutdown
 
 
 class _Feed:
-    """The ticks of one system. State: the `latest` line, how many there were, and whether the daemon is `there`."""
+    """Ticks of one system. State: the `latest` line, their count, and whether the daemon is `there`."""
 
     def __init__(self) -> None:
         self.changes = ChangeNotifier()
@@ -25,7 +25,7 @@ class _Feed:
         self.task: asyncio.Task[None] | None = None
 
     async def run(self, control: SharedControl, system: str, say: Callable[[str], None]) -> None:
-        """Takes ticks for ever; asks again where the daemon went away."""
+        """Receive ticks for ever; connect again if the daemon went away."""
         question = encode(Question(ask="live", name=system))
         retry = Backoff(*RETRY_S)
         while True:
@@ -44,21 +44,21 @@ class _Feed:
             await asyncio.sleep(retry.wait())
 
     def take(self, line: bytes) -> None:
-        """A tick; raises RefusedError or GarbledError where it is none."""
+        """Take a tick; raises RefusedError or GarbledError if it is none."""
         decode(line, dict)
         self.latest, self.count, self.there = line.rstrip(b"\r\n"), self.count + 1, True
         self.changes.notify()
 
 
 class Live:
-    """The systems that are watched now; this server ends if watching one fails."""
+    """Systems with clients; this server ends if the connection of one fails."""
 
     def __init__(self, control: SharedControl, shutdown: Shutdown, say: Callable[[str], None]) -> None:
         self._control, self._shutdown, self._say = control, shutdown, say
         self._feeds: dict[str, _Feed] = {}
 
     async def stream(self, system: str, alive_s: float) -> AsyncGenerator[bytes, None]:
-        """What a client is sent: from now on the latest tick whenever it can take one; a comment where none comes."""
+        """Yield the latest tick whenever the client can take one; a comment if none comes."""
         feed = self._enter(system)
         try:
             yield b"retry: %d\n\n" % RETRY_MS

@@ -1,4 +1,4 @@
-"""The server: uvicorn's, told to systemd, with a watch on its connections, ended by a signal within three seconds."""
+"""HTTP server: uvicorn's, with systemd's notifications and connection limits; a signal ends it within 3 s."""
 
 import asyncio
 import signal
@@ -32,14 +32,14 @@ class Server(uvicorn.Server):
         self._notifier, self._shutdown = notifier, shutdown
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begins to serve, and says so."""
+        """Begin to serve, and notify systemd."""
         await super().startup(sockets)
         for sock in sockets or []:
             sock.listen(WAITING)  # asyncio has set it to the number that it takes in one turn
         self._notifier.tell(READY=1, STATUS="serving")
 
     async def on_tick(self, counter: int) -> bool:
-        """Looks after connections and the watchdog; whether it is time to end."""
+        """Check connections and feed the watchdog; return True if the server is to end."""
         if counter % TICKS == 0:
             connections.look(self.server_state, time.monotonic())
             if self._notifier.watchdog_s is not None:
@@ -47,13 +47,13 @@ class Server(uvicorn.Server):
         return await super().on_tick(counter) or self._shutdown.requested
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Ends streams, then other answers once they are out."""
+        """End streams, then other answers once they are out."""
         self._notifier.tell(STOPPING=1)
         await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """As uvicorn's, but a signal is the end that it asks for and is not raised again after it."""
+        """Handle signals as uvicorn does, but end without raising the signal again afterwards."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._shutdown.request)
@@ -72,7 +72,7 @@ def serve(
     limits: Limits | None = None,
     notifier: Notifier | None = None,
 ) -> None:
-    """Serves on a listening socket until it is told to end; raises what made it end otherwise."""
+    """Serve on a listening socket until the end is requested; raises what made it end otherwise."""
     asyncio.run(_serve(settings, tokens, sock, say, limits or Limits(), notifier or Notifier()))
 
 

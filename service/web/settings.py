@@ -66,7 +66,7 @@ def load_settings(path: Path) -> Settings:
 
 
 def address(text: str) -> Tcp | Unix:
-    """Where to listen: `unix:PATH`, `HOST:PORT` or `[HOST]:PORT` with an IP address, or localhost."""
+    """Return where to listen: `unix:PATH`, `HOST:PORT` or `[HOST]:PORT` with an IP address, or localhost."""
     if text.startswith("unix:"):
         if not text.removeprefix("unix:").startswith("/"):
             raise InputError(f"listen: {text}: give the whole path, as unix:/run/faultline-web/http.sock")
