@@ -1,4 +1,4 @@
-"""Tell faults as J1939 trouble codes (DM1, DM2) on a vehicle's bus."""
+"""Send faults as J1939 trouble codes (DM1, DM2) on a vehicle's bus."""
 
 from contextlib import closing
 from pathlib import Path

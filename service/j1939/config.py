@@ -31,7 +31,7 @@ class NameConfig(Part, frozen=True):
 
     @property
     def value(self) -> int:
-        """The NAME."""
+        """Return the NAME."""
         return name_of(**{key: int(value) for key, value in msgspec.structs.asdict(self).items()})
 
 
@@ -58,7 +58,7 @@ def load_config(path: Path) -> J1939Config:
 
 
 def _check(file: Read[_File]) -> None:
-    """What the parts must say of each other."""
+    """Check the fields against each other."""
     config = file.said.j1939
     addresses = config.addresses
     if len(addresses) > 1 and not config.name.arbitrary_address_capable:

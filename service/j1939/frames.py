@@ -24,7 +24,7 @@ _EXTENDED_PAGE = 1 << 25  # identifiers of ISO 15765-3, which are not J1939's
 
 
 class Message(NamedTuple):
-    """What is to be sent, by whatever address is ours; at most `FRAME` bytes."""
+    """Message to send from our address, whatever that is; at most `FRAME` bytes."""
 
     pgn: int
     data: bytes
@@ -32,12 +32,12 @@ class Message(NamedTuple):
     priority: int = PRIORITY
 
     def frame(self, source: int, t: float) -> Frame:
-        """The frame that carries it, `t` [s]."""
+        """Return the frame that carries the message, `t` [s]."""
         return Frame(t, identifier(self.pgn, source, self.destination, self.priority), True, self.data)
 
 
 class Heard(NamedTuple):
-    """What a frame says; `destination` is `GLOBAL` where the group addresses all."""
+    """Decoded frame; `destination` is `GLOBAL` where the group addresses all."""
 
     pgn: int
     source: int
@@ -46,7 +46,7 @@ class Heard(NamedTuple):
 
 
 def identifier(pgn: int, source: int, destination: int = GLOBAL, priority: int = PRIORITY) -> int:
-    """The identifier; the destination is left out where the group has none.
+    """Return the identifier; the destination is left out where the group has none.
 
     >>> f"{identifier(DM1, 0x3D):08X} {identifier(REQUEST, 0xF9, 0x3D):08X}"
     '18FECA3D 18EA3DF9'
@@ -56,7 +56,7 @@ def identifier(pgn: int, source: int, destination: int = GLOBAL, priority: int =
 
 
 def parse(frame: Frame) -> Heard | None:
-    """What a frame says; None of an 11-bit one, of more than 8 bytes, and of one that is not J1939's."""
+    """Decode a frame; None if it is 11-bit, longer than 8 bytes, or not of J1939."""
     if not frame.is_extended or frame.can_id & _EXTENDED_PAGE or len(frame.data) > FRAME:
         return None
     group, source = frame.can_id >> 8 & 0x1FFFF, frame.can_id & 0xFF
@@ -66,5 +66,5 @@ def parse(frame: Frame) -> Heard | None:
 
 
 def pgn_bytes(pgn: int) -> bytes:
-    """The group's number as it stands in requests and in what announces parts: three bytes, the lowest first."""
+    """Return the group's number as in requests and announcements: three bytes, the lowest first."""
     return pgn.to_bytes(3, "little")

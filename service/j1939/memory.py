@@ -1,4 +1,4 @@
-"""The service's fault memory, as its two sockets tell it: asked when anything was told, and now and then.
+"""Client of the service's fault memory: asks after each record of the event socket, and periodically.
 
 What was answered last is good for `KEEP_S` after the service is gone, and then nothing is known: that is not the same
 as no fault, and DM1 must not say so.
@@ -30,7 +30,7 @@ QUESTION = encode(Question(ask="faults"))
 
 
 class Memory:
-    """`known` is what is on the bus, None where nobody knows. `say` is told, once, what a person should know."""
+    """State: `known` trouble codes, None if they are unknown. `say` is called once with each message for a person."""
 
     def __init__(self, control: Path, events: Path, say: Callable[[str], None]) -> None:
         self._where = control
@@ -47,12 +47,12 @@ class Memory:
         self._whys: set[str] = set()  # what was said since it answered last
 
     def filenos(self) -> list[int]:
-        """To wait for."""
+        """Return the descriptors to wait for."""
         return [number for lines in (self._control, self._events) if (number := lines.fileno()) >= 0]
 
     @property
     def due(self) -> float:
-        """When there is something to do, if nothing comes before [s]."""
+        """Return the time of the next action, if nothing is received before [s]."""
         dues = [self._events.due, self._control.due]
         if self._control.is_connected:
             dues.append(self._due if self._asked is None else self._asked + PATIENCE_S)
@@ -83,7 +83,7 @@ class Memory:
             self.known = None
 
     def close(self) -> None:
-        """Ends both connections."""
+        """Close both connections."""
         self._control.close()
         self._events.close()
 
@@ -113,7 +113,7 @@ class Memory:
             self._say(f"{self._where}: the service {why}: without an answer for {KEEP_S:g} s DM1 is not sent")
 
     def _warn(self, faults: list[Fault]) -> None:
-        """Of what is not on the bus, once."""
+        """Report once what cannot be sent."""
         now = unsent(faults)
         for number, text in now.items():
             if self._told.get(number) != text:

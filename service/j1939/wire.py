@@ -1,4 +1,4 @@
-"""The bus as a node needs it: what it sends comes back once it was transmitted, and sending never waits.
+"""Bus access of a node: a frame that is sent comes back once it was transmitted, and sending never waits.
 
 A controller that listens only must not be sent on. What mode it is in only netlink says, which a confined service may
 not use; so it is seen by what it does. Linux 6.1 and later drop what is sent on such an interface, and no driver hands
@@ -26,7 +26,7 @@ Make = Callable[[str, Iterable[Wanted] | None], socket.socket]
 
 
 def wanted(addresses: Sequence[int]) -> list[Wanted]:
-    """What a node must hear: claims, requests, what receivers say; and what it has sent itself."""
+    """Return the filters of a node: claims, requests, transport control, and its own frames."""
     said = [Wanted(pgn << 8, _FORMAT, True) for pgn in (REQUEST, TP_CM, ADDRESS_CLAIMED)]
     return said + [Wanted(address, _SOURCE, True) for address in addresses]
 
@@ -60,7 +60,7 @@ class Wire:
             self.bus = open_bus(spec)
 
     def send(self, frame: Frame) -> bool:
-        """Whether the kernel took the frame; who sends knows by its echo whether it was transmitted."""
+        """Send a frame; return True if the kernel took it. The echo shows whether it was transmitted."""
         if not isinstance(self.bus, SocketCan):
             try:
                 self.bus.send(frame)
@@ -76,7 +76,7 @@ class Wire:
         return True
 
     def _open(self, name: str, frames: Iterable[Wanted] | None) -> socket.socket:
-        """A socket that hears what it sends; raises BusError where that would prove nothing."""
+        """Open a socket that receives what it sends; raises BusError if that would prove nothing."""
         at = self._look(name)
         if at is not None and not at.virtual and not self._echoes(name):
             raise BusError(
@@ -89,7 +89,7 @@ class Wire:
 
 
 def has_echo(name: str) -> bool:
-    """Whether the driver itself hands frames back, once they were transmitted."""
+    """Return True if the driver itself hands frames back once they were transmitted."""
     try:
         return bool(int((SYS / name / "flags").read_text(), 16) & IFF_ECHO)
     except OSError:  # removed a moment ago
