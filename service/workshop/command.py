@@ -48,7 +48,7 @@ CODES: dict[Kind, int] = {"no-fault": 0, "fault": 1, "cannot-tell": 2}
 
 
 class Begun(NamedTuple):
-    """What the service said before the test."""
+    """State of the service before the test."""
 
     state: ServiceState
     system: SystemDescription
@@ -165,7 +165,7 @@ def _screen(options: argparse.Namespace) -> Screen:
 
 
 def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
-    """Follows the cycle to its end."""
+    """Run the cycle to its end."""
     try:
         for came, is_behind in live_ticks(path, cycle.system.name):
             if isinstance(came, LiveTick):
@@ -187,7 +187,7 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
 
 
 def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
-    """What is remembered and stands now; what was before the test where the service does not answer any more."""
+    """Return the remembered faults and conditions now; those before the test if the service is gone."""
     try:
         with ControlClient(path) as control:
             state, memory = control.ask(STATE, ServiceState), control.ask(FAULTS, FaultList)
@@ -199,7 +199,7 @@ def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
 
 
 def _said(found: Result) -> list[str]:
-    """The verdict for a terminal."""
+    """Return the verdict for a terminal."""
     verdict = found.verdict
     there = "" if verdict.kind != "fault" else ", it is there now" if verdict.present else ", not there any more"
     history = [each for each in found.remembered if not each.during_test]
@@ -219,7 +219,7 @@ def _default(begun: Begun, now: str) -> Path:
 
 
 def _check(path: Path, *, replace: bool) -> None:
-    """Raises InputError or OSError where the report could not be written after a test of ten minutes."""
+    """Raise InputError or OSError if the report could not be written after a test of ten minutes."""
     if not path.parent.is_dir():  # a typing error shall make no folder
         raise InputError(f"{path}: cannot be written there; give --report a file in a folder that is there")
     check_file(path)
