@@ -27,14 +27,14 @@ LOOK_TICKS = 25  # 5 s at the usual period
 
 
 class FaultChange(NamedTuple):
-    """What has become of a fault. `change` None: to be kept, and not worth telling."""
+    """Change of a fault. `change` None: to be stored, without a record."""
 
     change: Change | None
     fault: Fault
 
 
 class Remembered(msgspec.Struct, frozen=True, kw_only=True):
-    """All that outlives a run but the faults themselves: whether one was ever displaced, and the next number."""
+    """State that outlives a run besides the faults: whether one was ever displaced, and the next number."""
 
     overflow: bool = False
     number: Number = 1
@@ -64,7 +64,7 @@ class FaultMemory:
             episode.system = system
 
     def event(self, name: str, event: Event, modes: Sequence[str]) -> list[FaultChange]:
-        """Takes what is told of the system `name`; `modes` are those that show it now."""
+        """Take an event of the system `name`; `modes` are those that show it now."""
         episode = self._episodes[name]
         if event.transition in ("occurred", "refined"):
             episode.told, episode.modes = event, [*modes]
@@ -104,7 +104,7 @@ class FaultMemory:
         return [self._put(in_new_cycle(fault), None) for fault in [*self.faults.values()]]
 
     def end_cycle(self) -> list[FaultChange]:
-        """An operation cycle ends: what could have failed in it and did not heals, then ages."""
+        """End an operation cycle: what could have failed in it and did not heals, then ages."""
         return [
             self._settle(fault)
             for fault in [*self.faults.values()]
@@ -112,7 +112,7 @@ class FaultMemory:
         ]
 
     def clear(self, number: int | None) -> list[int]:
-        """Erases one, or all; the numbers of those. What is still told fails anew, under a number of its own."""
+        """Erase one, or all; return their numbers. A present fault fails anew, under a number of its own."""
         erased = [*self.faults] if number is None else [number] if number in self.faults else []
         for each in erased:
             self._erase(each)
@@ -121,11 +121,11 @@ class FaultMemory:
         return erased
 
     def told(self, name: str) -> Event | None:
-        """The event that tells what is wrong with the system now; None where nothing is told."""
+        """Return the event of the system's present diagnosis; None if there is none."""
         return self._episodes[name].told
 
     def _count(self, episode: Episode, usable: Mask, suspicious: bool) -> list[FaultChange]:
-        """One look more at what is told, or has healed, and does not count as that yet."""
+        """Count one more observation of a fault that is present, or healed, and does not count as that yet."""
         told, counter = episode.told, episode.debounce
         if told is None:
             if episode.number is not None:
@@ -149,7 +149,7 @@ class FaultMemory:
         return []
 
     def _occur(self, episode: Episode) -> list[FaultChange]:
-        """What is told anew, where what was told before may not count as passed yet: it is that again, or another."""
+        """Handle a new diagnosis while the previous may not count as passed yet: it is that again, or another."""
         assert episode.told is not None
         if episode.number is None:
             return self._seen(episode, is_there=True)
@@ -161,11 +161,11 @@ class FaultMemory:
         return [self._pass(before), *self._seen(episode, is_there=True)]
 
     def _has_failed(self, episode: Episode) -> bool:
-        """Whether what is told counts as failed in this cycle."""
+        """Return True if the diagnosis counts as failed in this cycle."""
         return episode.number is not None and self.faults[episode.number].status.test_failed_this_cycle
 
     def _fail(self, episode: Episode) -> Iterator[FaultChange]:
-        """What is told now counts as failed, in this cycle: it is an entry's still or again, or a new one's."""
+        """Count the diagnosis as failed in this cycle: as the same entry, an earlier one again, or a new one."""
         assert episode.told is not None
         episode.quiet[:] = 0
         if episode.number is None:
@@ -237,7 +237,7 @@ class FaultMemory:
         yield from self._fail(episode)
 
     def _withdraw(self, episode: Episode) -> Iterator[FaultChange]:
-        """What was told rests on samples that came to be doubted: the entry is as it was before, or there is none."""
+        """Withdraw a diagnosis that rests on doubted samples: the entry is as it was before, or there is none."""
         number, before = episode.number, episode.before
         episode.told = episode.number = episode.before = None
         episode.debounce.counter = 0
@@ -253,7 +253,7 @@ class FaultMemory:
         return self._put(structs.replace(fault, fdc=-128), "passed", test_failed=False, not_completed_this_cycle=False)
 
     def _look(self, episode: Episode) -> list[FaultChange]:
-        """What failed in earlier runs or cycles, and was quiet since where it could be seen."""
+        """Pass faults of earlier runs or cycles that were quiet since where they could be seen."""
         least = self._rules.quiet_s / episode.system.period_s
         news = []
         for fault in [*self.faults.values()]:

@@ -1,4 +1,4 @@
-"""What is remembered of a fault, and the record that tells of it, schema `faultline.fault/1`.
+"""Remembered fault, and the record of its changes, schema `faultline.fault/1`.
 
 Source: the status byte of ISO 14229-1 as a view (bits as in AUTOSAR SWS Diagnostics R22-11); SPN and FMI of SAE
 J1939-73.
@@ -53,18 +53,18 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """The status for a person."""
+        """Return the status for a person."""
         kind = "confirmed" if self.confirmed else "pending" if self.pending else "was pending"
         return f"{'is there' if self.test_failed else 'is not there any more'}, {kind}"
 
     @property
     def mask(self) -> int:
-        """The byte."""
+        """Return the byte."""
         return sum(bit << k for k, bit in enumerate(msgspec.structs.astuple(self)))
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True):
-    """When: the event that told it, the wall clock (RFC 3339), and the operation cycle."""
+    """Time of an occurrence: the event, the wall clock (RFC 3339), and the operation cycle."""
 
     id: Annotated[str, Meta(description="of the event")]
     wall: Annotated[str | None, Meta(description="wall clock (RFC 3339)")]
@@ -106,7 +106,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FaultRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What has become of a fault."""
+    """Record of a change of a fault."""
 
     schema: Annotated[str, Meta(description="`faultline.fault/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -117,7 +117,7 @@ class FaultRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cleared(msgspec.Struct, frozen=True, kw_only=True):
-    """A person has erased faults."""
+    """Record that a person has erased faults."""
 
     schema: Annotated[str, Meta(description="`faultline.cleared/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -139,6 +139,6 @@ def check(fault: Fault, name: str) -> None:
 
 
 def names(diagnoses: Sequence[Diagnosis]) -> frozenset[str]:
-    """What they have in common with others if it is the same fault: faults, and places of what is unknown."""
+    """Return the names by which diagnoses are of the same fault: faults, and places of what is unknown."""
     unknown = (f"unknown near {place}" for one in diagnoses if not one.faults for place in one.near or ["nothing"])
     return frozenset(name for one in diagnoses for name in one.faults).union(unknown)

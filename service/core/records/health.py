@@ -1,4 +1,4 @@
-"""What keeps the service from telling, apart from faults of the system it watches: the bus, its frames, its sensors.
+"""Conditions that impair the diagnosis, apart from faults of the system: the bus, its frames, its sensors.
 
 A condition is told once it has lasted, and again once it has been gone for a while, so that a loose plug is no storm of
 messages. What is told is always everything that stands, not what has changed: whoever comes late knows as much.
@@ -71,14 +71,14 @@ REFUTED: frozenset[Kind] = frozenset(("no-traffic",))
 
 
 class Condition(msgspec.Struct, frozen=True, order=True):
-    """Something that is wrong with `of`: a bus, a message, a signal, a bundle or the store."""
+    """Condition of `of`: a bus, a message, a signal, a bundle or the store."""
 
     kind: Kind
     of: str
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """A condition that is told."""
+    """Standing condition."""
 
     kind: Annotated[str, Meta(description="as below; leave no kind out that you do not know")]  # a newer one's, too
     of: Annotated[str, Meta(description="the bus, message, signal, bundle or file that it is of")]
@@ -86,7 +86,7 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Health(msgspec.Struct, frozen=True, kw_only=True):
-    """All conditions that stand."""
+    """Record of all conditions that stand."""
 
     schema: Annotated[str, Meta(description="`faultline.health/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -96,7 +96,7 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Conditions:
-    """Conditions with their patience. State: those that are, or were lately.
+    """Debounced conditions. State: those that are, or were lately.
 
     `told` are those that stood when an earlier run ended, at time `t` [s] of this one: if they are gone, that is news.
     """
@@ -107,11 +107,11 @@ class Conditions:
 
     @property
     def standing(self) -> Sequence[Condition]:
-        """Those that are told."""
+        """Return the standing conditions."""
         return sorted(self._seen)
 
     def update(self, t: float, present: Iterable[Condition]) -> bool:
-        """Takes what is wrong at time `t` [s]; whether what stands has changed."""
+        """Take the present conditions at time `t` [s]; return True if the standing ones have changed."""
         now, before = set(present), set(self._seen)
         for condition in now & before:
             self._seen[condition] = t

@@ -1,4 +1,4 @@
-"""A DBC's text to the table that decodes frames; cantools reads the DBC, and is not asked again afterwards."""
+"""Compilation of a DBC's text to the decode table; cantools reads the DBC, and is not used again afterwards."""
 
 from collections.abc import Collection, Mapping
 from math import inf
@@ -24,7 +24,7 @@ CONVERSIONS: Mapping[tuple[str, str], float] = {
 
 
 def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
-    """The table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
+    """Return the table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
 
     Raises:
         InputError: the text is no valid DBC, or a wanted signal is absent, ambiguous, or in a unit that cannot be
@@ -62,7 +62,7 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
 
 
 def _says_formats(database: Database) -> bool:
-    """Whether it knows the attribute that tells J1939 from other messages of 29 bits."""
+    """Return True if it knows the attribute that tells J1939 from other messages of 29 bits."""
     return database.dbc is not None and "VFrameFormat" in database.dbc.attribute_definitions
 
 
@@ -118,7 +118,7 @@ def _cut(message: Message, signal: DbcSignal) -> Cut:
 
 
 def _only(message: Message, signal: DbcSignal) -> Only:
-    """The selectors that the signal stands behind, the outermost first, with their values."""
+    """Return the selectors that the signal stands behind, the outermost first, with their values."""
     if signal.multiplexer_signal is None or signal.multiplexer_ids is None:
         return ()
     selector = message.get_signal_by_name(signal.multiplexer_signal)
@@ -126,7 +126,7 @@ def _only(message: Message, signal: DbcSignal) -> Only:
 
 
 def _selected(message: Message, selector: str) -> frozenset[int]:
-    """All values of a selector that some signal stands behind."""
+    """Return all values of a selector that some signal stands behind."""
     behind = [signal.multiplexer_ids or () for signal in message.signals if signal.multiplexer_signal == selector]
     return frozenset(value for values in behind for value in values)
 

@@ -40,7 +40,7 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Where a signal's bits are in a frame that is read as one integer."""
+    """Position of a signal's bits in a frame that is read as one integer."""
 
     shift: int  # bits to the right
     length: int  # bits
@@ -80,11 +80,11 @@ class Field:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is an unsigned integer of the little end that is in every frame."""
+        """Return True if it is an unsigned little-endian integer that is in every frame."""
         return not (self.signed or self.is_float or self.cut.big_endian or self.only) and self.scale > 0.0
 
     def plain(self, j1939: bool) -> "Plain":
-        """How a good value of a plain field is read: raw values from `least` to below `beyond` are good."""
+        """Return scale and range of a plain field: raw values from `least` to below `beyond` are good."""
         top = 1 << self.cut.length
         if j1939:
             words = (top - 2, top - 1) if self.cut.length < 8 else (0xFB << (self.cut.length - 8),)
@@ -154,7 +154,7 @@ class Rejected:
 
     @property
     def total(self) -> int:
-        """Of all reasons and messages."""
+        """Return the count over all reasons and messages."""
         kinds = (self.short, self.other_source, self.unknown_selector, self.claimed, self.early)
         return sum(sum(counts.values()) for counts in kinds)
 
@@ -182,12 +182,12 @@ class DecodeTable:
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
-        """Of every message that carries wanted signals."""
+        """Return the layouts of the messages that carry wanted signals."""
         return (*self._j1939.values(), *self._other.values(), *self._standard.values())
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
+        """Return the filters of a bus: of a J1939 group the frames of all senders, so that a second one is seen."""
         groups = {Wanted(n, GROUP_MASK, True) for n in self._groups}
         groups |= {Wanted(CLAIM | n & 0xFF, PRIORITY_MASK, True) for n in self._j1939}
         others = {Wanted(n, EXTENDED, True) for n in self._other} | {Wanted(n, STANDARD, False) for n in self._standard}
