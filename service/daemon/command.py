@@ -41,7 +41,7 @@ EXAMPLE = """example:
 
 
 def main(argv: list[str]) -> int:
-    """Runs the daemon until SIGTERM or SIGINT; returns its exit code."""
+    """Run the daemon until SIGTERM or SIGINT; returns its exit code."""
     options, config = _asked(argv)
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
@@ -79,7 +79,7 @@ def main(argv: list[str]) -> int:
 
 
 def _store(config: Config, path: Path | None) -> Path | None:
-    """Where events are kept; nowhere in a trial, and where the configuration does not say."""
+    """Return the path of the store; None in a trial, or if the configuration gives none."""
     if config.store is not None:
         return Path(config.store.path)
     if path is not None:
@@ -88,7 +88,7 @@ def _store(config: Config, path: Path | None) -> Path | None:
 
 
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
-    """The options, and the configuration: the one in a file, or what the options of a trial make."""
+    """Return the options, and the configuration: the one in a file, or what the options of a trial make."""
     parser = Parser("faultline run", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--config", type=Path, help="the configuration; its interfaces may come and go, and need not be there yet")
@@ -118,7 +118,7 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
 
 
 def _trust(config: Config) -> Trust | None:
-    """Who must have signed the bundles; None where anybody may have made them."""
+    """Return the signatures that bundles must have; None if unsigned ones are allowed."""
     if config.trust.keys is None:
         return None
     from faultline.service.bundle.signing import Signed, load_keys  # with a cryptographic library, which a trial lacks
@@ -129,7 +129,7 @@ def _trust(config: Config) -> Trust | None:
 def _loaded(
     config: Config, load: Loader, *, required: bool
 ) -> tuple[list[tuple[BundleConfig, Bundle]], dict[BundleConfig, str]]:
-    """The bundles, or those in the other slot, and why some are refused; raises InputError where it is `required`."""
+    """Load the bundles, or their spares, and return why some are refused; raises InputError if `required`."""
     if required:
         return [(each, load(Path(each.path))) for each in config.bundle], {}
     loaded: list[tuple[BundleConfig, Bundle]] = []
@@ -147,7 +147,7 @@ def _loaded(
 def _lines(
     config: Config, bundles: Sequence[tuple[BundleConfig, Bundle]], speed: float, *, required: bool
 ) -> list[BusChannel]:
-    """The buses, opened, each with what listens to it."""
+    """Open the buses, each with its pipelines."""
     lines = []
     for bus in config.bus:
         here = [(each.path, bundle) for each, bundle in bundles if each.bus == bus.name]

@@ -23,14 +23,14 @@ class BusConfig(Part, frozen=True):
 
 
 class BundleConfig(Part, frozen=True):
-    """A bundle's folder, or a link to it, and the bus that its frames are on."""
+    """Bundle: its folder, or a link to it, and the bus of its frames."""
 
     path: Path_
     bus: Annotated[Name, Meta(description="the name of a [[bus]]")]
 
 
 class TrustConfig(Part, frozen=True):
-    """Whose bundles are taken."""
+    """Trusted signatures of bundles."""
 
     keys: Annotated[Path_, Meta(description="the folder of the trusted public keys")] | None = None
     signatures: Annotated[int, Meta(ge=1, le=16)] = 1
@@ -38,26 +38,26 @@ class TrustConfig(Part, frozen=True):
 
 
 class EventsConfig(Part, frozen=True):
-    """Where subscribers connect."""
+    """Event socket."""
 
     socket: EventsSocket
 
 
 class StoreConfig(Part, frozen=True):
-    """Where events are kept."""
+    """Store of records."""
 
     path: Annotated[Path_, Meta(description="a file that we may write, as /var/lib/faultline/events.sqlite")]
 
 
 class ControlConfig(Part, frozen=True):
-    """Where other processes ask, and the users that may erase faults besides root and our own."""
+    """Control socket, and the users that may erase faults besides root and our own."""
 
     socket: ControlSocket
     clear: tuple[Name, ...] = ()
 
 
 class MemoryConfig(Rules, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How faults are remembered; a freeze frame reaches `frame_s` [s] before and after what was told."""
+    """Fault memory; a freeze frame reaches `frame_s` [s] before and after its event."""
 
     frame_s: Annotated[float, Meta(ge=1, le=60)] = 10.0
 
@@ -83,7 +83,7 @@ def load_config(path: Path) -> Config:
 
 
 def named(name: str, where: str) -> str:
-    """The vehicle's name, that may stand in ids and topics; raises ConfigError where it may not."""
+    """Return the vehicle's name if it may stand in ids and topics; else raises ConfigError."""
     try:
         return msgspec.convert(name, Name)
     except msgspec.ValidationError as error:
@@ -91,7 +91,7 @@ def named(name: str, where: str) -> str:
 
 
 def _check(file: Read[Config]) -> None:
-    """What the parts must say of each other, and the host's name where it is the vehicle's."""
+    """Check the parts against each other, and the host's name where it is the vehicle's."""
     config = file.said
     named(config.source, f"{file.path}: source")
     if (config.trust.keys is None) != config.trust.allow_unsigned:

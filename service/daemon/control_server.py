@@ -1,4 +1,4 @@
-"""What other processes may ask (docs/control.md): the fault memory, the state, what names mean, live values."""
+"""Control server (docs/control.md): the fault memory, the state, what names mean, live values."""
 
 from collections.abc import Callable, Iterable
 
@@ -43,7 +43,7 @@ class ControlServer:
         self._waiting: list[tuple[int, Erased, Then]] = []  # erased, and not told yet
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
-        """Calls `then` with the answer, now or later; raises `RefusedError`."""
+        """Call `then` with the answer, now or later; raises `RefusedError`."""
         match question.ask:
             case "faults":
                 then(self._faults())
@@ -63,13 +63,13 @@ class ControlServer:
                 raise AssertionError("is served by the socket")
 
     def live(self, name: str | None) -> Live:
-        """What gives the newest tick of a system; raises `RefusedError`."""
+        """Return the source of a system's newest tick; raises `RefusedError`."""
         here = self._system(name)
         before = here.recorder.latest  # however old it is: who asks now is told what comes from now on
         return lambda sent: None if here.recorder.latest is before else live_tick(here, sent)
 
     def told(self, record: Record) -> None:
-        """A record was told: who erased faults with it may know whether that is kept."""
+        """Answer who erased faults with this record: whether that is on the disk."""
         for seq, answer, then in [each for each in self._waiting if each[0] == record.seq]:
             if self._journal.path is None or self._journal.has(seq):
                 then(answer)
@@ -138,7 +138,7 @@ class ControlServer:
 
 
 def page_of(question: Question) -> Page:
-    """Which records are asked for; raises `RefusedError` where that makes no sense."""
+    """Return the page that is asked for; raises `RefusedError` where that makes no sense."""
     most = 100 if question.count is None else question.count
     if not 1 <= most <= LARGEST_PAGE:
         raise RefusedError("bad-request", f"`count` must be 1 to {LARGEST_PAGE}")
@@ -151,5 +151,5 @@ def page_of(question: Question) -> Page:
 
 
 def page_with(records: Iterable[Record]) -> RecordPage:
-    """The answer with these records."""
+    """Return the answer with these records."""
     return RecordPage(records=[msgspec.Raw(record.line.rstrip()) for record in records])

@@ -1,4 +1,4 @@
-"""The fault memory at work: told events, ticks and operation cycles in; records, and what is to be kept, out."""
+"""Recording of faults: events, ticks and operation cycles in; records and rows of the store out."""
 
 import re
 import traceback
@@ -37,7 +37,7 @@ FAILED_S = 60.0
 
 
 class SystemState:
-    """A system with what was seen of it lately, and the freeze frames whose excerpt goes on, by their name."""
+    """System with its recent samples, and the freeze frames whose excerpt goes on, by their name."""
 
     def __init__(self, line: BusChannel, watched: Pipeline, seconds: float) -> None:
         self.line, self.watched, self._seconds = line, watched, seconds
@@ -58,12 +58,12 @@ class SystemState:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What came over its bus since the service started, and what did not."""
+        """Return the counters of its bus since the service started."""
         return {**vars(self.line.bus.counts), "dropped": self.line.bus.dropped}
 
 
 class FaultRecorder:
-    """Keeps the fault memory as the journal has it, and puts what is told into the journal.
+    """Keeps the fault memory as the journal has it, and puts records into the journal.
 
     `boot` is the kernel's identifier of this boot, `now` the monotonic time [s], `standing` gives the conditions that
     stand as text, for freeze frames; `absent` are bundles that are configured and do not run, as `PLACE on BUS`.
@@ -103,7 +103,7 @@ class FaultRecorder:
         self.memory.watch(self._observe(line, watched).system)
 
     def take_up(self) -> None:
-        """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
+        """Go on with a store that was opened late: faults of this run are added to those of the store."""
         systems = [*self.systems.values()]
         self.systems, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
         for here in systems:
@@ -142,7 +142,7 @@ class FaultRecorder:
             self._journal.remember({"names": msgspec.json.encode(self._given)})
 
     def begin(self) -> None:
-        """Begins with what the store has, as after a restart."""
+        """Begin with the content of the store, as after a restart."""
         cycle = next(self._rows.read(["cycle"], Cycle), Cycle())
         self._cycle = OperationCycle(cycle, self._boot, self._now)
         rows = [*self._journal.kept]
@@ -162,7 +162,7 @@ class FaultRecorder:
 
     @property
     def conditions(self) -> set[Condition]:
-        """What is wrong with the fault memory."""
+        """Return the conditions of the fault memory."""
         found = set()
         if self._rows.is_damaged:
             found.add(Condition("rows-set-aside", str(self._journal.path)))
@@ -172,11 +172,11 @@ class FaultRecorder:
 
     @property
     def cycle(self) -> int:
-        """The number of the operation cycle."""
+        """Return the number of the operation cycle."""
         return self._cycle.cycle.number
 
     def take(self, watched: Pipeline, events: Iterable[Event]) -> None:
-        """Takes the ticks of a bundle since the last time, and what was told in them."""
+        """Take the ticks of a bundle since the last call, and their events."""
         here = next(each for each in self.systems.values() if each.watched is watched)
         if here.bundle is not watched.bundle:
             here.begin()
@@ -192,7 +192,7 @@ class FaultRecorder:
             self._see(here, sample)
 
     def look(self, now: float) -> None:
-        """Operation cycles, and freeze frames whose excerpt is whole; `now` is the monotonic time [s]."""
+        """Update operation cycles, and freeze frames whose excerpt is complete; `now` is the monotonic time [s]."""
         self._now = now
         with self._surviving():
             self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
@@ -204,12 +204,12 @@ class FaultRecorder:
                             self._journal.remember({name: msgspec.json.encode(done)})
 
     def slept(self) -> None:
-        """The machine slept: the key was off."""
+        """End the operation cycle: the machine slept."""
         with self._surviving():
             self._follow(self._cycle.end())
 
     def clear(self, number: int | None, by: str) -> Cleared | None:
-        """Erases one, or all, because a person wants it; `by` says who.
+        """Erase one fault, or all, on behalf of the person `by`.
 
         The record of that, which is not kept yet; None where the fault memory failed, and nothing is erased.
         """
@@ -229,7 +229,7 @@ class FaultRecorder:
         return cleared
 
     def frames(self, number: int) -> dict[str, msgspec.Raw]:
-        """The freeze frames of a fault: `first`, and `latest` where it occurred again."""
+        """Return the freeze frames of a fault: `first`, and `latest` where it occurred again."""
         found = ((name.rpartition("/")[2], self._journal.kept.get(name)) for name in self._names(number)[1:])
         return {which: msgspec.Raw(text) for which, text in found if text is not None}
 
@@ -257,7 +257,7 @@ class FaultRecorder:
 
     @contextmanager
     def _surviving(self) -> Iterator[None]:
-        """Ends what is in it where that fails; the memory then goes on with what the store has, as after a restart."""
+        """Catch a failure of the body; the memory then goes on with what the store has, as after a restart."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 diagnosis goes on whatever the memory does: that is told
@@ -269,7 +269,7 @@ class FaultRecorder:
             self.begin()
 
     def _framed(self, here: SystemState, news: Iterable[FaultChange], event: Event) -> dict[str, bytes]:
-        """The freeze frames of what has failed, by their names in the store."""
+        """Return the freeze frames of what has failed, by their names in the store."""
         frames: dict[str, bytes] = {}
         for each in news:
             if each.change in FRAMED and here.recorder.holds(event.tick):
@@ -285,7 +285,7 @@ class FaultRecorder:
             self._tell([], news, {"cycle": msgspec.json.encode(self._cycle.cycle)})
 
     def _tell(self, records: list[Record], news: Sequence[FaultChange], kept: dict[str, bytes] | None = None) -> None:
-        """Puts the records, those of what has become of faults, and what is kept of it: all of it or nothing."""
+        """Put the records, those of changed faults, and their rows into the store: all of it or nothing."""
         rows: dict[str, bytes | None] = {}
         for change, fault in news:
             if change is not None:
@@ -310,5 +310,5 @@ class FaultRecorder:
         self._journal.put(*records, kept=rows)
 
     def _names(self, number: int) -> list[str]:
-        """Under which a fault and its freeze frames are kept."""
+        """Return the names of the rows of a fault and its freeze frames."""
         return [f"fault/{number}", f"frame/{number}/first", f"frame/{number}/latest"]

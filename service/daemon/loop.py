@@ -1,4 +1,4 @@
-"""The one loop: frames to the monitors, their events to the store, then to the subscribers and to standard output.
+"""Event loop: frames to the pipelines, events to the store, then to the subscribers and to standard output.
 
 It receives, decides and serves in turn, each as much as a batch: only what is told is handed to another thread, the
 store's. What a turn takes (`docs/decisions/015-one-loop.md`) is a small part of what the kernel's queue holds.
@@ -52,7 +52,7 @@ ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tent
 
 
 class Loop:
-    """Serves until a signal to stop."""
+    """Serve until a signal to stop."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class Loop:
         self._printing = sys.stdout is not None
 
     def serve(self) -> None:
-        """Serves until a signal to stop."""
+        """Serve until a signal to stop."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
         if self._reload is not None:
@@ -117,7 +117,7 @@ class Loop:
                 self._tell_losses()
 
     def _turn(self, selector: selectors.BaseSelector) -> None:
-        """What is heard is decided, kept, told and answered; then it is looked whether all is well."""
+        """One iteration: receive, diagnose, persist, publish, answer queries, check health."""
         for line in self._lines:
             self._register(line, selector)
         ready = selector.select(self._patience())
@@ -153,7 +153,7 @@ class Loop:
         self._asked = True
 
     def _take_up(self) -> None:
-        """New bundles, between two turns; the service manager knows (systemd.service(5), `RELOADING=1`)."""
+        """Load new bundles between two iterations; the service manager knows (systemd.service(5), `RELOADING=1`)."""
         assert self._reload is not None
         self._asked = False
         self._notifier.tell(RELOADING=1, MONOTONIC_USEC=time.monotonic_ns() // 1000, STATUS="loading bundles")
@@ -164,7 +164,7 @@ class Loop:
         self._clocks.look()  # the time that this took is none in which the process was stopped
 
     def _register(self, line: BusChannel, selector: selectors.BaseSelector) -> None:
-        """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
+        """Register the bus's descriptor: a new one after its interface was gone, though its number may be the same."""
         now, before = (line.bus.fileno(), line.bus.counts.removals), self._registered.get(line)
         if now == before:
             return
@@ -176,7 +176,7 @@ class Loop:
             self._registered[line] = now
 
     def _patience(self) -> float:
-        """How long nothing need be done if no frame comes [s]."""
+        """Return the time until the next action, if no frame comes [s]."""
         longest = ASKED_S if any(line.bus.is_asked for line in self._lines) else IDLE_S
         dues = [due for line in self._lines for bundle in line.bundles if (due := bundle.due()) is not None]
         return min(longest, max(0.0, min(dues, default=self._clock() + longest) - self._clock()))
@@ -204,7 +204,7 @@ class Loop:
         self._notifier.tell(STATUS=standing or "listening")
 
     def _begins_anew(self) -> bool:
-        """Whether a time is gone in which nobody listened: what was seen before has nothing to do with what comes."""
+        """Return True if the process was suspended; the diagnosis state is then reset."""
         moved = self._clocks.look()
         if moved.stepped_s:
             self._say(f"the wall clock was set by {moved.stepped_s:+.0f} s; decisions do not use it")
@@ -241,11 +241,11 @@ class Loop:
         return [Standing(kind=each.kind, of=each.of, since=self._since.get(each)) for each in self._conditions.standing]
 
     def _state(self) -> tuple[str, str, int, list[Standing]]:
-        """Whose service this is, since when, the number of what was told last, and what stands."""
+        """Return the vehicle's name, the start time, the number of the last record, and the standing conditions."""
         return self._sequencer.source, self._begun_at, self._told, self._standing()
 
     def _tell(self, records: list[Record]) -> None:
-        """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
+        """Publish records to the subscribers and, as long as it has a reader, to standard output."""
         for record in records:
             self._told = record.seq
             self._subscribers.publish(record)
@@ -256,7 +256,7 @@ class Loop:
                 self._print(record.line)
 
     def _print(self, line: bytes) -> None:
-        """Never waits: a pipe that nobody empties is one that nobody reads."""
+        """Print without waiting: a pipe that nobody empties has no reader."""
         try:
             output = sys.stdout.fileno()
             for k in range(0, len(line), select.PIPE_BUF):
@@ -269,7 +269,7 @@ class Loop:
 
 
 def _stood(told: Record | None) -> dict[Condition, str | None]:
-    """The conditions in what an earlier run told last, and since when; none in what another version told otherwise."""
+    """Return the conditions of an earlier run's last record, and since when; none if another version wrote it."""
     try:
         standing = msgspec.json.decode(told.line, type=Health).conditions if told is not None else []
     except (msgspec.MsgspecError, ValueError):

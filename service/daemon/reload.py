@@ -20,7 +20,7 @@ FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memor
 
 
 class Reload:
-    """Looks at configuration, keys and bundles again. `trust_of` says who must have signed."""
+    """Reloads configuration, keys and bundles. `trust_of` gives the required signatures."""
 
     def __init__(
         self,
