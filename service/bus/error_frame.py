@@ -1,4 +1,4 @@
-"""What a CAN controller's error frame says (linux/can/error.h)."""
+"""Error frames of CAN controllers (linux/can/error.h)."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ _STATUS = 1
 
 
 class StateChange(NamedTuple):
-    """What an error frame changes: whether the bus is now in `trouble` or, None, well; and whether frames were lost."""
+    """Effect of an error frame: whether the bus is now in `trouble` or, None, well; and whether frames were lost."""
 
     changed: bool = False
     trouble: Trouble | None = None
@@ -20,7 +20,7 @@ class StateChange(NamedTuple):
 
 
 def read_error(identifier: int, data: bytes) -> StateChange:
-    """What the frame says; `identifier` without its flags."""
+    """Decode an error frame; `identifier` without its flags."""
     if identifier & BUS_OFF:
         return StateChange(True, "bus-off")
     if identifier & RESTARTED:
