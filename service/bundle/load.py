@@ -1,4 +1,4 @@
-"""A bundle that can be run: its files whole (`service.bundle.files`), its graphs what the manifest says they are."""
+"""Loading of a bundle: its files are complete (`service.bundle.files`), its graphs as the manifest says."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -54,12 +54,12 @@ class Bundle(NamedTuple):
     golden: Golden
 
     def bank(self) -> GeneratorBank:
-        """Fresh generators."""
+        """Return fresh generators."""
         return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
 
 
 def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
-    """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
+    """Load the bundle in `folder`; the signatures that `trust` demands are checked before anything else.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
@@ -84,7 +84,7 @@ def load_with_log(folder: Path, path: Path, channel: str | None) -> tuple[Bundle
 
 
 def bundle_of(given: Whole, folder: Path) -> Bundle:
-    """The bundle that these files of a folder are; raises as `load_bundle` does, and reads nothing more."""
+    """Return the bundle of these files of a folder; raises as `load_bundle` does, and reads nothing more."""
     bundle_id, manifest, contents = given
     table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
@@ -113,7 +113,7 @@ def graph_metadata(manifest: Manifest, graph: str) -> dict[str, str]:
 
 
 def verify_golden(bundle: Bundle) -> None:
-    """Runs the golden vectors through fresh generators.
+    """Run the golden vectors through fresh generators.
 
     Raises:
         BundleError: a residual differs by more than its graph's tolerance: this machine does not compute what was
@@ -145,7 +145,7 @@ def verify_golden(bundle: Bundle) -> None:
 
 
 def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -> None:
-    """Whether the hypotheses come to what was exported: `residuals` after the last golden vector."""
+    """Check the shifts of the hypotheses: `residuals` are those after the last golden vector."""
     if not bundle.manifest.evidence.hypotheses:
         return
     names = [generator.name for generator in bundle.manifest.generators]
@@ -172,7 +172,7 @@ def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
 
 
 def _columns(manifest: Manifest, graph: str) -> list[Generator]:
-    """The generators that are the columns of a graph's outputs."""
+    """Return the generators that are the columns of a graph's outputs."""
     if graph == manifest.evidence.graph:
         known = {generator.name: generator for generator in manifest.generators}
         return [known[generator] for generator in manifest.evidence.generators]
