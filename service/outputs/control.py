@@ -1,4 +1,4 @@
-"""Questions of other processes, over a Unix stream socket; for who asks see docs/control.md.
+"""Control socket: questions of other processes; see docs/control.md.
 
 A connection asks as often as it likes, one question at a time. Who asks for live values is sent the newest when it can
 take them: what lies between is left out.
@@ -25,7 +25,7 @@ _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 
 
 class Asker(NamedTuple):
-    """Who asks: the user, as the kernel says it, and whether it may erase faults."""
+    """Client's user, as the kernel says it, and whether it may erase faults."""
 
     user: str
     may_clear: bool
@@ -38,13 +38,13 @@ Live = Callable[[int], tuple[int, bytes] | None]
 
 
 class Answers(Protocol):
-    """Who knows the answers."""
+    """Interface of the server that answers."""
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
-        """Calls `then` with the answer, now or from the loop later on; raises `RefusedError`."""
+        """Call `then` with the answer, now or from the loop later on; raises `RefusedError`."""
 
     def live(self, name: str | None) -> Live:
-        """What gives the newest tick of a system; raises `RefusedError`."""
+        """Return the source of a system's newest tick; raises `RefusedError`."""
 
 
 class _Connection(Client):
@@ -70,14 +70,14 @@ class ControlSocket(LineServer[_Connection]):
         self.answers: Answers | None = None
 
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
-        """As any; and takes what was asked while an answer was on its way."""
+        """Serve as any; and take what was asked while an answer was on its way."""
         super().serve(ready)
         for client in list(self._clients):
             if client.request:
                 self._take(client)
 
     def tick(self) -> None:
-        """There may be new live values."""
+        """Send new live values, if there are any."""
         for client in list(self._clients):
             if client.live is not None and not client.rest:
                 self._flush(client)
@@ -92,7 +92,7 @@ class ControlSocket(LineServer[_Connection]):
         return not client.has_asked or time.monotonic() - client.active > IDLE_S
 
     def _take(self, client: _Connection) -> None:
-        """Not while an answer is on its way: the next question waits for its turn."""
+        """Take the next question, unless an answer is on its way: then it waits for its turn."""
         if client.live is not None:
             self._refuse(client, "live values are the last that is asked")
         while client in self._clients and not client.is_waiting and not client.rest:
@@ -139,7 +139,7 @@ class ControlSocket(LineServer[_Connection]):
 
 
 def refusal(code: str, message: str) -> ErrorAnswer:
-    """What is answered instead."""
+    """Return the answer of a refusal."""
     return ErrorAnswer(error=Refusal(code=code, message=message))
 
 

@@ -1,4 +1,4 @@
-"""Lines of JSON over a Unix stream socket, from one selectors loop: any number of clients, none can hold it up.
+"""Server of JSON lines on a Unix socket, in one selectors loop: any number of clients, none can hold it up.
 
 A client is sent what it takes, and asked for no more than a line at a time; what is waiting for it is bounded by who
 derives from this. Where all places are taken, the client that has been idle longest makes room; where none is idle, or
@@ -31,7 +31,7 @@ _SHORT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class Client:
-    """A connection: what it has sent of its line, what of a line is half sent to it, and when it asked last."""
+    """Connection of a client: received part of a line, unsent part of a line, time of the last question."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
@@ -45,7 +45,7 @@ C = TypeVar("C", bound=Client)
 
 
 class LineServer(ABC, Generic[C]):
-    """Listens at a path; raises InputError if the path cannot be used, or another process serves it."""
+    """Server at a path; raises InputError if the path cannot be used, or another process serves it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -57,7 +57,7 @@ class LineServer(ABC, Generic[C]):
 
     @property
     def conditions(self) -> set[Condition]:
-        """That clients were refused lately."""
+        """Return a condition if clients were refused lately."""
         lately = time.monotonic() - self._refused_at < REFUSED_S
         return {Condition("clients-refused", str(self._path))} if lately else set()
 
@@ -68,12 +68,12 @@ class LineServer(ABC, Generic[C]):
         self.close()
 
     def register(self, selector: selectors.BaseSelector) -> None:
-        """Puts the listening socket, and later each client's, into the loop's selector."""
+        """Register the listening socket, and later each client's, with the loop's selector."""
         self._selector = selector
         selector.register(self._listener, selectors.EVENT_READ, self)
 
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
-        """Does what a `select` found to do; keys of others are left alone."""
+        """Handle the events of a `select`; keys of others are left alone."""
         if self._accept_at and time.monotonic() >= self._accept_at and self._selector is not None:
             self._accept_at = 0.0
             self._selector.register(self._listener, selectors.EVENT_READ, self)
@@ -87,7 +87,7 @@ class LineServer(ABC, Generic[C]):
             self._accept()
 
     def close(self) -> None:
-        """Ends every connection and removes the socket file."""
+        """Close every connection and remove the socket file."""
         for client in list(self._clients):
             self._drop(client)
         self._forget(self._listener)
@@ -96,15 +96,15 @@ class LineServer(ABC, Generic[C]):
 
     @abstractmethod
     def _made(self, sock: socket.socket) -> C:
-        """The client of a new connection."""
+        """Return the client of a new connection."""
 
     @abstractmethod
     def _asked(self, client: C, line: bytes) -> None:
-        """The client has sent a line."""
+        """Handle a line of a client."""
 
     @abstractmethod
     def _next(self, client: C) -> bytes | None:
-        """What the client is to be sent next, None for nothing now."""
+        """Return the next line for the client, None for nothing now."""
 
     def _is_idle(self, client: C) -> bool:
         """True if the client may make room for another: it has asked for nothing."""
@@ -160,7 +160,7 @@ class LineServer(ABC, Generic[C]):
         self._take(client)
 
     def _take(self, client: C) -> None:
-        """Takes what the client has asked, if that is a whole line."""
+        """Take a question of the client, if it is a whole line."""
         line, end, rest = client.request.partition(b"\n")
         if end:
             client.request, client.has_asked, client.active = rest, True, time.monotonic()
@@ -174,7 +174,7 @@ class LineServer(ABC, Generic[C]):
         self._drop(client)
 
     def _flush(self, client: C) -> None:
-        """Sends until the client takes no more or has all."""
+        """Send until the client takes no more or has all."""
         while client in self._clients:
             if client.rest:
                 if not self._send(client):
@@ -187,7 +187,7 @@ class LineServer(ABC, Generic[C]):
                 return
 
     def _send(self, client: C) -> bool:
-        """Whether the client took all of `rest`."""
+        """Send; return True if the client took all of `rest`."""
         try:
             sent = client.sock.send(client.rest)
         except BlockingIOError:
@@ -211,7 +211,7 @@ class LineServer(ABC, Generic[C]):
             client.sock.close()
 
     def _forget(self, sock: socket.socket) -> None:
-        """Out of the selector, if that is still open and knows it."""
+        """Remove it from the selector, if that is still open and knows it."""
         known = self._selector.get_map() if self._selector is not None else None
         if self._selector is not None and known is not None and sock in known:
             self._selector.unregister(sock)

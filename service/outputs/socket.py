@@ -1,4 +1,4 @@
-"""Events over a Unix stream socket, as lines of JSON; for subscribers see docs/events.md.
+"""Event socket: records as lines of JSON; for subscribers see docs/events.md.
 
 One ring holds the latest events and every client has a place in it. Who is behind the ring reads from the store, a page
 at a time, until it has caught up; without a store it goes on with the oldest there is, and the numbers show the gap.
@@ -51,13 +51,13 @@ class EventSocket(LineServer[_Subscriber]):
         self._ring = deque(earlier, maxlen=RING)
 
     def publish(self, record: Record) -> None:
-        """Puts a record, of a larger number than those before, into the ring and sends what each client takes."""
+        """Publish a record, of a larger number than those before, to the ring and to each client."""
         self._ring.append(record)
         for client in list(self._clients):
             self._flush(client)
 
     def renew(self, earlier: Sequence[Record]) -> None:
-        """The store was opened late: what it has can be asked for, and is not news to those who are connected."""
+        """Take the records of a store that was opened late, which are not news to connected clients."""
         self._ring = deque(earlier, maxlen=RING)
         for client in self._clients:
             if client.last is not None and self._ring:
@@ -80,7 +80,7 @@ class EventSocket(LineServer[_Subscriber]):
         self._flush(client)
 
     def _place(self, client: _Subscriber, after: int | str | None) -> None:
-        """What the client has had already; nothing, where `after` is not among what is known."""
+        """Set the client's place after what it has had; before all, if `after` is unknown."""
         newest = self._ring[-1].seq if self._ring else 0
         if after is None:
             client.last = newest
@@ -92,7 +92,7 @@ class EventSocket(LineServer[_Subscriber]):
             self._look_up(client, after)
 
     def _look_up(self, client: _Subscriber, named: str) -> None:
-        """The number of what is in the store under this id, which ends with it."""
+        """Look up the number of a stored record by its id, which ends with it."""
         number = number_in(named)
         if self._read_store is None or number is None:
             client.last = 0
@@ -121,7 +121,7 @@ class EventSocket(LineServer[_Subscriber]):
         return record.line
 
     def _turn_back(self, client: _Subscriber, read_store: Read) -> None:
-        """Something older than the ring is to come: a page of it is asked for."""
+        """Ask for a page of records that are older than the ring."""
 
         def read(records: list[Record] | None) -> None:
             client.is_waiting = False
@@ -137,5 +137,5 @@ class EventSocket(LineServer[_Subscriber]):
 
 
 def _is(record: Record, named: str) -> bool:
-    """Whether that is the record's own id, the first that it names: a fault names those of events too."""
+    """Return True if that is the record's own id, the first that it names: a fault names those of events too."""
     return record.line.startswith(b'"id":' + msgspec.json.encode(named) + b",", record.line.find(b'"id":'))
