@@ -1,4 +1,4 @@
-"""Makes a recording answer for as long as somebody serves it."""
+"""Service of a recording for as long as the context lasts."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ EVERY = 0.1  # of the log between two words of progress
 def served(
     path: Path, folder: Path, say: Callable[[str], None], channel: str | None = None
 ) -> Iterator[tuple[Path, Path]]:
-    """The control socket and the events socket of a finished recording, diagnosed with the bundle in the folder.
+    """Serve a finished recording, diagnosed with the bundle in the folder; yield the paths of its two sockets.
 
     Raises:
         InputError: the log or the bundle cannot be read, do not fit together, or the log has not all signals.
@@ -37,13 +37,13 @@ def served(
 
 
 class _Progress:
-    """Tells how much of the log is done, where it takes a while."""
+    """Reports progress through the log, where it takes a while."""
 
     def __init__(self, duration_s: float, say: Callable[[str], None]) -> None:
         self._duration_s, self._say, self._told = duration_s, say, EVERY
 
     def __call__(self, done_s: float) -> None:
-        """So much log time [s] is done."""
+        """Report that so much log time [s] is done."""
         if done_s >= self._told * self._duration_s:
             self._told = min(1.0, (done_s // (EVERY * self._duration_s) + 1) * EVERY)
             self._say(f"{done_s:.0f} s of {self._duration_s:.0f} s")

@@ -1,4 +1,4 @@
-"""The service of a finished recording: diagnosed as a whole, then asked and heard over the sockets of a live one."""
+"""Service of a finished recording: diagnosed as a whole, then served at the sockets of a live one."""
 
 import os
 import selectors
@@ -30,7 +30,7 @@ SHOWN_TICKS = 2000  # where the question does not say
 
 
 class Recording:
-    """A log, diagnosed with a bundle: its ticks, what was told in it, and what is remembered at its end.
+    """Log, diagnosed with a bundle: its ticks, its records, and the fault memory at its end.
 
     `progress` is told the log time [s] that is done. Its records have no wall clock: a log knows none for certain.
     """
@@ -65,7 +65,7 @@ class Recording:
 
 
 class _Answers(ControlServer):
-    """As of a live service, and of the whole drive besides; nothing of it can be erased."""
+    """Control server of a recording, with the history of the whole drive; nothing can be erased."""
 
     is_recording = True
 
@@ -95,7 +95,7 @@ class _Answers(ControlServer):
         return self._recording.history.part(question.name, after, before, most)
 
     def _records(self, question: Question, then: Then) -> None:
-        """From memory: there is no store."""
+        """Answer from memory: there is no store."""
         page = page_of(question)
         records = self._recording.records
         if page.after is not None:
