@@ -1,4 +1,4 @@
-"""Records of the event socket in words, for a person."""
+"""Text of records of the event socket."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,7 +42,7 @@ CHANGES: dict[Change, str] = {
 
 
 def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
-    """A record that came from `path`, for a person; raises InputError if it is none."""
+    """Return the text of a record from `path`; raises InputError if it is none."""
     try:
         schema = schema_of(line)
         if schema == HEALTH:
@@ -58,7 +58,7 @@ def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: M
 
 
 def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    """What the names of faults and equations mean, by name; of a disturbed equation, what may disturb it too."""
+    """Return what the names of faults and equations mean; of a disturbed equation, what may disturb it too."""
     equations = {one.name: one for one in manifest.equations}
     for each in manifest.disturbances:
         was = equations[each.equation]
@@ -67,7 +67,7 @@ def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]
 
 
 def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, Equation] | None = None) -> str:
-    """The event for a person; `faults` and `equations` explain names, and may be empty."""
+    """Return the text of an event; `faults` and `equations` explain names, and may be empty."""
     blind_no_more = event.transition == "cannot_tell" and not event.cannot_tell
     head = f"{event.t_s:9.1f} s  {'all tests can tell' if blind_no_more else WORDS[event.transition]}"
     if event.since_tick is not None and event.tick:
@@ -86,7 +86,7 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
 
 
 def describe_health(health: Health) -> str:
-    """What stands, for a person."""
+    """Return the text of the standing conditions."""
     if not health.conditions:
         return f"{'':9}    all is well with buses and signals"
     lines = [f"{each.of} {meaning(each.kind)}, since {each.since}" for each in health.conditions]
@@ -94,14 +94,14 @@ def describe_health(health: Health) -> str:
 
 
 def describe_fault(record: FaultRecord) -> str:
-    """What has become of a remembered fault, for a person."""
+    """Return the text of a change of a remembered fault."""
     fault = record.fault
     names = " or ".join(" and ".join(each.faults) or "unknown" for each in fault.diagnoses)
     return f"{'':9}    fault {fault.number} {CHANGES[record.change]}: {names}, status 0x{fault.mask:02X}"
 
 
 def _nothing(event: Event) -> str:
-    """No candidate is not the same as no fault."""
+    """Return the text of an event without candidates, which does not mean no fault."""
     if event.transition == "withdrawn":
         return "what was told rests on samples that are doubted now: whether there is a fault is not known"
     if event.transition == "dismissed":

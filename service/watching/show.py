@@ -1,4 +1,4 @@
-"""Shows a running service on the terminal until somebody ends it."""
+"""Display of a running service on the terminal until the user ends it."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ SHORTEST_S, LONGEST_S = 0.2, 0.5
 
 
 def show(client: LiveClient) -> int:
-    """Draws what is heard until `q` is typed; returns 0."""
+    """Draw the view model until `q` is typed; returns 0."""
     look = look_of_terminal()
     client.begin()
     with Terminal() as terminal:
@@ -34,7 +34,7 @@ def show(client: LiveClient) -> int:
 
 
 def look_of_terminal() -> Look:
-    """As the environment says: NO_COLOR, TERM, and what standard output can encode."""
+    """Return the terminal's capabilities by NO_COLOR, TERM, and the encoding of standard output."""
     is_dumb = os.environ.get("TERM", "") in ("", "dumb")
     encoding = (sys.stdout.encoding or "ascii").lower().replace("-", "")
     return Look(colour=not os.environ.get("NO_COLOR") and not is_dumb, unicode=encoding == "utf8")
