@@ -81,7 +81,7 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
 
 
 def _second_senders(bundle: Bundle) -> str:
-    """Messages of which frames came far too early for one sender; nothing where there are none."""
+    """Return the messages whose frames came far too early for one sender; "" if there are none."""
     early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
     if not early:
         return ""
@@ -89,7 +89,7 @@ def _second_senders(bundle: Bundle) -> str:
 
 
 def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:
-    """Refuses to call a log without a fault free of faults where it does not show it; `blind` tests never could tell.
+    """Raise InputError if a log without a fault does not show that there is none; `blind` tests never could tell.
 
     Raises:
         InputError: some test could never tell, or the log ends in a suspicion.

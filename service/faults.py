@@ -1,4 +1,4 @@
-"""Show, export and erase what a running service remembers of faults."""
+"""Show, export and erase the remembered faults of a running service."""
 
 import argparse
 import json
@@ -78,7 +78,7 @@ def _show(control: ControlClient, options: argparse.Namespace) -> int:
 
 
 def _export(control: ControlClient, _options: argparse.Namespace) -> int:
-    """One JSON document: the state, the faults with their freeze frames, and all that was told and is still there."""
+    """Print one JSON document: the state, the faults with their freeze frames, and all records in the store."""
     answer = control.ask_json("faults")
     faults = [control.ask_json("fault", number=fault["number"]) for fault in answer["faults"]]
     records: list[Any] = []
@@ -133,7 +133,7 @@ def _print(answer: object) -> None:
 
 
 def _summary(fault: Fault) -> list[str]:
-    """What it is, and how it stands."""
+    """Return the lines of a fault: system, status, candidates, occurrences."""
     codes = ", ".join(f"SPN {code.spn} FMI {code.fmi}" for code in fault.dtcs) or "no J1939 code"
     return [
         f"{fault.number}. {fault.system}: {fault.status.words}, status 0x{fault.mask:02X}, {codes}",
@@ -164,7 +164,7 @@ def _history(fault: Fault) -> list[str]:
 
 
 def _frame(frame: FreezeFrame) -> list[str]:
-    """A freeze frame for a person."""
+    """Return the lines of a freeze frame."""
     return [
         f"  {_when(frame.wall)}, {frame.t_s:g} s into the drive, mode {frame.mode}, event {frame.event}",
         *(

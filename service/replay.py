@@ -19,7 +19,7 @@ TOLD_EVERY_S = 2.0
 
 
 class Played(msgspec.Struct):
-    """What was sent: frames, their log time [s], the wall time it took [s] and the latest any frame was [s, wall]."""
+    """Statistics of a replay: frames, their log time [s], the wall time [s] and the largest delay [s, wall]."""
 
     frames: int = 0
     log_s: float = 0.0
@@ -60,7 +60,7 @@ def _say(text: str) -> None:
 
 
 class Progress:
-    """Passes on a log time [s] when `every` [s] of it have gone since the last one."""
+    """Reports log time [s] once each `every` [s] of it."""
 
     def __init__(self, say: Callable[[float], None], every: float) -> None:
         self._say = say
@@ -68,7 +68,7 @@ class Progress:
         self._next = every
 
     def __call__(self, t: float) -> None:
-        """Log time is now `t`."""
+        """Report log time `t`, if it is due."""
         if t >= self._next:
             self._next = t + self._every
             self._say(t)
@@ -83,7 +83,7 @@ def play(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Played:
-    """Sends every frame at its time [s] over `speed` after the start.
+    """Send every frame at its time [s] over `speed` after the start.
 
     Each has its own deadline on the clock, so that lateness never adds up: after a stall the frames that are due go out
     at once.

@@ -39,7 +39,7 @@ class Notifier:
         self.watchdog_s = _watchdog(environment) if address else None
 
     def tell(self, **states: str | int) -> None:
-        """Sends the states, such as `READY=1` and `STATUS=...`; a manager that does not listen is no error."""
+        """Send the states, such as `READY=1` and `STATUS=...`; a manager that does not listen is no error."""
         if not self._address:
             return
         content = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in states.items()).encode()
@@ -50,26 +50,26 @@ class Notifier:
 
 
 def _watchdog(environment: Mapping[str, str]) -> float | None:
-    """Its time [s], if it is this process that is watched."""
+    """Return the watchdog's time [s], if this process is the one that is watched."""
     microseconds = environment.get("WATCHDOG_USEC", "")
     mine = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
     return int(microseconds) / 1e6 if mine and microseconds.isdecimal() and int(microseconds) > 0 else None
 
 
 class Heartbeat:
-    """Of one part: when it was last alive, and for how long that is good [s]."""
+    """Heartbeat of one part: when it was last alive, and for how long that is good [s]."""
 
     def __init__(self, lasts_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._lasts, self._clock = lasts_s, clock
         self._at = clock()
 
     def beat(self) -> None:
-        """The part is alive."""
+        """Note that the part is alive."""
         self._at = self._clock()
 
     @property
     def fresh(self) -> bool:
-        """Whether it was lately."""
+        """Return True if the part was alive lately."""
         return self._clock() - self._at <= self._lasts
 
 
@@ -78,7 +78,7 @@ class Part(Protocol):
 
     @property
     def fresh(self) -> bool:
-        """Whether it is."""
+        """Return True if it is alive."""
 
 
 class Supervisor:
@@ -101,7 +101,7 @@ class Supervisor:
             self._thread.join()
 
     def look(self) -> None:
-        """Feeds the watchdog, or says which part is silent."""
+        """Feed the watchdog, or say which part is silent."""
         silent = [name for name, part in self._parts.items() if not part.fresh]
         if not silent:
             self._notifier.tell(WATCHDOG=1)

@@ -24,7 +24,7 @@ CONTROL = "control.sock"
 
 
 def main(argv: list[str]) -> int:
-    """Runs the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
+    """Run the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
     parser = Parser("faultline watch", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("--socket", type=Path, required=True, help="where `faultline run` serves its events")
     parser.add_argument("--json", action="store_true", help="print the events as they are, one line of JSON each")
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 
 
 def _screens(options: argparse.Namespace) -> Path | None:
-    """Where the control socket is, if a screen is to be shown; raises InputError where that makes no sense."""
+    """Return the path of the control socket if a screen is to be shown; raises InputError where that makes no sense."""
     prints = options.lines or options.json or options.once or options.after is not None
     control: Path = options.control or options.socket.with_name(CONTROL)
     if options.screen and prints:
