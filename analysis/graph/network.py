@@ -160,7 +160,9 @@ class Evaluator:
         entries = [getattr(network, field) for network in networks for field in MATRICES]
         self._shapes = [entry.shape for entry in entries]
         flat = [element for entry in entries for element in entry]
-        self._function = sp.lambdify([sp.Symbol(name) for name in self._names], flat, modules="numpy", cse=True)
+        self._function = sp.lambdify(
+            [sp.Symbol(name) for name in self._names], flat, "numpy", cse=True, docstring_limit=0
+        )
 
     def __call__(self, trials: Sequence[Mapping[str, float]]) -> list[Values]:
         """The networks' values for each trial: a mapping of the parameters and faults that differ from the nominal."""
