@@ -48,8 +48,8 @@ class Guest:
     environment: Path
     disk: Path
 
-    def run(self, script: Path, *arguments: str, limit_s: float = 400.0) -> int:
-        """Boots, runs the script with the guest's Python, and powers off; the script's exit code."""
+    def run(self, script: Path, *arguments: str, limit_s: float = 1200.0) -> int:
+        """Boots, runs the script with the guest's Python, and powers off; the script's exit code, -1 where it hangs."""
         process = self.start(script, *arguments)
         try:
             process.wait(limit_s)
