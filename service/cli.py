@@ -52,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def dispatch(arguments: list[str], commands: Mapping[str, EntryPoint]) -> int:
-    """As `main`, with the commands given."""
+    """Run with the commands given, as `main`."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by who called us: what is written goes nowhere, not into another file
             setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115 for as long as the process lives
@@ -84,7 +84,7 @@ class _Messages(FileIO):
 
 
 def _outcome(arguments: list[str], commands: Mapping[str, EntryPoint]) -> tuple[int, str]:
-    """The exit code, and the line for the user if there is one; a traceback goes before it."""
+    """Return the exit code, and the line for the user if there is one; a traceback goes before it."""
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(overview(commands), file=sys.stdout if arguments else sys.stderr)
@@ -112,7 +112,7 @@ def _outcome(arguments: list[str], commands: Mapping[str, EntryPoint]) -> tuple[
 
 
 def _of_system(error: OSError) -> tuple[int, str]:
-    """Of an error of the operating system that nobody caught: of a file, of our own output, or unexpected."""
+    """Return exit code and message of an operating system's error that nobody caught."""
     full = error.errno in FULL
     if error.filename is not None:
         remedy = f"{_space(error.filename)}, or give another path" if full else "give another path"
@@ -138,7 +138,7 @@ def _internal(error: Exception) -> tuple[int, str]:
 
 
 def _trouble() -> OSError | KeyboardInterrupt | None:
-    """Why standard output cannot be written; None where it can. What it holds then is dropped.
+    """Return why standard output cannot be written; None if it can. What it holds then is dropped.
 
     An interrupt ends the wait for a reader, such as a pager, that takes no more.
     """
@@ -152,7 +152,7 @@ def _trouble() -> OSError | KeyboardInterrupt | None:
 
 
 def overview(commands: Mapping[str, EntryPoint]) -> str:
-    """The text of `faultline --help`: every command with its one line, grouped by where it runs."""
+    """Return the text of `faultline --help`: every command with its one line, grouped by where it runs."""
     lines = [HEAD]
     for package, heading in PLACES.items():
         here = [entry for _, entry in sorted(commands.items()) if entry.module.split(".")[:2] == ["faultline", package]]
@@ -162,7 +162,7 @@ def overview(commands: Mapping[str, EntryPoint]) -> str:
 
 
 def _first_line(module: str) -> str:
-    """First line of a module's docstring, read from its source: importing thirteen commands takes seconds."""
+    """Return the first line of a module's docstring, from its source: importing thirteen commands takes seconds."""
     package, *rest = module.split(".")
     spec = find_spec(package)
     for folder in spec.submodule_search_locations or () if spec else ():
@@ -180,7 +180,7 @@ def _unknown(name: str, commands: Mapping[str, EntryPoint]) -> str:
 
 
 def _remedy(module: str) -> str | None:
-    """What to install to get a module that is part of an extra, or of a package left out of this installation."""
+    """Return what to install to get a module of an extra, or of a package that this installation lacks."""
     if module in {f"faultline.{package}" for package in PLACES}:
         return "this installation of faultline is without it, use a full one"
     try:

@@ -1,20 +1,19 @@
 """Diagnose a log without a bus, as fast as it goes."""
 
-import argparse
 import sys
 from collections.abc import Collection, Iterable
 from math import inf
 from pathlib import Path
 
 from faultline.options import Parser, add_senders, senders_of
-from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
+from faultline.service.bundle.load import Bundle, load_with_log
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.j1939.log_context import LogContext
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.context import Context, encode_context
-from faultline.service.core.records.event import encode
-from faultline.service.logs import Log, open_log
+from faultline.service.core.records.context import Context
+from faultline.service.core.records.line import encode
+from faultline.service.logs import Log
 from faultline.service.watching.records import describe, describe_context, meanings
 
 EXAMPLE = """example:
@@ -33,9 +32,7 @@ def main(argv: list[str]) -> int:
         InputError: no fault was found, but the log is damaged, or some test could never tell, or the log ends in a
             suspicion, so that "no fault" would be a guess.
     """
-    parser = Parser(
-        "faultline diagnose", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline diagnose", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a log file")
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
     parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")
@@ -43,14 +40,7 @@ def main(argv: list[str]) -> int:
     add_senders(parser)
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
     options = parser.parse_args(argv)
-    log = open_log(options.log, options.channel)
-    bundle = load_bundle(options.bundle, senders={**log.senders, **senders_of(options.sender)})
-    verify_golden(bundle)
-    log.check_channels(bundle.table.carries)
-    log.check_senders(bundle.table)
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
-    if log.recording is not None:
-        log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")
+    bundle, log = load_with_log(options.bundle, options.log, options.channel, senders_of(options.sender))
     accepted = options.partial or not log.report.damaged
     if log.report.lost and accepted:
         print(f"faultline diagnose: {options.log}: {log.report.summary()}", file=sys.stderr)
@@ -102,13 +92,13 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
 def _print_context(records: Iterable[Context], as_json: bool) -> None:
     for record in records:
         if as_json:
-            sys.stdout.buffer.write(encode_context(record))
+            sys.stdout.buffer.write(encode(record))
         else:
             print(describe_context(record))
 
 
 def _second_senders(bundle: Bundle) -> str:
-    """Messages of which frames came far too early for one sender, or from several; nothing where there are none."""
+    """Return the messages of which frames came far too early for one sender, or from several; "" if there are none."""
     early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
     found = bundle.table.strangers() if bundle.table.rejected.unclear else []
     if early:
@@ -118,7 +108,7 @@ def _second_senders(bundle: Bundle) -> str:
 
 
 def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:
-    """Refuses to call a log without a fault free of faults where it does not show it; `blind` tests never could tell.
+    """Raise InputError if a log without a fault does not show that there is none; `blind` tests never could tell.
 
     Raises:
         InputError: some test could never tell, or the log ends in a suspicion.

@@ -1,4 +1,4 @@
-"""Show, export and erase what a running service remembers of faults."""
+"""Show, export and erase the remembered faults of a running service."""
 
 import argparse
 import json
@@ -29,9 +29,7 @@ PAGE = 500
 
 def main(argv: list[str]) -> int:
     """Runs the command; `list` returns 1 where a fault is there now, `clear` where it could not be kept."""
-    parser = Parser(
-        "faultline faults", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline faults", description=__doc__, epilog=EXAMPLE)
     commands = parser.add_subparsers(dest="command", required=True, metavar="list|show|export|clear")
     each = {name: commands.add_parser(name, help=text, description=text) for name, text in TEXTS.items()}
     for sub in each.values():
@@ -80,7 +78,7 @@ def _show(control: ControlClient, options: argparse.Namespace) -> int:
 
 
 def _export(control: ControlClient, _options: argparse.Namespace) -> int:
-    """One JSON document: the state, the faults with their freeze frames, and all that was told and is still there."""
+    """Print one JSON document: the state, the faults with their freeze frames, and all records in the store."""
     answer = control.ask_json("faults")
     faults = [control.ask_json("fault", number=fault["number"]) for fault in answer["faults"]]
     records: list[Any] = []
@@ -135,13 +133,10 @@ def _print(answer: object) -> None:
 
 
 def _summary(fault: Fault) -> list[str]:
-    """What it is, and how it stands."""
-    status = fault.status
-    now = "is there" if status.test_failed else "is not there any more"
-    kind = "confirmed" if status.confirmed else "pending" if status.pending else "was pending"
+    """Return the lines of a fault: system, status, candidates, occurrences."""
     codes = ", ".join(f"SPN {code.spn} FMI {code.fmi}" for code in fault.dtcs) or "no J1939 code"
     return [
-        f"{fault.number}. {fault.system}: {now}, {kind}, status 0x{fault.mask:02X}, {codes}",
+        f"{fault.number}. {fault.system}: {fault.status.words}, status 0x{fault.mask:02X}, {codes}",
         *(_candidate(each) for each in fault.diagnoses),
         f"seen {fault.occurrences} {'time' if fault.occurrences == 1 else 'times'}, first {_when(fault.first.wall)}, "
         f"last {_when(fault.latest.wall)}",
@@ -169,7 +164,7 @@ def _history(fault: Fault) -> list[str]:
 
 
 def _frame(frame: FreezeFrame) -> list[str]:
-    """A freeze frame for a person."""
+    """Return the lines of a freeze frame."""
     return [
         f"  {_when(frame.wall)}, {frame.t_s:g} s into the drive, mode {frame.mode}, event {frame.event}",
         *(

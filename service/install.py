@@ -49,9 +49,7 @@ class File(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = Parser(
-        "faultline install", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline install", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--root", type=Path, default=Path("/"), metavar="DIR", help="the image's root (default: /)")
     add("--prefix", type=Path, default=Path(sys.prefix), help="the environment, as on the vehicle (default: this one)")

@@ -1,6 +1,5 @@
 """Play a recorded log onto a CAN bus, in real time or faster."""
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -20,7 +19,7 @@ TOLD_EVERY_S = 2.0
 
 
 class Played(msgspec.Struct):
-    """What was sent: frames, their log time [s], the wall time it took [s] and the latest any frame was [s, wall]."""
+    """Statistics of a replay: frames, their log time [s], the wall time [s] and the largest delay [s, wall]."""
 
     frames: int = 0
     log_s: float = 0.0
@@ -30,9 +29,7 @@ class Played(msgspec.Struct):
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = Parser(
-        "faultline replay", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline replay", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("log", type=Path, help="an instrumented recording (folder), or a candump log")
     parser.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     parser.add_argument("--speed", type=float, default=1.0, help="how many times real time (default: 1)")
@@ -47,7 +44,7 @@ def main(argv: list[str]) -> int:
         _say(log.report.summary())
     with open_bus(options.bus) as bus:
         length = log.duration_s
-        told = Told(lambda t: _say(f"{t:.0f} s of {length:.0f} s"), TOLD_EVERY_S * options.speed)
+        told = Progress(lambda t: _say(f"{t:.0f} s of {length:.0f} s"), TOLD_EVERY_S * options.speed)
         played = play(log.relative(), bus.send, options.speed, progress=told)
     _say(
         f"{played.frames} frames of {played.log_s:.1f} s in {played.wall_s:.1f} s, "
@@ -62,8 +59,8 @@ def _say(text: str) -> None:
     print(f"faultline replay: {text}", file=sys.stderr, flush=True)
 
 
-class Told:
-    """Passes on a log time [s] when `every` [s] of it have gone since the last one."""
+class Progress:
+    """Reports log time [s] once each `every` [s] of it."""
 
     def __init__(self, say: Callable[[float], None], every: float) -> None:
         self._say = say
@@ -71,7 +68,7 @@ class Told:
         self._next = every
 
     def __call__(self, t: float) -> None:
-        """Log time is now `t`."""
+        """Report log time `t`, if it is due."""
         if t >= self._next:
             self._next = t + self._every
             self._say(t)
@@ -86,7 +83,7 @@ def play(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Played:
-    """Sends every frame at its time [s] over `speed` after the start.
+    """Send every frame at its time [s] over `speed` after the start.
 
     Each has its own deadline on the clock, so that lateness never adds up: after a stall the frames that are due go out
     at once.

@@ -40,14 +40,14 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Read(NamedTuple, Generic[T]):
-    """What a file says, and its text, for errors in what its parts must say of each other."""
+    """Content of a file, and its text, for errors in what its parts must say of each other."""
 
     said: T
     path: Path
     text: str
 
     def wrong(self, steps: Sequence[Step], message: str) -> ConfigError:
-        """An error at the part that `steps` lead to, to raise."""
+        """Return an error at the part that `steps` lead to, to raise."""
         return _error(self.path, self.text, steps, message)
 
 
@@ -118,7 +118,7 @@ def _bare(given: inspect.Type) -> tuple[inspect.Type, str]:
 
 
 def line_of(text: str, steps: Sequence[Step]) -> int:
-    r"""The line of a TOML text (from 1) that `steps` lead to, or of the nearest part around it that has one.
+    r"""Return the line of a TOML text (from 1) that `steps` lead to, or of the nearest part around it that has one.
 
     >>> line_of("[a]\nb = 1\n[[c]]\n[[c]]\nd = 2", ["c", 1, "d"])
     5

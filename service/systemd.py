@@ -1,4 +1,4 @@
-"""What the service manager is told over $NOTIFY_SOCKET (sd_notify(3)); nothing where there is none.
+"""The service manager: states over $NOTIFY_SOCKET (sd_notify(3)), where there is one, and lines for its journal.
 
 The watchdog is fed by a thread of its own, and only while every part that must be alive has said so lately: a loop that
 hangs, or computes for ever, is a service that is restarted.
@@ -6,9 +6,11 @@ hangs, or computes for ever, is a service that is restarted.
 
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Protocol
 
 READY_S = 5.0
@@ -16,6 +18,16 @@ READY_S = 5.0
 
 FEEDS = 3
 """The watchdog is fed so many times in its time."""
+
+
+def log_as(command: str) -> Callable[[str], None]:
+    """Return a function that writes one line of a command to standard error, which the journal takes."""
+
+    def log(text: str) -> None:
+        with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
+            print(f"faultline {command}: {text}", file=sys.stderr, flush=True)
+
+    return log
 
 
 class Notifier:
@@ -27,39 +39,37 @@ class Notifier:
         self.watchdog_s = _watchdog(environment) if address else None
 
     def tell(self, **states: str | int) -> None:
-        """Sends the states, such as `READY=1` and `STATUS=...`; a manager that does not listen is no error."""
+        """Send the states, such as `READY=1` and `STATUS=...`; a manager that does not listen is no error."""
         if not self._address:
             return
         content = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in states.items()).encode()
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
             sock.settimeout(READY_S if "READY" in states else 0.0)  # the others are told again soon
-            try:
+            with suppress(OSError):  # its queue is full, or it is being replaced: the next feed comes soon
                 sock.sendto(content, self._address)
-            except OSError:  # its queue is full, or it is being replaced: the next feed comes soon
-                return
 
 
 def _watchdog(environment: Mapping[str, str]) -> float | None:
-    """Its time [s], if it is this process that is watched."""
+    """Return the watchdog's time [s], if this process is the one that is watched."""
     microseconds = environment.get("WATCHDOG_USEC", "")
     mine = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
     return int(microseconds) / 1e6 if mine and microseconds.isdecimal() and int(microseconds) > 0 else None
 
 
 class Heartbeat:
-    """Of one part: when it was last alive, and for how long that is good [s]."""
+    """Heartbeat of one part: when it was last alive, and for how long that is good [s]."""
 
     def __init__(self, lasts_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._lasts, self._clock = lasts_s, clock
         self._at = clock()
 
     def beat(self) -> None:
-        """The part is alive."""
+        """Note that the part is alive."""
         self._at = self._clock()
 
     @property
     def fresh(self) -> bool:
-        """Whether it was lately."""
+        """Return True if the part was alive lately."""
         return self._clock() - self._at <= self._lasts
 
 
@@ -68,7 +78,7 @@ class Part(Protocol):
 
     @property
     def fresh(self) -> bool:
-        """Whether it is."""
+        """Return True if it is alive."""
 
 
 class Supervisor:
@@ -91,7 +101,7 @@ class Supervisor:
             self._thread.join()
 
     def look(self) -> None:
-        """Feeds the watchdog, or says which part is silent."""
+        """Feed the watchdog, or say which part is silent."""
         silent = [name for name, part in self._parts.items() if not part.fresh]
         if not silent:
             self._notifier.tell(WATCHDOG=1)

@@ -24,10 +24,8 @@ CONTROL = "control.sock"
 
 
 def main(argv: list[str]) -> int:
-    """Runs the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
-    parser = Parser(
-        "faultline watch", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    """Run the command; returns 0 at the end of the stream, 1 where `--once` found none to print."""
+    parser = Parser("faultline watch", description=__doc__, epilog=EXAMPLE)
     parser.add_argument("--socket", type=Path, required=True, help="where `faultline run` serves its events")
     parser.add_argument("--json", action="store_true", help="print the events as they are, one line of JSON each")
     parser.add_argument("--after", type=int, metavar="SEQ", help="begin after this event (0: with the first there is)")
@@ -57,7 +55,7 @@ def main(argv: list[str]) -> int:
 
 
 def _screens(options: argparse.Namespace) -> Path | None:
-    """Where the control socket is, if a screen is to be shown; raises InputError where that makes no sense."""
+    """Return the path of the control socket if a screen is to be shown; raises InputError where that makes no sense."""
     prints = options.lines or options.json or options.once or options.after is not None
     control: Path = options.control or options.socket.with_name(CONTROL)
     if options.screen and prints:
@@ -82,8 +80,6 @@ def _show(
 
 
 def _meanings(folder: Path) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    from faultline.service.bundle.load import (
-        load_bundle,  # brings in the inference library, which watching does without
-    )
+    from faultline.service.bundle.load import load_bundle  # with the inference library, which watching does without
 
     return meanings(load_bundle(folder).manifest)

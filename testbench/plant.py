@@ -96,15 +96,16 @@ class Plant:
         c_tp, c_bp = self._parameters.compliance_tp / h, self._parameters.compliance_bp / h
         Rt, Rp = self.viscosity * self.tank_filter.R, self.viscosity * self.pump_filter.R
         Kt, Kp, p_tank = self.tank_filter.K, self.pump_filter.K, self.p_tank
-        p_tp, p_bp, qt, qp = self.p_tp, self.p_bp, self.q_tank, self.q_pump_filter
-        x, y = p_tp, p_bp
+        qt, qp, y = self.q_tank, self.q_pump_filter, self.p_bp
+        held_tp, held_bp = c_tp * self.p_tp, c_bp * self.p_bp
         for _ in range(MAXIMUM_SWEEPS):
             drawn, slope = pump.drawn(displaced, y)
             drawn -= back
-            gt, gp = 1.0 / (Rt + 2.0 * Kt * abs(qt)), 1.0 / (Rp + 2.0 * Kp * abs(qp))
-            et, ep = Kt * qt * abs(qt), Kp * qp * abs(qp)
+            kt, kp = Kt * abs(qt), Kp * abs(qp)
+            gt, gp = 1.0 / (Rt + 2.0 * kt), 1.0 / (Rp + 2.0 * kp)
+            et, ep = kt * qt, kp * qp
             a, b = c_tp + gt + gp, c_bp + gp + slope
-            u, v = c_tp * p_tp + gt * (p_tank + et) - gp * ep, c_bp * p_bp + gp * ep - drawn
+            u, v = held_tp + gt * (p_tank + et) - gp * ep, held_bp + gp * ep - drawn
             determinant = a * b - gp * gp
             x, y = (u * b + gp * v) / determinant, (a * v + gp * u) / determinant
             last_t, last_p = qt, qp
@@ -124,17 +125,16 @@ class Plant:
         Ro, Ko = viscosity * self.return_orifice.R, self.return_orifice.K
         Rv, Kv = viscosity * self.dosing_valve.R, self.dosing_valve.K
         qd, qo, qv = self.q_du, self.q_return, self._q_open
-        taken = [branch.linear(h, self.p_ap) for branch in self.branches]
-        q_branches, g_branches = sum(q for q, _ in taken), sum(g for _, g in taken)
+        taken = [(branch, *branch.linear(h, self.p_ap)) for branch in self.branches]
+        q_branches, g_branches = 0.0, 0.0
+        for _, q, g in taken:
+            q_branches, g_branches = q_branches + q, g_branches + g
         fed, held = c_ap * self.p_ap + self.q_pump - q_branches, c_du * self.p_du
         for _ in range(MAXIMUM_SWEEPS):
             Rd = laminar + spring / (abs(qd) + SLIGHT_FLOW) if spring else laminar
-            gd, go, gv = (
-                1.0 / (Rd + 2.0 * Kd * abs(qd)),
-                1.0 / (Ro + 2.0 * Ko * abs(qo)),
-                1.0 / (Rv + 2.0 * Kv * abs(qv)),
-            )
-            ed, eo, ev = Kd * qd * abs(qd), Ko * qo * abs(qo), Kv * qv * abs(qv)
+            kd, ko, kv = Kd * abs(qd), Ko * abs(qo), Kv * abs(qv)
+            gd, go, gv = 1.0 / (Rd + 2.0 * kd), 1.0 / (Ro + 2.0 * ko), 1.0 / (Rv + 2.0 * kv)
+            ed, eo, ev = kd * qd, ko * qo, kv * qv
             a, b = c_ap + gd + g_branches, c_du + gd + go + opening * gv
             u = fed - gd * ed
             v = held + gd * ed + go * (p_return - eo) + opening * gv * (p_nozzle - ev)
@@ -149,5 +149,5 @@ class Plant:
         self.p_ap, self.p_du, self.q_du, self.q_return, self._q_open = x, y, qd, qo, qv
         self.q_dose = opening * qv
         self.q_branches = q_branches + g_branches * x
-        for branch, (q, g) in zip(self.branches, taken, strict=True):
+        for branch, q, g in taken:
             branch.took(h, q + g * x)

@@ -67,6 +67,7 @@ class Drive:
         self.speed = 0.0
         self._integral = 0.0
         self._pump = parameters
+        self._turn, self._inertia = 2 * pi * parameters.mechanical_efficiency, 2 * pi * parameters.inertia
 
     def step(self, h: float, command: float, pressure: float) -> float:
         """The speed after `h` [s] with speed command `command` [rev/s] against `pressure` [Pa] across the pump."""
@@ -74,12 +75,12 @@ class Drive:
         if command > 0.0:
             error = command - self.speed
             wanted = pump.speed_gain * error + self._integral
-            torque = min(max(wanted, 0.0), pump.maximum_torque)
+            torque = 0.0 if wanted < 0.0 else min(wanted, pump.maximum_torque)
             if torque == wanted:  # else the integral would wind up
                 self._integral += h * pump.speed_integral * error
         else:
             torque = self._integral = 0.0
-        load = pump.displacement * pressure / (2 * pi * pump.mechanical_efficiency) + pump.friction * self.speed
-        speed = self.speed + h * (torque - load) / (2 * pi * pump.inertia)
+        load = pump.displacement * pressure / self._turn + pump.friction * self.speed
+        speed = self.speed + h * (torque - load) / self._inertia
         self.speed = max(speed, 0.0)  # the chambers' check valves do not let it turn back
         return self.speed

@@ -51,4 +51,6 @@ class PulseWidth:
 
     def _open(self, start: float, end: float) -> float:
         """The part of the period between two phases in which the valve is open, weighted with its lift."""
-        return self._lift * max(min(end, self._shuts) - max(start, self._opens), 0.0)
+        if start >= self._shuts or end <= self._opens:
+            return 0.0
+        return self._lift * (min(end, self._shuts) - max(start, self._opens))

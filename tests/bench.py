@@ -21,8 +21,9 @@ import numpy as np
 from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import load_model
 from faultline.service.bundle.load import load_bundle
+from faultline.service.bus.base import SO_TIMESTAMPNS
 from faultline.service.bus.interface import Interface
-from faultline.service.bus.reader import CLASSIC, SO_TIMESTAMPNS
+from faultline.service.bus.reader import CLASSIC
 from faultline.service.bus.socketcan import EFF_FLAG, SocketCan
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.residuals.generators import Graph

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy.stats import norm
+from scipy.special import ndtri
 from torch import Tensor
 
 from faultline.training.free_run import Course
@@ -34,7 +34,7 @@ SMALLEST = 1e-2
 """Of an output's spread: a residual that is less was learnt by heart."""
 
 COVERED = 0.99
-NORMAL = float(norm.ppf(0.5 + COVERED / 2))
+NORMAL = float(ndtri(0.5 + COVERED / 2))
 """Deviations within which a normal residual has that share."""
 
 

@@ -99,21 +99,28 @@ class Bank:
         stacked, formulas = self.stacked(trials), self.formulas(trials)
         return step_graph(stacked, measured, self.sigma, region, formulas, parametric=parametric)
 
-    def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
-        """Residuals (K, B, T) of the samples `z` (K, nz) from the states `x0` (nx,), for B trials side by side.
+    @cached_property
+    def _parametric(self) -> Graph:
+        """The graph of the vehicle, with the matrices as inputs."""
+        return Graph(self._graph([{}], parametric=True))
 
-        It runs the very graph of the vehicle, with the matrices as inputs.
+    def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
+        """Return the residuals (K, B, T) for B trials side by side, by the very graph of the vehicle.
+
+        The samples `z` (K, nz) or (K, B, nz) and the states at the start `x0` (nx,) or (B, nx) are those of all trials
+        or of each.
         """
-        graph = Graph(self._graph([{}], parametric=True))
         stacked = self.stacked(trials)
         matrices = {name: getattr(stacked, name) for name in STACKED if name not in OF_FORMULAS or stacked.J.size}
         theta = self.formulas(trials).theta
         if theta.size:
             matrices["theta"] = theta
-        x = np.tile(x0, (len(trials), 1))
-        r = np.empty((len(z), len(trials), len(self.tests)))
-        for k, sample in enumerate(z):
-            r[k], _, _, _, x = graph(z=np.tile(sample, (len(trials), 1)), x=x, **matrices)
+        B, nz = len(trials), z.shape[-1]
+        x = np.array(np.broadcast_to(x0, (B, x0.shape[-1])))
+        samples = np.broadcast_to(z.reshape(len(z), -1, nz), (len(z), B, nz))
+        r = np.empty((len(z), B, len(self.tests)))
+        for k, sample in enumerate(samples):
+            r[k], _, _, _, x = self._parametric(z=np.ascontiguousarray(sample), x=x, **matrices)
         return r
 
     def start(self, z: Array) -> Array:

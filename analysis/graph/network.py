@@ -76,7 +76,7 @@ def _rates(model: Model, test: Test, place: str, form: Form) -> tuple[list[sp.Ex
     values = _substituted(model, test, place, form)
     derivatives = {d.state: d.derivative for d in model.differentials}
     rates = [form(values[sp.Symbol(derivatives[name])]) for name in test.states]
-    residual = model.expression(test.residual, with_fault=True).subs(values)
+    residual = model.expression(test.residual, with_fault=True).xreplace(values)
     return rates, _solved(residual, sp.Symbol(test.predicts), place, form)
 
 
@@ -90,7 +90,7 @@ def _network(test: Test, known: Sequence[sp.Symbol], linear: Linear, place: str)
     velocities = sorted(set().union(*(rate.atoms(sgsqrt) for rate in rates)), key=sp.default_sort_key)
     flows: list[tuple[sp.Expr, sp.Expr]] = []  # (opening, velocity): one orifice may act with several openings
     columns: list[dict[int, sp.Expr]] = []
-    rootless = [rate.subs(dict.fromkeys(velocities, 0)) for rate in rates]
+    rootless = [rate.xreplace(dict.fromkeys(velocities, sp.Integer(0))) for rate in rates]
     for velocity in velocities:
         for row, rate in enumerate(rates):
             coefficient = sp.expand(rate.coeff(velocity))
@@ -160,7 +160,9 @@ class Evaluator:
         entries = [getattr(network, field) for network in networks for field in MATRICES]
         self._shapes = [entry.shape for entry in entries]
         flat = [element for entry in entries for element in entry]
-        self._function = sp.lambdify([sp.Symbol(name) for name in self._names], flat, modules="numpy", cse=True)
+        self._function = sp.lambdify(
+            [sp.Symbol(name) for name in self._names], flat, "numpy", cse=True, docstring_limit=0
+        )
 
     def __call__(self, trials: Sequence[Mapping[str, float]]) -> list[Values]:
         """The networks' values for each trial: a mapping of the parameters and faults that differ from the nominal."""
@@ -183,7 +185,7 @@ def _substituted(model: Model, test: Test, place: str, form: Form) -> dict[sp.Sy
     """Every algebraic variable of the test in terms of states and known signals, along its computational graph."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for equation, variable in test.sequence:
-        expression = model.expression(equation, with_fault=True).subs(values)
+        expression = model.expression(equation, with_fault=True).xreplace(values)
         values[sp.Symbol(variable)] = _solved(expression, sp.Symbol(variable), f"{place}: {equation}", form)
     return values
 
@@ -193,7 +195,7 @@ def _solved(expression: sp.Expr, variable: sp.Symbol, place: str, form: Form) ->
     slope = sp.diff(expression, variable)
     if slope == 0 or slope.has(variable):
         raise InputError(f"{place}: cannot be solved for {variable} with one solution only; choose another causality")
-    return form(-(expression.subs(variable, 0)) / slope)
+    return form(-(expression.xreplace({variable: sp.Integer(0)})) / slope)
 
 
 def _without_products(
@@ -225,7 +227,7 @@ def _affine(
     variables = [*states, *signals]
     expanded = sp.expand(expression)
     gains = [expanded.coeff(variable) for variable in variables]
-    constant = expanded.subs(dict.fromkeys(variables, 0))
+    constant = expanded.xreplace(dict.fromkeys(variables, sp.Integer(0)))
     rest = sp.simplify(expanded - constant - sum(g * v for g, v in zip(gains, variables, strict=True)))
     if rest != 0 or any(gain.free_symbols & set(variables) for gain in gains) or constant.has(sp.zoo, sp.nan):
         raise InputError(

@@ -7,6 +7,8 @@ def slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     """The derivative; the slope of |x| is `Sign` of x, opaque to sympy so that differences in x stay grouped."""
     if symbol not in expression.free_symbols:
         return sp.Integer(0)
+    if not expression.has(sp.Abs):
+        return sp.diff(expression, symbol)
     return sp.diff(expression.replace(sp.Abs, _Size), symbol).replace(_Size, sp.Abs)
 
 

@@ -66,7 +66,9 @@ class System:
     def compiled(self, expressions: Sequence[sp.Expr]) -> Evaluation:
         """The values of `expressions` as a function of `arguments`."""
         meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
-        function: Evaluation = sp.lambdify(self.arguments, expressions, modules=[meaning, "numpy"], cse=True)
+        function: Evaluation = sp.lambdify(
+            self.arguments, expressions, modules=[meaning, "numpy"], cse=True, docstring_limit=0
+        )  # a docstring has the expressions as text, which takes a third of the time
         return function
 
     def jacobian(self, expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> "Jacobian":
@@ -153,11 +155,8 @@ def system_of(model: Model, parameters: Sequence[str], *, disturbed: bool = Fals
         InputError: the model is not to be run freely: too few or too many equations for its variables, or a name of
             its own is that of a disturbance.
     """
-    equations = {name: model.expression(name, with_fault=False) for name in model.equations}
     disturbances = _disturbances(model) if disturbed else {}
-    equations |= {name: equations[name] - sp.Symbol(d) for name, d in disturbances.items()}
-    outputs = _sensors(model, equations)
-    equations = {name: e for name, e in equations.items() if name not in {place for place, _ in outputs.values()}}
+    equations, outputs = _equations_and_outputs(model, disturbances)
     numbers = {
         sp.Symbol(name): sp.Float(p.value) for name, p in model.parameters.items() if name not in set(parameters)
     }
@@ -165,11 +164,6 @@ def system_of(model: Model, parameters: Sequence[str], *, disturbed: bool = Fals
     derivatives = [sp.Symbol(d.derivative) for d in model.differentials]
     unknowns = [sp.Symbol(name) for name in model.unknown]
     algebraic = [v for v in unknowns if v not in states and v not in derivatives]
-    if len(equations) != len(derivatives) + len(algebraic):
-        raise InputError(
-            f"{model.name}: {len(equations)} equations besides its sensors' ({', '.join(outputs) or 'none'}) for "
-            f"{len(derivatives) + len(algebraic)} derivatives and algebraic variables; a free run needs as many"
-        )
     left = [sp.expand(e.xreplace(numbers)) for e in equations.values()]
     shown = {signal: e.xreplace(numbers) for signal, (_, e) in outputs.items()}
     left, shown, algebraic = _substituted(left, shown, algebraic, set(derivatives))
@@ -186,6 +180,33 @@ def system_of(model: Model, parameters: Sequence[str], *, disturbed: bool = Fals
         outputs=shown,
         roots=roots,
     )
+
+
+def check_free_run(model: Model) -> None:
+    """Check that the model can be run freely, without making its system.
+
+    Raises:
+        InputError: there are too few or too many equations for its variables.
+    """
+    _equations_and_outputs(model, {})
+
+
+def _equations_and_outputs(
+    model: Model, disturbances: dict[str, str]
+) -> tuple[dict[str, sp.Expr], dict[str, tuple[str, sp.Expr]]]:
+    """The equations but those of sensors, with what disturbs them, and what `_sensors` gives; raises `InputError`."""
+    equations = {name: model.expression(name, with_fault=False) for name in model.equations}
+    equations |= {name: equations[name] - sp.Symbol(d) for name, d in disturbances.items()}
+    outputs = _sensors(model, equations)
+    equations = {name: e for name, e in equations.items() if name not in {place for place, _ in outputs.values()}}
+    dynamic = {name for d in model.differentials for name in (d.state, d.derivative)}
+    variables = len(model.differentials) + sum(name not in dynamic for name in model.unknown)
+    if len(equations) != variables:
+        raise InputError(
+            f"{model.name}: {len(equations)} equations besides its sensors' ({', '.join(outputs) or 'none'}) for "
+            f"{variables} derivatives and algebraic variables; a free run needs as many"
+        )
+    return equations, outputs
 
 
 def disturbance(equation: str) -> str:
@@ -252,7 +273,8 @@ def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
 
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     """The derivative; |x| is flat at zero."""
-    return slope(expression, symbol).replace(Sign, sp.sign)
+    found = slope(expression, symbol)
+    return found.replace(Sign, sp.sign) if found.has(Sign) else found
 
 
 def _without_roots(expressions: list[sp.Expr]) -> tuple[list[sp.Expr], dict[sp.Symbol, sp.Expr]]:

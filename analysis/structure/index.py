@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from faultline.analysis.structure.decomposition import Part, dulmage_mendelsohn
 from faultline.analysis.structure.matching import Matching, mask_of
@@ -91,6 +90,8 @@ def _degree(
     order = np.array([[_state(structure, row) >> x & 1 for x in columns] for row in rows])  # (n, n)
     if not rows:
         return 0
+    from scipy.optimize import linear_sum_assignment  # some 0.4 s, of `faultline structure` only
+
     never = len(rows) + 1.0
     weight = np.where(present, order if which == "highest" else -order, -never)
     chosen = linear_sum_assignment(weight, maximize=True)

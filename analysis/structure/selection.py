@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.structure.matching import bits, mask_of
@@ -96,6 +95,8 @@ class _Search:
     """
 
     def __init__(self, clauses: Sequence[int], prices: Sequence[float]) -> None:
+        from scipy.optimize import Bounds, LinearConstraint, linprog, milp  # some 0.4 s of every other command
+
         hits = np.array([[c >> t & 1 for t in range(len(prices))] for c in clauses], dtype=np.float64)  # (C, T)
         best = milp(
             prices, integrality=np.ones(len(prices)), bounds=Bounds(0, 1), constraints=LinearConstraint(hits, lb=1)

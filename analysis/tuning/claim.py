@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.days import without_day
 from faultline.analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
@@ -223,7 +223,7 @@ def rate_of(counts: Array, hours: Array) -> Count:
     chosen = np.random.default_rng(SEED).integers(len(hours), size=(RESAMPLES, len(hours)))
     rates = counts[chosen].sum(axis=1) / hours[chosen].sum(axis=1)
     low, high = np.quantile(rates, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    upper = float(chi2.ppf(CONFIDENCE, 2 * (n + 1))) / 2.0 / total
+    upper = float(gammaincinv(n + 1, CONFIDENCE)) / total
     return Count(count=n, hours=total, upper=upper, low=float(low), high=float(high))
 
 

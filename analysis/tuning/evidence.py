@@ -260,28 +260,31 @@ def _hypotheses(model: Model) -> list[Hypothesis]:
 def named_drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:
     """Return the shifts (n, modes, T) of the mean residuals by a standard deviation of each drift of the model."""
     model = bank.model
-    changed = [{name: p.value * (1.0 + p.drift)} for name, p in model.parameters.items() if p.drift]
-    found = [*_shifts(bank, recordings, changed, stand_ins)] if changed else []
-    for column, known in enumerate(model.known.values()):
-        if known.drift:
-            found += _shifts(bank, recordings, [{}], stand_ins, known.drift * np.eye(len(model.known))[column])
-    return np.array(found).reshape(-1, len(MODES), len(bank.tests))
+    trials: list[Trial] = [{name: p.value * (1.0 + p.drift)} for name, p in model.parameters.items() if p.drift]
+    signals = np.diag([known.drift for known in model.known.values()])
+    signals = signals[signals.any(axis=1)]
+    steps = np.concatenate([np.zeros((len(trials), len(model.known))), signals])  # (n, nz)
+    trials += [{}] * len(signals)
+    if not trials:
+        return np.zeros((0, len(MODES), len(bank.tests)))
+    return _shifts(bank, recordings, trials, stand_ins, steps)
 
 
 def _shifts(
-    bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], stand_ins: Sequence[int], step: Array | None = None
-) -> list[Array]:
-    """How far the mean residuals (modes, rows) move with each trial, over samples that are a `step` (nz,) further."""
+    bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], stand_ins: Sequence[int], steps: Array
+) -> Array:
+    """Return how far (n, modes, rows) the mean residuals move with each of n trials, its samples `steps` (n, nz) on."""
     total = np.zeros((len(MODES), len(trials), len(bank.tests)))
     count = np.zeros(len(MODES))
+    off = np.concatenate([np.zeros((1, steps.shape[1])), steps])
     for s in recordings:
-        usual = bank.simulate([{}], s.z, bank.start(s.z[0]))
-        z = s.z if step is None else s.z + step
-        moved = bank.simulate(trials, z, bank.start(z[0])) - usual  # (K, trials, rows)
+        z = s.z[:, None] + off  # (K, 1 + n, nz)
+        r = bank.simulate([{}, *trials], z, np.array([bank.start(first) for first in z[0]]))
+        moved = r[:, 1:] - r[:, :1]
         usable = s.usable.all(axis=1)
         for mode in set(stand_ins):
             inside = usable & (s.mode == mode)
             total[mode] += moved[inside].sum(axis=0)
             count[mode] += inside.sum()
     mean = total[list(stand_ins)] / count[list(stand_ins), None, None]
-    return [mean[:, k] for k in range(len(trials))]
+    return np.moveaxis(mean, 1, 0)

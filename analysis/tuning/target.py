@@ -15,7 +15,7 @@ from math import floor, log
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.days import without_day
 from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
@@ -154,6 +154,6 @@ def _drawn(traces: Sequence[Trace], target: float, bound: bool = True) -> float:
     N = len(found)
     beta = float(np.mean(found)) - u
     if bound:
-        beta *= 2.0 * N / float(chi2.ppf(1.0 - CONFIDENCE, 2 * N))
-    rate = (float(chi2.ppf(CONFIDENCE, 2 * (N + 1))) / 2.0 if bound else N) / hours
+        beta *= N / float(gammaincinv(N, 1.0 - CONFIDENCE))
+    rate = (float(gammaincinv(N + 1, CONFIDENCE)) if bound else N) / hours
     return max(u, u + beta * log(rate / target))

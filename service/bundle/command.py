@@ -33,9 +33,7 @@ The password of an encrypted key is asked for, or taken from the environment's F
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
-    parser = Parser(
-        "faultline bundle", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline bundle", description=__doc__, epilog=EXAMPLE)
     actions = parser.add_subparsers(dest="action", required=True)
     show = actions.add_parser("show", help="what is in it")
     show.add_argument("bundle", type=Path)
@@ -58,9 +56,8 @@ def main(argv: list[str]) -> int:
     install.add_argument("--signatures", type=int, default=1, metavar="N", help="by how many of them (default: 1)")
     install.add_argument("--allow-unsigned", action="store_true", help="instead of --keys, for trials")
     options = parser.parse_args(argv)
-    return {"show": _show, "verify": _verify, "sign": _sign, "public": _public, "install": _install}[options.action](
-        options
-    )
+    run = {"show": _show, "verify": _verify, "sign": _sign, "public": _public, "install": _install}[options.action]
+    return run(options)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -87,10 +84,7 @@ def _trust(options: argparse.Namespace) -> Trust | None:
         raise InputError(f"--signatures {options.signatures}: at least 1")
     if options.keys is None:
         return None
-    from faultline.service.bundle.signing import (  # brings in a cryptographic library, which showing does without
-        Signed,
-        load_keys,
-    )
+    from faultline.service.bundle.signing import Signed, load_keys  # with a cryptographic library, which `show` lacks
 
     return Signed(load_keys(options.keys), options.signatures)
 

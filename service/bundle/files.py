@@ -38,14 +38,14 @@ class BundleError(InputError):
 
 
 class Trust(Protocol):
-    """Who must have signed a bundle (`service.bundle.signing.Signed`)."""
+    """Signatures that a bundle must have (`service.bundle.signing.Signed`)."""
 
     def check(self, raw: bytes, folder: Path, signatures: Mapping[str, bytes]) -> None:
         """Raises InputError where the signatures, by file name in `folder`, are not enough for the manifest's bytes."""
 
 
 def seal(raw: bytes) -> bytes:
-    """The content of `manifest.sha256` for a manifest's bytes, such that `sha256sum -c manifest.sha256` checks it."""
+    """Return the content of `manifest.sha256` for a manifest's bytes, which `sha256sum -c manifest.sha256` checks."""
     return f"{hashlib.sha256(raw).hexdigest()}  {MANIFEST}\n".encode()
 
 
@@ -55,7 +55,7 @@ class _Header(msgspec.Struct):
 
 
 class Whole(NamedTuple):
-    """A bundle's files as they are: all there, unchanged, nothing else, and nothing of them run or parsed but JSON.
+    """Files of a bundle: complete, unchanged, nothing else, and nothing of them run or parsed but JSON.
 
     `id` is the SHA-256 of the manifest's bytes; `contents` are those of all files by name, signatures too.
     """
@@ -66,7 +66,7 @@ class Whole(NamedTuple):
 
 
 def whole(folder: Path, trust: Trust | None = None) -> Whole:
-    """The files of the bundle in `folder`, signed by those in `trust` if that is given: it is looked at first.
+    """Return the files of the bundle in `folder`; the signatures that `trust` demands are checked first.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed or inconsistent, or cannot be read.
@@ -96,7 +96,7 @@ def _signatures(folder: Path) -> dict[str, bytes]:
 
 
 def _read(path: Path, remedy: str, limit: int = MAXIMUM_SIZE) -> bytes:
-    """The file's bytes, of a plain file only: nothing is known of the folder yet, not even who made it."""
+    """Return the bytes of a plain file only: nothing is known of the folder yet, not even who made it."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -142,7 +142,7 @@ def _checked(path: Path, file: File) -> bytes:
 
 
 def decode_manifest(raw: bytes, where: str) -> Manifest:
-    """The manifest in `raw`; the version is looked at first, then every field and what they say of each other."""
+    """Decode the manifest in `raw`: first its version, then every field and their consistency."""
     header = decode_json(raw, _Header, where)
     if header.schema != SCHEMA:
         raise BundleError(
@@ -161,7 +161,7 @@ def decode_manifest(raw: bytes, where: str) -> Manifest:
 
 
 def decode_json(raw: bytes, kind: type[T], where: str) -> T:
-    """The JSON in `raw` as a `kind`; raises `BundleError` with the path of the bad value."""
+    """Decode the JSON in `raw` as a `kind`; raises `BundleError` with the path of the bad value."""
     try:
         return msgspec.json.decode(raw, type=kind)
     except msgspec.ValidationError as error:
@@ -173,5 +173,5 @@ def decode_json(raw: bytes, kind: type[T], where: str) -> T:
 
 
 def one_line(error: Exception) -> str:
-    """The error's message in one line."""
+    """Return the error's message in one line."""
     return " ".join(str(error).split())

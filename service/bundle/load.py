@@ -1,4 +1,4 @@
-"""A bundle that can be run: its files whole (`service.bundle.files`), its graphs what the manifest says they are."""
+"""Loading of a bundle: its files are complete (`service.bundle.files`), its graphs as the manifest says."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +19,7 @@ from faultline.service.core.signals.dbc import NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.logs import Log, open_log
 
 T = TypeVar("T")
 
@@ -54,12 +55,12 @@ class Bundle(NamedTuple):
     golden: Golden
 
     def bank(self) -> GeneratorBank:
-        """Fresh generators."""
+        """Return fresh generators."""
         return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
 
 
 def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, int] = NOBODY) -> Bundle:
-    """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
+    """Load the bundle in `folder`; the signatures that `trust` demands are checked before anything else.
 
     `senders` are source addresses of messages by name, in place of those that the bundle has.
 
@@ -70,8 +71,29 @@ def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, 
     return bundle_of(whole(folder, trust), folder, senders)
 
 
+def load_with_log(
+    folder: Path, path: Path, channel: str | None, senders: Mapping[str, int] = NOBODY
+) -> tuple[Bundle, Log]:
+    """Load the bundle in `folder` and the log at `path`, of one bus if that is given, that it can diagnose.
+
+    `senders` are source addresses of messages by name, in place of those that the log's recording has.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not fit together.
+    """
+    log = open_log(path, channel)
+    bundle = load_bundle(folder, senders={**log.senders, **senders})
+    verify_golden(bundle)
+    log.check_channels(bundle.table.carries)
+    log.check_senders(bundle.table)
+    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    if log.recording is not None:
+        log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
+    return bundle, log
+
+
 def bundle_of(given: Whole, folder: Path, senders: Mapping[str, int] = NOBODY) -> Bundle:
-    """The bundle that these files of a folder are; raises as `load_bundle` does, and reads nothing more."""
+    """Return the bundle of these files of a folder; raises as `load_bundle` does, and reads nothing more."""
     bundle_id, manifest, contents = given
     table = _table(contents[manifest.dbc], manifest, {**manifest.senders, **senders}, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
@@ -100,7 +122,7 @@ def graph_metadata(manifest: Manifest, graph: str) -> dict[str, str]:
 
 
 def verify_golden(bundle: Bundle) -> None:
-    """Runs the golden vectors through fresh generators.
+    """Run the golden vectors through fresh generators.
 
     Raises:
         BundleError: a residual differs by more than its graph's tolerance: this machine does not compute what was
@@ -132,7 +154,7 @@ def verify_golden(bundle: Bundle) -> None:
 
 
 def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -> None:
-    """Whether the hypotheses come to what was exported: `residuals` after the last golden vector."""
+    """Check the shifts of the hypotheses: `residuals` are those after the last golden vector."""
     if not bundle.manifest.evidence.hypotheses:
         return
     names = [generator.name for generator in bundle.manifest.generators]
@@ -157,7 +179,7 @@ def _table(raw: bytes, manifest: Manifest, senders: Mapping[str, int], where: st
 
 
 def _columns(manifest: Manifest, graph: str) -> list[Generator]:
-    """The generators that are the columns of a graph's outputs."""
+    """Return the generators that are the columns of a graph's outputs."""
     if graph == manifest.evidence.graph:
         known = {generator.name: generator for generator in manifest.generators}
         return [known[generator] for generator in manifest.evidence.generators]

@@ -29,11 +29,11 @@ _UNTRUSTED, _TRUSTED = "untrusted comment: ", "trusted comment: "
 
 
 class SignatureError(InputError):
-    """A signature, or a key, that is none, or not one that is trusted."""
+    """Invalid or untrusted signature or key."""
 
 
 class PublicKey(NamedTuple):
-    """A key that is trusted: its id (8 bytes), the key itself (32), and the file's name."""
+    """Trusted key: its id (8 bytes), the key itself (32), and the file's name."""
 
     id: bytes
     key: bytes
@@ -41,12 +41,12 @@ class PublicKey(NamedTuple):
 
     @property
     def label(self) -> str:
-        """The id as minisign writes it."""
+        """Return the id as minisign writes it."""
         return label(self.id)
 
 
 class Signature(NamedTuple):
-    """What a signature file says; `comment` is signed too."""
+    """Content of a signature file; `comment` is signed too."""
 
     algorithm: bytes
     key_id: bytes
@@ -56,12 +56,12 @@ class Signature(NamedTuple):
 
 
 def label(key_id: bytes) -> str:
-    """Bytes of an id, the last first, in hexadecimal: as minisign writes it."""
+    """Return a key's id in hexadecimal, the last byte first, as minisign writes it."""
     return key_id[::-1].hex().upper()
 
 
 def load_private(path: Path, password: bytes | None) -> Ed25519PrivateKey:
-    """The private key in a PEM file.
+    """Load the private key in a PEM file.
 
     Raises:
         SignatureError: it cannot be read, is no ed25519 key, or the password is missing or wrong.
@@ -80,22 +80,18 @@ def load_private(path: Path, password: bytes | None) -> Ed25519PrivateKey:
 
 
 def public_of(private: Ed25519PrivateKey, name: str = "") -> PublicKey:
-    """The public key of a private one."""
+    """Return the public key of a private one."""
     raw = private.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
     return PublicKey(hashlib.blake2b(raw, digest_size=8).digest(), raw, name)
 
 
 def public_text(key: PublicKey) -> str:
-    """The public key's file."""
+    """Return the content of the public key's file."""
     return f"{_UNTRUSTED}minisign public key {key.label}\n{_base64(PURE + key.id + key.key)}\n"
 
 
 def load_public(path: Path) -> PublicKey:
-    """The public key in a file of minisign's.
-
-    Raises:
-        SignatureError: it is none.
-    """
+    """Load the public key in a file of minisign's; raises SignatureError if it is none."""
     what = "a public key of minisign's, or of `faultline bundle public`"
     lines = _lines(_read(path, f"give {what}"), str(path), 2, what)
     raw = _bytes(lines[1], str(path), 2)
@@ -105,7 +101,7 @@ def load_public(path: Path) -> PublicKey:
 
 
 def load_keys(folder: Path) -> dict[bytes, PublicKey]:
-    """All keys `*.pub` of a folder, by id.
+    """Load all keys `*.pub` of a folder, by id.
 
     Raises:
         SignatureError: there is none, one is no key, or two have the same id.
@@ -122,7 +118,7 @@ def load_keys(folder: Path) -> dict[bytes, PublicKey]:
 
 
 def sign(raw: bytes, private: Ed25519PrivateKey, comment: str) -> str:
-    """The signature's file over these bytes; `comment` is signed too."""
+    """Return the content of the signature's file for these bytes; `comment` is signed too."""
     if re.search(r"[\r\n]", comment):
         raise ValueError("a comment is one line")
     key = public_of(private)
@@ -132,7 +128,7 @@ def sign(raw: bytes, private: Ed25519PrivateKey, comment: str) -> str:
 
 
 def verify(raw: bytes, signature: bytes, where: str, keys: Mapping[bytes, PublicKey]) -> PublicKey:
-    """The key that signed these bytes, by a signature file's content; `where` names it in errors.
+    """Return the key that signed these bytes, by a signature file's content; `where` names it in errors.
 
     Raises:
         SignatureError: it is no signature, of a key that is not trusted, or not of these bytes.
@@ -156,7 +152,7 @@ def verify(raw: bytes, signature: bytes, where: str, keys: Mapping[bytes, Public
 
 
 def signers(raw: bytes, signatures: Mapping[str, bytes], keys: Mapping[bytes, PublicKey]) -> list[PublicKey]:
-    """The different trusted keys that signed these bytes; signatures of keys that are not trusted count for nothing.
+    """Return the different trusted keys that signed these bytes; signatures of others do not count.
 
     Raises:
         SignatureError: a file (its content by its path) is no signature, or one of a trusted key not of these bytes.
@@ -170,13 +166,13 @@ def signers(raw: bytes, signatures: Mapping[str, bytes], keys: Mapping[bytes, Pu
 
 
 class Signed(NamedTuple):
-    """A bundle is taken if so many different ones of these keys have signed it (`service.bundle.load.Trust`)."""
+    """Trust in a bundle that `required` different ones of these keys have signed (`service.bundle.load.Trust`)."""
 
     keys: Mapping[bytes, PublicKey]
     required: int = 1
 
     def check(self, raw: bytes, folder: Path, signatures: Mapping[str, bytes]) -> None:
-        """Looks at all signatures, by file name in `folder`, which are over the manifest's bytes.
+        """Check all signatures, by file name in `folder`, which are over the manifest's bytes.
 
         Raises:
             SignatureError: they are too few, or one of a trusted key is not of these bytes.

@@ -31,7 +31,7 @@ READABLE = 0o644
 
 
 class SlotError(InputError):
-    """A bundle that is not taken, or a folder that has no slots."""
+    """Bundle that is refused, or folder that has no slots."""
 
 
 class _Floor(msgspec.Struct, forbid_unknown_fields=True):
@@ -48,11 +48,7 @@ class Slots:
 
     @property
     def current(self) -> str | None:
-        """The slot in use; None where there is none yet.
-
-        Raises:
-            SlotError: the link leads elsewhere.
-        """
+        """Return the slot in use, None if there is none yet; raises SlotError if the link leads elsewhere."""
         link = self._folder / CURRENT
         if not link.is_symlink():
             if link.exists():
@@ -64,7 +60,7 @@ class Slots:
         return name
 
     def install(self, source: Path, trust: Trust | None, trial: Callable[[Path], None]) -> Whole:
-        """Takes the bundle in `source` if it is whole, signed, not older than any before, and stands its `trial`.
+        """Install the bundle in `source` if it is complete, signed, not older than any before, and passes its `trial`.
 
         `trial` is called with the bundle's folder in its slot, and raises InputError where it fails.
 
@@ -82,7 +78,7 @@ class Slots:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """Nobody else installs here meanwhile."""
+        """Hold the lock against other installations."""
         path = self._folder / LOCK
         try:
             _made(self._folder)
@@ -139,7 +135,7 @@ class Slots:
             ) from error
 
     def _current_floor(self) -> _Floor | None:
-        """Where the file is lost: what is current was taken once."""
+        """Return the floor of the current bundle, where the file is lost."""
         current = self.current
         if current is None:
             return None
@@ -151,7 +147,7 @@ class Slots:
         write_file(self._folder / FLOOR, msgspec.json.encode(floor), READABLE)
 
     def _put(self, given: Whole, path: Path) -> None:
-        """The bundle's files and its signatures, whole on the disk."""
+        """Write the bundle's files and its signatures."""
         shutil.rmtree(path, ignore_errors=True)  # the disk may have no room for three
         write_folder(path, given.contents, mode=READABLE)
 

@@ -1,4 +1,4 @@
-"""A bundle is tried in a process of its own, with little memory, little time and no rights, before a service runs it.
+"""Trial of a bundle in a process of its own, with little memory, little time and no rights.
 
 It is loaded, its golden vectors are computed, and decided on. A graph may be signed and still ask for more memory than
 there is, or for ever: that ends the trial and nothing else.
@@ -50,7 +50,7 @@ def trial(folder: Path, memory: int = MEMORY, cpu_s: int = CPU_S, patience_s: fl
 
 
 def child(folder: str) -> int:
-    """What the process does; returns its exit code."""
+    """Run the trial in the process; returns its exit code."""
     import numpy as np
 
     from faultline.service.bundle.files import whole
@@ -78,7 +78,7 @@ def child(folder: str) -> int:
 
 
 def _give_up_rights() -> None:
-    """Root's, once all that is read has been read."""
+    """Drop root's rights, once all files have been read."""
     if os.geteuid() == 0:
         os.setgroups([])
         os.setgid(NOBODY)

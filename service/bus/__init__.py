@@ -13,7 +13,7 @@ __all__ = ["Bus", "BusError", "open_bus", "socketcan_available"]
 def open_bus(
     spec: str, wanted: Iterable[Wanted] | None = None, *, believe_local: bool = False, required: bool = True
 ) -> Bus:
-    """The bus that `spec` names: `socketcan:NAME`, `udp_multicast:GROUP:PORT`, or `can:INTERFACE:CHANNEL[:BITRATE]`.
+    """Open a bus: `socketcan:NAME`, `udp_multicast:GROUP:PORT`, or `can:INTERFACE:CHANNEL[:BITRATE]`.
 
     Of SocketCAN the kernel gives the `wanted` frames only (`DecodeTable.wanted`), all where that is None. What
     processes of this machine send over a real interface is taken only with `believe_local`; an interface that is not
@@ -46,7 +46,7 @@ def open_bus(
 
 
 def socketcan_available(name: str) -> bool:
-    """Whether `socketcan:NAME` can be opened here and now."""
+    """Return True if `socketcan:NAME` can be opened here and now."""
     try:
         open_bus(f"socketcan:{name}").close()
     except BusError:

@@ -1,4 +1,4 @@
-"""What every bus does, whichever kind it is.
+"""Common interface of all kinds of buses.
 
 A frame's time is the monotonic time at which it reached the kernel. The kernel's own stamp follows the wall clock, so
 it only says how long a frame has waited, and is ignored where that cannot be true.
@@ -10,7 +10,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Literal
 
 from faultline.service.core.errors import InputError
@@ -37,12 +36,12 @@ listens on it (ISO 11898-1: 256 errors, 128 errors)."""
 
 
 class BusError(InputError):
-    """A bus that is not there, or that does not take frames."""
+    """Bus that is not there, or that does not take frames."""
 
 
 @dataclass
 class Counts:
-    """What came over a bus since it was opened, data frames and what is none, and what happened to the bus."""
+    """Counters of a bus since it was opened: data frames, other frames, and events of the bus."""
 
     frames: int = 0
     remote: int = 0  # remote frames: they ask for data and have none
@@ -53,14 +52,9 @@ class Counts:
     link_downs: int = 0
     removals: int = 0
 
-    @property
-    def left_alone(self) -> int:
-        """What came and was not taken as data."""
-        return self.remote + self.malformed + self.local
-
 
 class Bus(ABC):
-    """Receives without blocking, and sends. `trouble` is None while it is well; `why` says more, once."""
+    """CAN bus that receives without blocking, and sends. `trouble` is None while it is well; `why` says more, once."""
 
     def __init__(self) -> None:
         self.counts = Counts()
@@ -71,46 +65,44 @@ class Bus(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """Readable when frames wait; -1 while there is nothing to wait for, and another one after that."""
+        """Return the descriptor, readable when frames wait; -1 while there is none, and another one after that."""
 
     @property
     def is_asked(self) -> bool:
-        """Whether it has to be asked again and again: nothing wakes who waits for it."""
+        """Return True if it has to be polled: nothing wakes who waits for it."""
         return False
 
     @property
     @abstractmethod
     def dropped(self) -> int:
-        """Frames that the kernel lost because nobody took them in time."""
+        """Return the frames that the kernel lost because nobody took them in time."""
 
     @abstractmethod
     def receive(self) -> list[Frame]:
-        """At most `BATCH` of the frames that wait, `t` in `time.monotonic()`; none if none waits.
+        """Return at most `BATCH` of the waiting frames, `t` in `time.monotonic()`; none if none waits.
 
         Is called every second or so even if nothing waits: a bus that is lost is looked for here.
         """
 
     def want(self, wanted: Sequence[Wanted]) -> None:  # noqa: B027 most buses give every frame anyhow
-        """From now on these frames are wanted, where the bus can tell them apart."""
+        """Set the wanted frames, where the bus can filter them."""
 
     @abstractmethod
     def send(self, frame: Frame) -> None:
-        """Sends now, whatever the frame's time; raises `BusError` if the bus does not take it."""
+        """Send now, whatever the frame's time; raises `BusError` if the bus does not take it."""
 
     @abstractmethod
     def close(self) -> None:
-        """Releases the socket; further use is an error."""
+        """Release the socket; further use is an error."""
 
     def __enter__(self) -> "Bus":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _arrival(self, stamp: float) -> float:
-        """Monotonic time [s] of a wall-clock stamp that is a moment old, never before the last frame's."""
+        """Return the monotonic time [s] of a recent wall-clock stamp, never before the last frame's."""
         now = time.monotonic()
         t = now - (time.time() - stamp)
         self._last = max(self._last, t if self._empty - SLACK_S <= t <= now else now)
@@ -118,7 +110,7 @@ class Bus(ABC):
 
 
 def wall_stamp(extras: list[tuple[int, int, bytes]]) -> float:
-    """The kernel's time stamp [s, wall clock] in a datagram's control messages; 0 where there is none."""
+    """Return the kernel's time stamp [s, wall clock] in a datagram's control messages; 0 if there is none."""
     for level, kind, data in extras:
         if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == TIMESPEC.size:
             seconds, nanoseconds = TIMESPEC.unpack(data)

@@ -1,4 +1,4 @@
-"""What a CAN controller's error frame says (linux/can/error.h)."""
+"""Error frames of CAN controllers (linux/can/error.h)."""
 
 from typing import NamedTuple
 
@@ -11,23 +11,23 @@ OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x01, 0x04 | 0x08, 0x10 | 0x20, 0x40
 _STATUS = 1
 
 
-class News(NamedTuple):
-    """What an error frame changes: whether the bus is now in `trouble` or, None, well; and whether frames were lost."""
+class StateChange(NamedTuple):
+    """Effect of an error frame: whether the bus is now in `trouble` or, None, well; and whether frames were lost."""
 
     changed: bool = False
     trouble: Trouble | None = None
     overflow: bool = False
 
 
-def read_error(identifier: int, data: bytes) -> News:
-    """What the frame says; `identifier` without its flags."""
+def read_error(identifier: int, data: bytes) -> StateChange:
+    """Decode an error frame; `identifier` without its flags."""
     if identifier & BUS_OFF:
-        return News(True, "bus-off")
+        return StateChange(True, "bus-off")
     if identifier & RESTARTED:
-        return News(True)
+        return StateChange(True)
     if not identifier & CONTROLLER or len(data) <= _STATUS:
-        return News()
+        return StateChange()
     status = data[_STATUS]
     if status & PASSIVE:
-        return News(True, "error-passive", bool(status & OVERFLOW))
-    return News(bool(status & (WARNING | ACTIVE)), None, bool(status & OVERFLOW))
+        return StateChange(True, "error-passive", bool(status & OVERFLOW))
+    return StateChange(bool(status & (WARNING | ACTIVE)), None, bool(status & OVERFLOW))

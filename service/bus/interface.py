@@ -1,4 +1,4 @@
-"""A network interface as the kernel shows it to anybody, without a socket: /sys/class/net."""
+"""State of a network interface from /sys/class/net, without a socket."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class Interface(NamedTuple):
 
 
 def losses(name: str) -> int | None:
-    """Frames that the controller or its driver has lost since it is there; None where nobody counts them."""
+    """Return the frames that controller or driver have lost since it is there; None if nobody counts them."""
     folder = SYS / name / "statistics"
     try:
         return sum(int((folder / file).read_text()) for file in _LOSSES)
@@ -32,7 +32,7 @@ def losses(name: str) -> int | None:
 
 
 def interface(name: str) -> Interface | None:
-    """The interface of this name as it is now; None where there is none."""
+    """Return the interface of this name as it is now; None if there is none."""
     folder = SYS / name
     try:
         number, kind, flags, mtu = ((folder / file).read_text() for file in ("ifindex", "type", "flags", "mtu"))

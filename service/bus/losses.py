@@ -1,4 +1,4 @@
-"""What did not reach the diagnosis: frames lost, left alone or not as in the DBC, and an interface that went away."""
+"""Losses: frames lost, ignored or not as in the DBC, and interfaces that went away."""
 
 from collections.abc import Sequence
 
@@ -7,14 +7,14 @@ from faultline.service.core.signals.decode import DecodeTable, Rejected
 
 
 class Losses:
-    """Counts of one bus and of the tables that decode its frames, in words."""
+    """Counts of one bus and of its decode tables, in words."""
 
     def __init__(self, bus: Bus, tables: Sequence[DecodeTable]) -> None:
         self._bus, self.tables = bus, tables
         self._told: dict[str, int] = {}
 
     def news(self) -> str | None:
-        """All that was lost since the start, where that is more than when it was last asked for."""
+        """Return all losses since the start, if there are more than at the last call."""
         counts, rejected = self._bus.counts, [table.rejected for table in self.tables]
         now = {
             "frames dropped by the kernel": self._bus.dropped,

@@ -21,7 +21,7 @@ ERRORS = (can.CanError, OSError, ValueError, NotImplementedError, ImportError, T
 
 
 class PythonCan(Bus):
-    """A bus of python-can's, opened again after an error."""
+    """Bus of python-can, opened again after an error."""
 
     def __init__(
         self,
@@ -49,20 +49,20 @@ class PythonCan(Bus):
 
     @property
     def is_asked(self) -> bool:
-        """Nothing wakes who waits for it."""
+        """Return True: nothing wakes who waits for it."""
         return True
 
     @property
     def dropped(self) -> int:
-        """Nobody knows."""
+        """Return 0: python-can does not say."""
         return 0
 
     def fileno(self) -> int:
-        """None: it is asked."""
+        """Return -1: it is polled."""
         return -1
 
     def receive(self) -> list[Frame]:
-        """At most `BATCH` frames."""
+        """Return at most `BATCH` frames."""
         if self._bus is None and not self._try_again():
             return []
         frames: list[Frame] = []
@@ -89,7 +89,7 @@ class PythonCan(Bus):
         return frames
 
     def send(self, frame: Frame) -> None:
-        """Sends; raises `BusError` where the interface does not take it."""
+        """Send; raises `BusError` if the interface does not take it."""
         if self._bus is None:
             raise BusError(f"{self._name}: is not there; plug it in")
         fd = len(frame.data) > 8
@@ -102,19 +102,14 @@ class PythonCan(Bus):
             raise BusError(f"{self._name}: does not take frames: {error}; is anybody on the bus?") from error
 
     def close(self) -> None:
-        """Lets go of the interface."""
+        """Release the interface."""
         if self._bus is not None:
             self._bus.shutdown()
         self._bus = None
 
     def _open(self) -> None:
         try:
-            self._bus = can.Bus(
-                interface=self._interface,
-                channel=self._channel,
-                ignore_config=True,
-                **self._options,
-            )
+            self._bus = can.Bus(interface=self._interface, channel=self._channel, ignore_config=True, **self._options)
         except ERRORS as error:
             told = " ".join(str(error).split())
             raise BusError(f"{self._name}: {told}; name an interface that python-can has, and that is there") from error

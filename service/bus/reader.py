@@ -1,4 +1,4 @@
-"""What waits at a CAN socket, with the kernel's stamps and counts: many messages in one system call where that can be.
+"""Reading of a CAN socket, with the kernel's stamps and counts: many messages in one system call if possible.
 
 `recvmmsg` is not in Python's library; it is called with memory that is laid out once. Its structures are those of
 64-bit Linux (`struct mmsghdr`, `iovec`, `cmsghdr`); elsewhere messages are taken one by one.
@@ -13,17 +13,19 @@ import sys
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40  # asm-generic/socket.h
+from faultline.service.bus.base import SO_TIMESTAMPNS, wall_stamp
+
+SO_RXQ_OVFL = 40  # asm-generic/socket.h
 CLASSIC = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
 FD_FLAGS = 0x07  # FD itself, the higher bit rate, and the sender's state of error
 FD_SIZES = frozenset([*range(9), 12, 16, 20, 24, 32, 48, 64])
 
-_TIMESPEC, _DROPS = struct.Struct("@ll"), struct.Struct("@I")
+_DROPS = struct.Struct("@I")
 
 
 class Message(NamedTuple):
-    """A frame of whatever kind: identifier with the kernel's flags, data (None: it is no frame), whether it is ours.
+    """Received frame: identifier with the kernel's flags, data (None: it is no frame), whether it is our own.
 
     `is_local`: a process of this machine has sent it. `stamp` is the wall clock [s] when it reached the kernel, 0.0 if
     unknown; `drops` how many it has lost so far, None if it does not say.
@@ -37,21 +39,21 @@ class Message(NamedTuple):
 
 
 class Reader(Protocol):
-    """Takes what waits at a socket, at most so many messages; none if none waits. Raises OSError as the socket does."""
+    """Reads a socket: at most so many messages; none if none waits. Raises OSError as the socket does."""
 
     def __call__(self, most: int) -> list[Message]:
-        """The messages, the oldest first."""
+        """Return the messages, the oldest first."""
 
 
 def reader_of(sock: socket.socket) -> Reader:
-    """The best there is for this socket, which does not block."""
+    """Return the best reader for this socket, which does not block."""
     if isinstance(sock, socket.socket) and _RECVMMSG is not None:
         return Together(sock, _RECVMMSG)
     return OneByOne(sock)
 
 
 def unpack(raw: bytes) -> tuple[int, bytes | None]:
-    """Identifier and data of the frame in 16 or 72 bytes (`struct can_frame`, `canfd_frame`); no data if it is none."""
+    """Return identifier and data of 16 or 72 bytes (`struct can_frame`, `canfd_frame`); no data if it is no frame."""
     if len(raw) == CLASSIC.size:
         identifier, size, data = CLASSIC.unpack(raw)
         valid = size <= 8
@@ -64,14 +66,14 @@ def unpack(raw: bytes) -> tuple[int, bytes | None]:
 
 
 class OneByOne:
-    """By `recvmsg`."""
+    """Reader by `recvmsg`."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self._later: OSError | None = None
 
     def __call__(self, most: int) -> list[Message]:
-        """As `Reader`; what has been taken before an error is not lost: the error comes with the next call."""
+        """Read as `Reader`; what has been taken before an error is not lost: the error comes with the next call."""
         if self._later is not None:
             error, self._later = self._later, None
             raise error
@@ -86,14 +88,9 @@ class OneByOne:
                     raise
                 self._later = error
                 break
-            stamp, drops = 0.0, None
-            for level, kind, data in extras:
-                if (level, kind, len(data)) == (socket.SOL_SOCKET, SO_TIMESTAMPNS, _TIMESPEC.size):
-                    seconds, nanoseconds = _TIMESPEC.unpack(data)
-                    stamp = seconds + nanoseconds * 1e-9
-                elif (level, kind, len(data)) == (socket.SOL_SOCKET, SO_RXQ_OVFL, _DROPS.size):
-                    (drops,) = _DROPS.unpack(data)
-            found.append(Message(*unpack(raw), bool(flags & socket.MSG_DONTROUTE), stamp, drops))
+            counts = [data for level, kind, data in extras if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL)]
+            drops = _DROPS.unpack(counts[-1])[0] if counts and len(counts[-1]) == _DROPS.size else None
+            found.append(Message(*unpack(raw), bool(flags & socket.MSG_DONTROUTE), wall_stamp(extras), drops))
         return found
 
 
@@ -107,7 +104,7 @@ Call = Callable[[int, int, int, int, None], int]
 
 
 class Together:
-    """By `recvmmsg`."""
+    """Reader by `recvmmsg`."""
 
     def __init__(self, sock: socket.socket, call: Call) -> None:
         self._socket, self._call = sock, call
@@ -125,7 +122,7 @@ class Together:
         self._at = _address(self._headers)
 
     def __call__(self, most: int) -> list[Message]:
-        """As `Reader`; an error behind messages comes with the next call."""
+        """Read as `Reader`; an error behind messages comes with the next call."""
         if self._later is not None:
             error, self._later = self._later, None
             raise error
@@ -174,7 +171,7 @@ def _address(memory: bytearray) -> int:
 
 
 def _recvmmsg() -> Call | None:
-    """The system's, where its structures are those above."""
+    """Return the system's function if its structures are those above."""
     if sys.platform != "linux" or ctypes.sizeof(ctypes.c_void_p) != 8 or sys.byteorder != "little":
         return None
     call = getattr(ctypes.CDLL(None, use_errno=True), "recvmmsg", None)

@@ -10,10 +10,10 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, Bus, BusError
+from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, SO_TIMESTAMPNS, Bus, BusError
 from faultline.service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
 from faultline.service.bus.interface import Interface, interface, losses
-from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, SO_TIMESTAMPNS, Message, Reader, reader_of
+from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, Message, Reader, reader_of
 from faultline.service.core.signals.decode import Wanted
 from faultline.service.logs import Frame
 
@@ -93,11 +93,11 @@ class SocketCan(Bus):
 
     @property
     def dropped(self) -> int:
-        """As of the last frame received: the kernel tells with the next one it accepts, the driver within a second."""
+        """Return the frames lost; the kernel reports with the next one it accepts, the driver within a second."""
         return self._dropped_before + self._dropped
 
     def fileno(self) -> int:
-        """Of the socket."""
+        """Return the socket's descriptor."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def receive(self) -> list[Frame]:
@@ -130,7 +130,7 @@ class SocketCan(Bus):
         return frames
 
     def _messages(self) -> list[Message]:
-        """What waits at the socket."""
+        """Return the messages that wait at the socket."""
         while self._read is not None:
             try:
                 return self._read(BATCH)
@@ -140,7 +140,7 @@ class SocketCan(Bus):
         return []
 
     def _heard(self) -> None:
-        """A frame came: the bus is back. A controller may be well again without saying so."""
+        """Note a frame: the bus is back. A controller may be well again without an error frame."""
         passive = self.trouble == "error-passive"
         if not passive or self._clock() - self._error_at > PASSIVE_S:
             self.trouble = None
@@ -165,7 +165,7 @@ class SocketCan(Bus):
             self.trouble = news.trouble
 
     def _goes_on(self, error: OSError) -> bool:
-        """Whether there may be frames behind the error."""
+        """Handle an error; return True if there may be frames behind it."""
         if error.errno == errno.ENETDOWN:  # comes once, and heals by itself
             self.counts.link_downs += 1
             self.trouble = "down"
@@ -177,7 +177,7 @@ class SocketCan(Bus):
         return False
 
     def _check(self) -> None:
-        """Looks for the interface where that is due."""
+        """Check the interface if that is due."""
         now = self._clock()
         if now < self._due:
             return
@@ -195,7 +195,7 @@ class SocketCan(Bus):
             self.trouble = None
 
     def _count(self) -> None:
-        """What controller and driver have lost since the last look."""
+        """Count what controller and driver have lost since the last call."""
         now, before = self._lost(self._name), self._counted
         if now is not None and before is not None:
             self._dropped_before += max(0, now - before)
@@ -224,7 +224,7 @@ class SocketCan(Bus):
         self._due = self._clock() + LOOK_S
 
     def _lose(self) -> None:
-        """The socket is of no more use."""
+        """Close the socket, which is of no more use."""
         if self._socket is not None:
             self._socket.close()
         self._socket = self._read = None
@@ -234,13 +234,13 @@ class SocketCan(Bus):
         self._due = self._clock() + self._wait
 
     def want(self, wanted: Sequence[Wanted]) -> None:
-        """The kernel gives these from now on, and no others."""
+        """Set the kernel's filter to these frames."""
         self._wanted = tuple(wanted)
         if self._socket is not None:
             self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, can_filters(self._wanted))
 
     def send(self, frame: Frame) -> None:
-        """Sends; waits up to a second for room in a full queue."""
+        """Send; wait up to a second for room in a full queue."""
         identifier = frame.can_id | (EFF_FLAG if frame.is_extended else 0)
         size = len(frame.data)
         content = (
@@ -262,13 +262,13 @@ class SocketCan(Bus):
                 return
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
 
 
 def can_socket(name: str, wanted: Iterable[Wanted] | None) -> socket.socket:
-    """A raw socket on the interface, which is up; `wanted` as for `service.bus.open_bus`.
+    """Open a raw socket on the interface, which is up; `wanted` as for `service.bus.open_bus`.
 
     Raises:
         BusError: no such interface, it is down, or this kernel has no CAN.
@@ -294,7 +294,7 @@ def can_socket(name: str, wanted: Iterable[Wanted] | None) -> socket.socket:
 
 
 def _configure(sock: socket.socket, wanted: Iterable[Wanted] | None) -> None:
-    """Before binding, so that no frame comes unfiltered or unstamped."""
+    """Configure it before binding, so that no frame comes unfiltered or unstamped."""
     if wanted is not None:
         sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_FILTER, can_filters(wanted))
     sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, struct.pack("=I", ERROR_CLASSES))
@@ -306,7 +306,7 @@ def _configure(sock: socket.socket, wanted: Iterable[Wanted] | None) -> None:
 
 
 def can_filters(wanted: Iterable[Wanted]) -> bytes:
-    """The kernel's filter list, of `struct can_filter`: identifier and mask.
+    """Return the kernel's filter list, of `struct can_filter`: identifier and mask.
 
     Both flags are masked, so that an 11-bit frame never passes for a 29-bit one, nor a remote frame for a data frame.
     """

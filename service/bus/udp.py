@@ -25,7 +25,7 @@ LARGEST = 4096  # bytes of a datagram that are read; a frame takes some 200
 
 
 class _Message(msgspec.Struct):
-    """What a frame is, of the fields that python-can packs.
+    """Frame as python-can packs it.
 
     Read strictly: python-can's own reader trusts what comes, and makes of a number for data that many bytes of memory.
     """
@@ -63,12 +63,12 @@ class UdpMulticast(Bus):
         self._inode = str(os.fstat(self._socket.fileno()).st_ino)
 
     def fileno(self) -> int:
-        """Of the socket."""
+        """Return the socket's descriptor."""
         return self._socket.fileno()
 
     @property
     def dropped(self) -> int:
-        """As the kernel counts for this socket; where it does not say, as it counted last."""
+        """Return the kernel's count for this socket; if it does not say, the last one."""
         with suppress(OSError):  # no descriptor is left
             for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
                 fields = line.split()
@@ -77,7 +77,7 @@ class UdpMulticast(Bus):
         return self._dropped
 
     def receive(self) -> list[Frame]:
-        """At most `BATCH` frames; raises `BusError` where none will ever come again."""
+        """Return at most `BATCH` frames; raises `BusError` if none will ever come again."""
         frames: list[Frame] = []
         begun = time.monotonic()
         for _ in range(BATCH):
@@ -97,19 +97,19 @@ class UdpMulticast(Bus):
         return frames
 
     def send(self, frame: Frame) -> None:
-        """Sends one datagram; waits for room in a full queue."""
+        """Send one datagram; wait for room in a full queue."""
         try:
             self._socket.sendto(pack(frame), self._address)
         except OSError as error:
             raise BusError(f"{self._name}: does not take frames: {error.strerror}") from error
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Close the socket."""
         self._socket.close()
 
 
 def _configure(sock: socket.socket, address: tuple[str, int]) -> None:
-    """Bound to the group, not to any address: so no other host can send to the port directly."""
+    """Bind to the group, not to any address: so no other host can send to the port directly."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE)
     sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
@@ -122,7 +122,7 @@ def _configure(sock: socket.socket, address: tuple[str, int]) -> None:
 
 
 def pack(frame: Frame) -> bytes:
-    """The frame as a datagram."""
+    """Return the frame as a datagram."""
     message = can.Message(
         arbitration_id=frame.can_id, is_extended_id=frame.is_extended, data=frame.data, is_fd=len(frame.data) > 8
     )
@@ -130,7 +130,7 @@ def pack(frame: Frame) -> bytes:
 
 
 def unpack(content: bytes, t: float) -> Frame | None:
-    """The data frame in a datagram; None if none: anybody on this machine may send anything to a UDP port."""
+    """Return the data frame in a datagram; None if none: any process here may send anything to a UDP port."""
     try:
         message = _decoder.decode(content)
     except (msgspec.MsgspecError, RecursionError):

@@ -1,10 +1,10 @@
-"""Whether two bundles decide alike: then what one has seen and suspects is worth the same to the other."""
+"""Compatibility of two bundles: with the same decisions, the diagnosis state of one is valid for the other."""
 
 from faultline.service.core.manifest import Manifest
 
 
-def decide_alike(one: Manifest, other: Manifest) -> bool:
-    """Whether the same frames give the same decisions; version, descriptions and provenance may differ."""
+def are_compatible(one: Manifest, other: Manifest) -> bool:
+    """Return True if the same frames give the same decisions; version, descriptions and provenance may differ."""
     return _deciding(one) == _deciding(other)
 
 

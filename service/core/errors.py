@@ -11,4 +11,4 @@ verdict *cannot tell*.
 
 
 class InputError(Exception):
-    """What the user gave is wrong: the message names file, place and remedy in one line."""
+    """Invalid input of the user: the message names file, place and remedy in one line."""

@@ -47,7 +47,7 @@ class File(_Part, frozen=True):
 
 
 class Origin(_Part, frozen=True):
-    """What the bundle was made from, and for which vehicle; data sets by the SHA-256 of the drive's first log.
+    """Provenance: the data and vehicle of the bundle; data sets by the SHA-256 of the drive's first log.
 
     Those of tuning are none that the model was calibrated or the networks were trained with. `base` is the tuning of
     other vehicles that was adapted to this one.
@@ -116,7 +116,7 @@ class Generator(_Part, frozen=True):
 
 
 class Modes(_Part, frozen=True):
-    """How the operating mode follows from the samples.
+    """Rules that derive the operating mode from the samples.
 
     The mode is idle below `idle_below`, maximum above `maximum_above` of `signal`; it is *edge* for `settle_ticks`
     after an input has moved by more than its entry in `edges` from one tick to the next.
@@ -210,7 +210,7 @@ class Equation(_Part, frozen=True):
 
 
 class Disturbance(_Part, frozen=True):
-    """What may be wrong in an equation and is no component's fault, as a leak: where it explains, who is unknown."""
+    """Disturbance of an equation that is no component's fault, as a leak: the component is then unknown."""
 
     name: Name
     equation: Name
@@ -225,7 +225,7 @@ class Hypothesis(_Part, frozen=True):
 
 
 class Follower(_Part, frozen=True):
-    """A generator that is no evidence: its day follows from that of those that are.
+    """Generator that is no evidence: its baseline follows from that of those that are.
 
     Of every mode `offset`, `spread` and by drift how far it moves [Pa], as in `Evidence`.
     """
@@ -237,7 +237,7 @@ class Follower(_Part, frozen=True):
 
 
 class Evidence(_Part, frozen=True):
-    """What confirms and ranks faults: the hypotheses, and how far a fault-free mean strays.
+    """Evidence that confirms and ranks faults: the hypotheses, and the spread of a fault-free mean.
 
     `graph` is the file that has the evidence generators once per hypothesis, in their order, as rows of a batch. No
     fault recording is needed or used.
@@ -276,7 +276,7 @@ class Count(_Part, frozen=True):
 
 
 class Claim(_Part, frozen=True):
-    """What fault-free recordings say of false alarms: suspicions, of detectors or of the evidence, and diagnoses told.
+    """False alarms in fault-free recordings: suspicions, of detectors or of the evidence, and diagnoses.
 
     Of all the drives, so many were `left_out` of tuning in turn, and counted on.
 

@@ -52,7 +52,7 @@ class Monitor:
         return self._decide(self._observer.frame(t_s, can_id, is_extended, data))
 
     def advance(self, t_s: float) -> list[Event]:
-        """The clock says `t_s` [s] of log time: gives the events of every tick up to and at it, frames or no frames."""
+        """Advance to log time `t_s` [s]; return the events of every tick up to and at it, frames or no frames."""
         return self._decide(self._observer.advance(t_s))
 
     def log(self, frames: Iterable[tuple[float, int, bool, bytes]]) -> Iterator[Event]:
@@ -64,7 +64,7 @@ class Monitor:
             yield from self.advance(t_s)
 
     def rename(self, bundle_id: str) -> None:
-        """Goes on under another bundle that decides alike (`core.compatibility`)."""
+        """Go on under another compatible bundle (`core.compatibility`)."""
         self._teller.bundle = bundle_id
 
     def doubt(self, ages: Mapping[str, float]) -> None:
@@ -73,12 +73,12 @@ class Monitor:
 
     @property
     def quality(self) -> Qualities | None:
-        """What each signal (nz,) was worth at the last tick; None before the first."""
+        """Return the quality of each signal (nz,) at the last tick; None before the first."""
         return self._quality
 
     @property
     def decision(self) -> Decision:
-        """What is decided now, told or not yet."""
+        """Return the present decision, published or not yet."""
         return self._decision
 
     @property

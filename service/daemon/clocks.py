@@ -1,4 +1,4 @@
-"""Clocks that are set, and machines that sleep: seen by comparing the kernel's clocks with each other.
+"""Detection of clock steps and suspended machines, by comparing the kernel's clocks with each other.
 
 Decisions are made on the monotonic clock, which nobody sets; it stands while the machine sleeps. The wall clock only
 dates what is told.
@@ -18,7 +18,7 @@ SAME_S, READINGS = 0.1, 5
 
 
 class Moved(NamedTuple):
-    """What happened since the last look: the wall clock was set by `stepped_s`, the machine slept for `slept_s` [s].
+    """Changes since the last look: the wall clock was set by `stepped_s`, the machine slept for `slept_s` [s].
 
     `stopped_s` [s] is for how long nobody looked, where that is longer than anything but a stopped process takes.
     """
@@ -29,7 +29,7 @@ class Moved(NamedTuple):
 
 
 class Clocks:
-    """Looked at every second or so."""
+    """Compares the kernel's clocks; polled every second or so."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Clocks:
         self._looked = monotonic()
 
     def look(self) -> Moved:
-        """What moved, 0 where nothing did; while the machine sleeps the wall clock goes on, which is no step."""
+        """Return the changes, 0 if there are none; a wall clock that goes on during sleep has made no step."""
         now, before = self._now(), self._apart
         looked, self._looked = self._looked, self._monotonic()
         stopped = self._looked - looked if self._looked - looked >= STOPPED_S else 0.0
@@ -54,7 +54,7 @@ class Clocks:
         return Moved(stepped if abs(stepped) >= STEP_S else 0.0, slept if slept >= SLEEP_S else 0.0, stopped)
 
     def _now(self) -> tuple[float, float]:
-        """How far the wall clock, and the one that does not stand still, are ahead of the monotonic one [s]."""
+        """Return how far wall clock and boot-time clock are ahead of the monotonic one [s]."""
         for _ in range(READINGS):
             monotonic, wall, boot = self._monotonic(), self._wall(), self._boot()
             if self._monotonic() - monotonic < SAME_S:  # else we were stopped between them

@@ -2,9 +2,8 @@
 
 import argparse
 import socket
-import sys
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 from faultline.options import Parser
@@ -30,9 +29,11 @@ from faultline.service.daemon.sequencer import Sequencer
 from faultline.service.outputs.control import ControlSocket
 from faultline.service.outputs.socket import RING, EventSocket
 from faultline.service.store.journal import Journal
-from faultline.service.systemd import Notifier, Supervisor
+from faultline.service.systemd import Notifier, Supervisor, log_as
 
 BOOT = Path("/proc/sys/kernel/random/boot_id")  # random(4)
+
+_say = log_as("run")
 
 EXAMPLE = """example:
   faultline run --config /etc/faultline/faultline.toml
@@ -41,7 +42,7 @@ EXAMPLE = """example:
 
 
 def main(argv: list[str]) -> int:
-    """Runs the daemon until SIGTERM or SIGINT; returns its exit code."""
+    """Run the daemon until SIGTERM or SIGINT; returns its exit code."""
     options, config = _asked(argv)
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
@@ -52,9 +53,9 @@ def main(argv: list[str]) -> int:
         read = None if journal.path is None else journal.read
         subscribers = opened.enter_context(EventSocket(Path(config.events.socket), journal.earlier, read))
         journal.earlier = []  # the socket has them
-        control = _control(config)
-        if control is not None:
-            opened.enter_context(control)
+        control = None
+        if (given := config.control) is not None:
+            control = opened.enter_context(ControlSocket(Path(given.socket), given.clear))
         lines = _lines(config, bundles, options.speed, required=options.config is None)
         for line in lines:
             opened.enter_context(line.bus)
@@ -78,14 +79,8 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _control(config: Config) -> ControlSocket | None:
-    if config.control is None:
-        return None
-    return ControlSocket(Path(config.control.socket), config.control.clear)
-
-
 def _store(config: Config, path: Path | None) -> Path | None:
-    """Where events are kept; nowhere in a trial, and where the configuration does not say."""
+    """Return the path of the store; None in a trial, or if the configuration gives none."""
     if config.store is not None:
         return Path(config.store.path)
     if path is not None:
@@ -93,16 +88,9 @@ def _store(config: Config, path: Path | None) -> Path | None:
     return None
 
 
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline run: {text}", file=sys.stderr, flush=True)
-
-
 def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
-    """The options, and the configuration: the one in a file, or what the options of a trial make."""
-    parser = Parser(
-        "faultline run", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    """Return the options, and the configuration: the one in a file, or what the options of a trial make."""
+    parser = Parser("faultline run", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--config", type=Path, help="the configuration; its interfaces may come and go, and need not be there yet")
     add("--bundle", type=Path, help="without a configuration: the bundle folder")
@@ -115,13 +103,10 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     if not 0 < options.speed < float("inf"):
         parser.error("--speed must be a number above zero")
     trial = ("bundle", "bus", "socket")
-    given = [f"--{name}" for name in (*trial, "control", "source") if getattr(options, name) is not None]
     if options.config is not None:
-        if given:
-            parser.error(f"--config says that already: leave out {', '.join(given)}")
+        parser.refuse(options, (*trial, "control", "source"), "--config says that already")
         return options, load_config(options.config)
-    if missing := [f"--{name}" for name in trial if getattr(options, name) is None]:
-        parser.error(f"give --config, or {', '.join(missing)} too")
+    parser.require(options, trial, "--config")
     config = Config(
         bus=[BusConfig(name="bus", interface=options.bus)],
         bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
@@ -134,13 +119,10 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
 
 
 def _trust(config: Config) -> Trust | None:
-    """Who must have signed the bundles; None where anybody may have made them."""
+    """Return the signatures that bundles must have; None if unsigned ones are allowed."""
     if config.trust.keys is None:
         return None
-    from faultline.service.bundle.signing import (  # brings in a cryptographic library, which a trial does without
-        Signed,
-        load_keys,
-    )
+    from faultline.service.bundle.signing import Signed, load_keys  # with a cryptographic library, which a trial lacks
 
     return Signed(load_keys(Path(config.trust.keys)), config.trust.signatures)
 
@@ -148,7 +130,7 @@ def _trust(config: Config) -> Trust | None:
 def _loaded(
     config: Config, load: Loader, *, required: bool
 ) -> tuple[list[tuple[BundleConfig, Bundle]], dict[BundleConfig, str]]:
-    """The bundles, or those in the other slot, and why some are refused; raises InputError where it is `required`."""
+    """Load the bundles, or their spares, and return why some are refused; raises InputError if `required`."""
     if required:
         return [(each, load(Path(each.path))) for each in config.bundle], {}
     loaded: list[tuple[BundleConfig, Bundle]] = []
@@ -166,7 +148,7 @@ def _loaded(
 def _lines(
     config: Config, bundles: Sequence[tuple[BundleConfig, Bundle]], speed: float, *, required: bool
 ) -> list[BusChannel]:
-    """The buses, opened, each with what listens to it."""
+    """Open the buses, each with its pipelines."""
     lines = []
     for bus in config.bus:
         here = [(each.path, bundle) for each, bundle in bundles if each.bus == bus.name]

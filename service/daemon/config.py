@@ -24,14 +24,14 @@ class BusConfig(Part, frozen=True):
 
 
 class BundleConfig(Part, frozen=True):
-    """A bundle's folder, or a link to it, and the bus that its frames are on."""
+    """Bundle: its folder, or a link to it, and the bus of its frames."""
 
     path: Path_
     bus: Annotated[Name, Meta(description="the name of a [[bus]]")]
 
 
 class TrustConfig(Part, frozen=True):
-    """Whose bundles are taken."""
+    """Trusted signatures of bundles."""
 
     keys: Annotated[Path_, Meta(description="the folder of the trusted public keys")] | None = None
     signatures: Annotated[int, Meta(ge=1, le=16)] = 1
@@ -39,26 +39,26 @@ class TrustConfig(Part, frozen=True):
 
 
 class EventsConfig(Part, frozen=True):
-    """Where subscribers connect."""
+    """Event socket."""
 
     socket: EventsSocket
 
 
 class StoreConfig(Part, frozen=True):
-    """Where events are kept."""
+    """Store of records."""
 
     path: Annotated[Path_, Meta(description="a file that we may write, as /var/lib/faultline/events.sqlite")]
 
 
 class ControlConfig(Part, frozen=True):
-    """Where other processes ask, and the users that may erase faults besides root and our own."""
+    """Control socket, and the users that may erase faults besides root and our own."""
 
     socket: ControlSocket
     clear: tuple[Name, ...] = ()
 
 
 class MemoryConfig(Rules, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How faults are remembered; a freeze frame reaches `frame_s` [s] before and after what was told."""
+    """Fault memory; a freeze frame reaches `frame_s` [s] before and after its event."""
 
     frame_s: Annotated[float, Meta(ge=1, le=60)] = 10.0
 
@@ -77,18 +77,14 @@ class Config(Part, frozen=True):
 
 
 def load_config(path: Path) -> Config:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the configuration in the file at `path`; raises ConfigError, which names the line."""
     file = read(path, Config)
     _check(file)
     return file.said
 
 
 def named(name: str, where: str) -> str:
-    """The vehicle's name, that may stand in ids and topics; raises ConfigError where it may not."""
+    """Return the vehicle's name if it may stand in ids and topics; else raises ConfigError."""
     try:
         return msgspec.convert(name, Name)
     except msgspec.ValidationError as error:
@@ -96,7 +92,7 @@ def named(name: str, where: str) -> str:
 
 
 def _check(file: Read[Config]) -> None:
-    """What the parts must say of each other, and the host's name where it is the vehicle's."""
+    """Check the parts against each other, and the host's name where it is the vehicle's."""
     config = file.said
     named(config.source, f"{file.path}: source")
     if (config.trust.keys is None) != config.trust.allow_unsigned:

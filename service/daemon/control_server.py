@@ -1,4 +1,4 @@
-"""What other processes may ask (docs/control.md): the fault memory, the state, what names mean, live values."""
+"""Control server (docs/control.md): the fault memory, the state, what names mean, live values."""
 
 from collections.abc import Callable, Iterable
 
@@ -35,15 +35,15 @@ class ControlServer:
 
     def __init__(
         self,
-        remembering: FaultRecorder,
+        fault_recorder: FaultRecorder,
         journal: Journal,
         state: Callable[[], tuple[str, str | None, int, list[Standing]]],
     ) -> None:
-        self._remembering, self._journal, self._state = remembering, journal, state
+        self._fault_recorder, self._journal, self._state = fault_recorder, journal, state
         self._waiting: list[tuple[int, Erased, Then]] = []  # erased, and not told yet
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
-        """Calls `then` with the answer, now or later; raises `RefusedError`."""
+        """Call `then` with the answer, now or later; raises `RefusedError`."""
         match question.ask:
             case "faults":
                 then(self._faults())
@@ -56,20 +56,20 @@ class ControlServer:
             case "records":
                 self._records(question, then)
             case "system":
-                then(description(self._observed(question.name)))
+                then(description(self._system(question.name)))
             case "history":
                 raise RefusedError("unknown", "a service on the vehicle keeps no history; a recording has one")
             case "live":
                 raise AssertionError("is served by the socket")
 
     def live(self, name: str | None) -> Live:
-        """What gives the newest tick of a system; raises `RefusedError`."""
-        here = self._observed(name)
+        """Return the source of a system's newest tick; raises `RefusedError`."""
+        here = self._system(name)
         before = here.recorder.latest  # however old it is: who asks now is told what comes from now on
         return lambda sent: None if here.recorder.latest is before else live_tick(here, sent)
 
     def told(self, record: Record) -> None:
-        """A record was told: who erased faults with it may know whether that is kept."""
+        """Answer who erased faults with this record: whether that is on the disk."""
         for seq, answer, then in [each for each in self._waiting if each[0] == record.seq]:
             if self._journal.path is None or self._journal.has(seq):
                 then(answer)
@@ -79,23 +79,23 @@ class ControlServer:
         self._waiting = [each for each in self._waiting if each[0] != record.seq]
 
     def _faults(self) -> FaultList:
-        memory = self._remembering.memory
+        memory = self._fault_recorder.memory
         return FaultList(faults=[*memory.faults.values()], overflow=memory.remembered.overflow, seq=self._state()[2])
 
     def _fault(self, number: int | None) -> FaultDetail:
-        faults = self._remembering.memory.faults
+        faults = self._fault_recorder.memory.faults
         if number is None:
             raise RefusedError("bad-request", "name the fault by its `number`")
         if number not in faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
-        return FaultDetail(fault=faults[number], frames=FreezeFrames(**self._remembering.frames(number)))
+        return FaultDetail(fault=faults[number], frames=FreezeFrames(**self._fault_recorder.frames(number)))
 
     def _clear(self, number: int | None, asker: Asker, then: Then) -> None:
         if not asker.may_clear:
             raise RefusedError("not-allowed", f"{asker.user} may not erase faults: see [control] clear")
-        if number is not None and number not in self._remembering.memory.faults:
+        if number is not None and number not in self._fault_recorder.memory.faults:
             raise RefusedError("unknown", f"no fault {number} is remembered")
-        cleared = self._remembering.clear(number, asker.user)
+        cleared = self._fault_recorder.clear(number, asker.user)
         if cleared is None:
             raise RefusedError("not-kept", "the fault memory failed, and nothing was erased: see the service's log")
         self._waiting.append((cleared.seq, Erased(cleared=cleared.numbers, id=cleared.id), then))
@@ -109,7 +109,7 @@ class ControlServer:
             since=since,
             wall=now(),
             is_recording=self.is_recording,
-            cycle=self._remembering.cycle,
+            cycle=self._fault_recorder.cycle,
             seq=seq,
             conditions=conditions,
             store=StoreStatus(
@@ -117,32 +117,28 @@ class ControlServer:
                 kept=journal.kept_up_to,
                 failing=any(each.kind == "store-failed" for each in journal.conditions),
             ),
-            buses=[bus_status(line) for line in self._remembering.lines],
-            systems=[system_status(each) for each in self._remembering.observed.values()],
+            buses=[bus_status(line) for line in self._fault_recorder.lines],
+            systems=[system_status(each) for each in self._fault_recorder.systems.values()],
         )
 
     def _records(self, question: Question, then: Then) -> None:
-        page = page_of(question)
-
         def found(records: list[Record] | None) -> None:
-            if records is None:
-                then(refusal("busy", "there is no store, or it cannot be read now"))
-            else:
-                then(page_with(records))
+            none = refusal("busy", "there is no store, or it cannot be read now")
+            then(none if records is None else page_with(records))
 
-        self._journal.read(page, found)
+        self._journal.read(page_of(question), found)
 
-    def _observed(self, name: str | None) -> SystemState:
-        observed = self._remembering.observed
-        if name is None and len(observed) == 1:
-            return next(iter(observed.values()))
-        if name not in observed:
-            raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(observed)}")
-        return observed[name]
+    def _system(self, name: str | None) -> SystemState:
+        systems = self._fault_recorder.systems
+        if name is None and len(systems) == 1:
+            return next(iter(systems.values()))
+        if name not in systems:
+            raise RefusedError("unknown", f"there is no system {name!r}; those are {', '.join(systems)}")
+        return systems[name]
 
 
 def page_of(question: Question) -> Page:
-    """Which records are asked for; raises `RefusedError` where that makes no sense."""
+    """Return the page that is asked for; raises `RefusedError` where that makes no sense."""
     most = 100 if question.count is None else question.count
     if not 1 <= most <= LARGEST_PAGE:
         raise RefusedError("bad-request", f"`count` must be 1 to {LARGEST_PAGE}")
@@ -155,5 +151,5 @@ def page_of(question: Question) -> Page:
 
 
 def page_with(records: Iterable[Record]) -> RecordPage:
-    """The answer with these records."""
+    """Return the answer with these records."""
     return RecordPage(records=[msgspec.Raw(record.line.rstrip()) for record in records])

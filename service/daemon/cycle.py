@@ -1,4 +1,4 @@
-"""Operation cycles: the key is on while the vehicle's frames come.
+"""Operation cycles: the key counts as on while the vehicle's frames come.
 
 Source: AUTOSAR's operation cycle, which counts trips, healing and aging; ignition on and off, as seen on the bus.
 """
@@ -33,7 +33,7 @@ class OperationCycle:
         self._frames: int | None = None
 
     def look(self, frames: int, now: float) -> list[Literal["ended", "begun"]]:
-        """So many frames have come by now: what has become of the cycle; it ends before another one begins."""
+        """Take the count of frames; return the steps of the cycle, which ends before another one begins."""
         heard = frames != (self._frames or 0)
         self._frames = frames
         if heard:

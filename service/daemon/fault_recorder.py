@@ -1,4 +1,4 @@
-"""The fault memory at work: told events, ticks and operation cycles in; records, and what is to be kept, out."""
+"""Recording of faults: events, ticks and operation cycles in; records and rows of the store out."""
 
 import re
 import traceback
@@ -10,22 +10,15 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.service.core.memory.fault_memory import FaultMemory, News, Remembered
+from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory, Remembered
 from faultline.service.core.memory.freeze import Recorder, Sample
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
-from faultline.service.core.records.event import Event, encode
-from faultline.service.core.records.fault import (
-    CLEARED,
-    SCHEMA,
-    Change,
-    Cleared,
-    Fault,
-    FaultRecord,
-    encode_record,
-)
+from faultline.service.core.records.event import Event
+from faultline.service.core.records.fault import CLEARED, SCHEMA, Change, Cleared, Fault, FaultRecord
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
+from faultline.service.core.records.line import encode
 from faultline.service.daemon.cycle import Cycle, OperationCycle
 from faultline.service.daemon.kept_rows import KeptRows
 from faultline.service.daemon.pipeline import BusChannel, Pipeline
@@ -44,7 +37,7 @@ FAILED_S = 60.0
 
 
 class SystemState:
-    """A system with what was seen of it lately, and the freeze frames whose excerpt goes on, by their name."""
+    """System with its recent samples, and the freeze frames whose excerpt goes on, by their name."""
 
     def __init__(self, line: BusChannel, watched: Pipeline, seconds: float) -> None:
         self.line, self.watched, self._seconds = line, watched, seconds
@@ -65,12 +58,12 @@ class SystemState:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What came over its bus since the service started, and what did not."""
+        """Return the counters of its bus since the service started."""
         return {**vars(self.line.bus.counts), "dropped": self.line.bus.dropped}
 
 
 class FaultRecorder:
-    """Keeps the fault memory as the journal has it, and puts what is told into the journal.
+    """Keeps the fault memory as the journal has it, and puts records into the journal.
 
     `boot` is the kernel's identifier of this boot, `now` the monotonic time [s], `standing` gives the conditions that
     stand as text, for freeze frames; `absent` are bundles that are configured and do not run, as `PLACE on BUS`.
@@ -80,7 +73,7 @@ class FaultRecorder:
 
     def __init__(
         self,
-        scribe: Sequencer,
+        sequencer: Sequencer,
         journal: Journal,
         lines: Sequence[BusChannel],
         rules: Rules,
@@ -91,7 +84,7 @@ class FaultRecorder:
         standing: Callable[[], Sequence[str]],
         absent: Collection[str] = (),
     ) -> None:
-        self._scribe, self._journal, self.lines = scribe, journal, lines
+        self._sequencer, self._journal, self.lines = sequencer, journal, lines
         self._say, self._standing = say, standing
         self._rules, self._boot, self._now = rules, boot, now
         self._failed_at, self._failure = -float("inf"), ""
@@ -99,7 +92,7 @@ class FaultRecorder:
         self._frame_s, self._absent = frame_s, frozenset(absent)
         self._unkept = deque[tuple[SystemState, Event, list[str]]](maxlen=UNKEPT)
         self._given = next(self._rows.read(["names"], dict[str, str]), {})
-        self.observed: dict[str, SystemState] = {}
+        self.systems: dict[str, SystemState] = {}
         for line in lines:
             for each in line.bundles:
                 self._observe(line, each)
@@ -110,9 +103,9 @@ class FaultRecorder:
         self.memory.watch(self._observe(line, watched).system)
 
     def take_up(self) -> None:
-        """Go on with a store that was opened late: what this run has said of faults enters what the store has."""
-        systems = [*self.observed.values()]
-        self.observed, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
+        """Go on with a store that was opened late: faults of this run are added to those of the store."""
+        systems = [*self.systems.values()]
+        self.systems, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
         for here in systems:
             self._name(here)
         self.begin()
@@ -135,21 +128,21 @@ class FaultRecorder:
         """
         line, own = here.line, here.bundle.manifest.name
         key = f"{here.watched.place} on {line.name}"
-        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.observed.values()]
+        is_first = key not in [f"{each.watched.place} on {each.line.name}" for each in self.systems.values()]
         before = self._given.get(key, "") if is_first else ""
-        taken = {*self.observed, *(name for of, name in self._given.items() if of in self._absent and of != key)}
+        taken = {*self.systems, *(name for of, name in self._given.items() if of in self._absent and of != key)}
         everybody = [each.bundle.manifest.name for other in self.lines for each in other.bundles]
         usual = own if everybody.count(own) == 1 and own not in taken else f"{own}@{line.name}"
         names = chain([before] * before.startswith(own), [usual], (f"{usual}-{number}" for number in count(2)))
         name = next(each for each in names if each not in taken)
         here.rename(name)
-        self.observed[name] = here
+        self.systems[name] = here
         if is_first and before != name:
             self._given = {**self._given, key: name}
             self._journal.remember({"names": msgspec.json.encode(self._given)})
 
     def begin(self) -> None:
-        """Begins with what the store has, as after a restart."""
+        """Begin with the content of the store, as after a restart."""
         cycle = next(self._rows.read(["cycle"], Cycle), Cycle())
         self._cycle = OperationCycle(cycle, self._boot, self._now)
         rows = [*self._journal.kept]
@@ -163,13 +156,13 @@ class FaultRecorder:
         used = [int(each) for name in rows for each in re.findall(r"(?:fault|frame)/(\d{1,15})", name)]
         memory = msgspec.structs.replace(memory, number=max([memory.number, *(each + 1 for each in used)]))
         self.memory = FaultMemory(self._rules, faults.values(), memory, cycle.number)
-        for each in self.observed.values():
+        for each in self.systems.values():
             each.unfinished.clear()
             self.memory.watch(each.system)
 
     @property
     def conditions(self) -> set[Condition]:
-        """What is wrong with the fault memory."""
+        """Return the conditions of the fault memory."""
         found = set()
         if self._rows.is_damaged:
             found.add(Condition("rows-set-aside", str(self._journal.path)))
@@ -179,12 +172,12 @@ class FaultRecorder:
 
     @property
     def cycle(self) -> int:
-        """The number of the operation cycle."""
+        """Return the number of the operation cycle."""
         return self._cycle.cycle.number
 
     def take(self, watched: Pipeline, events: Iterable[Event]) -> None:
-        """Takes the ticks of a bundle since the last time, and what was told in them."""
-        here = next(each for each in self.observed.values() if each.watched is watched)
+        """Take the ticks of a bundle since the last call, and their events."""
+        here = next(each for each in self.systems.values() if each.watched is watched)
         if here.bundle is not watched.bundle:
             here.begin()
             self.memory.watch(here.system)
@@ -194,16 +187,16 @@ class FaultRecorder:
                 self._see(here, sample)
                 if sample.tick >= event.tick:
                     break
-            self._hear(here, self._scribe.event(event))
+            self._hear(here, self._sequencer.event(event))
         for sample in samples:
             self._see(here, sample)
 
     def look(self, now: float) -> None:
-        """Operation cycles, and freeze frames whose excerpt is whole; `now` is the monotonic time [s]."""
+        """Update operation cycles, and freeze frames whose excerpt is complete; `now` is the monotonic time [s]."""
         self._now = now
         with self._surviving():
             self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
-            for here in self.observed.values():
+            for here in self.systems.values():
                 for name, frame in [*here.unfinished.items()]:
                     if (done := here.recorder.completed(frame)) is not None:
                         del here.unfinished[name]
@@ -211,12 +204,12 @@ class FaultRecorder:
                             self._journal.remember({name: msgspec.json.encode(done)})
 
     def slept(self) -> None:
-        """The machine slept: the key was off."""
+        """End the operation cycle: the machine slept."""
         with self._surviving():
             self._follow(self._cycle.end())
 
     def clear(self, number: int | None, by: str) -> Cleared | None:
-        """Erases one, or all, because a person wants it; `by` says who.
+        """Erase one fault, or all, on behalf of the person `by`.
 
         The record of that, which is not kept yet; None where the fault memory failed, and nothing is erased.
         """
@@ -228,15 +221,15 @@ class FaultRecorder:
     def _clear(self, number: int | None, by: str) -> Cleared:
         names = {fault: self._names(fault) for fault in self.memory.faults}
         numbers = self.memory.clear(number)
-        named, seq, wall = self._scribe.next()
+        named, seq, wall = self._sequencer.next()
         cleared = Cleared(schema=CLEARED, id=named, seq=seq, wall=wall, numbers=numbers, by=by)
         gone: dict[str, bytes | None] = dict.fromkeys(chain.from_iterable(names[each] for each in numbers))
         gone["memory"] = msgspec.json.encode(self.memory.remembered)  # the overflow flag
-        self._put([Record(seq, "fault", encode_record(cleared))], gone)
+        self._put([Record(seq, "fault", encode(cleared))], gone)
         return cleared
 
     def frames(self, number: int) -> dict[str, msgspec.Raw]:
-        """The freeze frames of a fault: `first`, and `latest` where it occurred again."""
+        """Return the freeze frames of a fault: `first`, and `latest` where it occurred again."""
         found = ((name.rpartition("/")[2], self._journal.kept.get(name)) for name in self._names(number)[1:])
         return {which: msgspec.Raw(text) for which, text in found if text is not None}
 
@@ -264,7 +257,7 @@ class FaultRecorder:
 
     @contextmanager
     def _surviving(self) -> Iterator[None]:
-        """Ends what is in it where that fails; the memory then goes on with what the store has, as after a restart."""
+        """Catch a failure of the body; the memory then goes on with what the store has, as after a restart."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 diagnosis goes on whatever the memory does: that is told
@@ -275,8 +268,8 @@ class FaultRecorder:
             self._failed_at, self._failure = self._now, failure
             self.begin()
 
-    def _framed(self, here: SystemState, news: Iterable[News], event: Event) -> dict[str, bytes]:
-        """The freeze frames of what has failed, by their names in the store."""
+    def _framed(self, here: SystemState, news: Iterable[FaultChange], event: Event) -> dict[str, bytes]:
+        """Return the freeze frames of what has failed, by their names in the store."""
         frames: dict[str, bytes] = {}
         for each in news:
             if each.change in FRAMED and here.recorder.holds(event.tick):
@@ -291,20 +284,20 @@ class FaultRecorder:
             news = self.memory.begin_cycle(self.cycle) if step == "begun" else self.memory.end_cycle()
             self._tell([], news, {"cycle": msgspec.json.encode(self._cycle.cycle)})
 
-    def _tell(self, records: list[Record], news: Sequence[News], kept: dict[str, bytes] | None = None) -> None:
-        """Puts the records, those of what has become of faults, and what is kept of it: all of it or nothing."""
+    def _tell(self, records: list[Record], news: Sequence[FaultChange], kept: dict[str, bytes] | None = None) -> None:
+        """Put the records, those of changed faults, and their rows into the store: all of it or nothing."""
         rows: dict[str, bytes | None] = {}
         for change, fault in news:
             if change is not None:
-                named, seq, wall = self._scribe.next()
+                named, seq, wall = self._sequencer.next()
                 record = FaultRecord(schema=SCHEMA, id=named, seq=seq, wall=wall, change=change, fault=fault)
-                records.append(Record(seq, "fault", encode_record(record)))
+                records.append(Record(seq, "fault", encode(record)))
             if fault.number not in self.memory.faults:
                 rows.update(dict.fromkeys(self._names(fault.number)))
             elif change == "withdrawn":  # the latest frame is of what it was not
                 latest = self._names(fault.number)[2]
                 rows[latest] = None
-                for here in self.observed.values():
+                for here in self.systems.values():
                     here.unfinished.pop(latest, None)
                 rows[self._names(fault.number)[0]] = msgspec.json.encode(fault)
             else:
@@ -317,5 +310,5 @@ class FaultRecorder:
         self._journal.put(*records, kept=rows)
 
     def _names(self, number: int) -> list[str]:
-        """Under which a fault and its freeze frames are kept."""
+        """Return the names of the rows of a fault and its freeze frames."""
         return [f"fault/{number}", f"frame/{number}/first", f"frame/{number}/latest"]

@@ -1,4 +1,4 @@
-"""The one loop: frames to the monitors, their events to the store, then to the subscribers and to standard output.
+"""Event loop: frames to the pipelines, events to the store, then to the subscribers and to standard output.
 
 It receives, decides and serves in turn, each as much as a batch: only what is told is handed to another thread, the
 store's. What a turn takes (`docs/decisions/015-one-loop.md`) is a small part of what the kernel's queue holds.
@@ -16,7 +16,6 @@ from types import FrameType
 
 import msgspec
 
-from faultline.service.core.records.context import encode_context
 from faultline.service.core.records.health import (
     KINDS,
     OF_FRAMES,
@@ -25,10 +24,9 @@ from faultline.service.core.records.health import (
     Conditions,
     Health,
     Standing,
-    decode_health,
-    encode_health,
     meaning,
 )
+from faultline.service.core.records.line import encode
 from faultline.service.daemon.clocks import Clocks
 from faultline.service.daemon.config import MemoryConfig
 from faultline.service.daemon.control_server import ControlServer
@@ -54,11 +52,11 @@ ALIVE_S = 5.0  # the loop turns every `IDLE_S` at least, and a turn takes a tent
 
 
 class Loop:
-    """Serves until a signal to stop."""
+    """Serve until a signal to stop."""
 
     def __init__(
         self,
-        scribe: Sequencer,
+        sequencer: Sequencer,
         lines: Sequence[BusChannel],
         journal: Journal,
         subscribers: EventSocket,
@@ -76,7 +74,7 @@ class Loop:
 
         `refused` are the bundles that could not be loaded; `boot` is the kernel's identifier of this boot.
         """
-        self._scribe, self._lines, self._journal, self._subscribers = scribe, lines, journal, subscribers
+        self._sequencer, self._lines, self._journal, self._subscribers = sequencer, lines, journal, subscribers
         self._notifier, self._say, self._clock = notifier, say, clock
         self._clocks = clocks or Clocks()
         self.heartbeat = Heartbeat(ALIVE_S, clock)
@@ -85,23 +83,23 @@ class Loop:
         self._conditions = Conditions(self._since, clock())
         self._look_due, self._losses_due = clock() + LOOK_S, clock() + LOSSES_S
         self._registered: dict[BusChannel, tuple[int, int]] = {}  # descriptor, and which of the bus's it is
-        self._remembering = FaultRecorder(
-            *(scribe, journal, lines, memory, memory.frame_s, boot, clock(), say),
+        self._fault_recorder = FaultRecorder(
+            *(sequencer, journal, lines, memory, memory.frame_s, boot, clock(), say),
             standing=lambda: [f"{each.kind}: {each.of}" for each in self._conditions.standing],
             absent=refused.places if refused is not None else (),
         )
-        self._answerer = ControlServer(self._remembering, journal, self._state)
+        self._control_server = ControlServer(self._fault_recorder, journal, self._state)
         self._begun_at, self._told = now(), journal.last
         self._journald = Journald(clock) if Journald.is_wanted() else None
         self._control = control
         if control is not None:
-            control.answers = self._answerer
+            control.answers = self._control_server
         self._stopped = self._asked = self._ready = False
         self._reload = reload
         self._printing = sys.stdout is not None
 
     def serve(self) -> None:
-        """Serves until a signal to stop."""
+        """Serve until a signal to stop."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
         if self._reload is not None:
@@ -119,7 +117,7 @@ class Loop:
                 self._tell_losses()
 
     def _turn(self, selector: selectors.BaseSelector) -> None:
-        """What is heard is decided, kept, told and answered; then it is looked whether all is well."""
+        """One iteration: receive, diagnose, persist, publish, answer queries, check health."""
         for line in self._lines:
             self._register(line, selector)
         ready = selector.select(self._patience())
@@ -128,15 +126,15 @@ class Loop:
                 self._register(line, selector)
         for line in self._lines:
             for watched, events in line.listen(self._clock()):
-                self._remembering.take(watched, events)
+                self._fault_recorder.take(watched, events)
             self._keep_context(line)
             self._register(line, selector)  # now: a subscriber may get the number of one that was closed
         self._tell(self._journal.take())
         if self._journal.take_up():
-            self._scribe.last = self._told = max(self._scribe.last, self._journal.last)
+            self._sequencer.last = self._told = max(self._sequencer.last, self._journal.last)
             self._subscribers.renew(self._journal.earlier)
             self._journal.earlier = []
-            self._remembering.take_up()
+            self._fault_recorder.take_up()
         self._subscribers.serve(ready)
         if self._control is not None:
             self._control.serve(ready)
@@ -156,7 +154,7 @@ class Loop:
         self._asked = True
 
     def _take_up(self) -> None:
-        """New bundles, between two turns; the service manager knows (systemd.service(5), `RELOADING=1`)."""
+        """Load new bundles between two iterations; the service manager knows (systemd.service(5), `RELOADING=1`)."""
         assert self._reload is not None
         self._asked = False
         self._notifier.tell(RELOADING=1, MONOTONIC_USEC=time.monotonic_ns() // 1000, STATUS="loading bundles")
@@ -167,7 +165,7 @@ class Loop:
         self._clocks.look()  # the time that this took is none in which the process was stopped
 
     def _register(self, line: BusChannel, selector: selectors.BaseSelector) -> None:
-        """The bus's descriptor: another one once its interface was gone, though it may have the same number."""
+        """Register the bus's descriptor: a new one after its interface was gone, though its number may be the same."""
         now, before = (line.bus.fileno(), line.bus.counts.removals), self._registered.get(line)
         if now == before:
             return
@@ -179,7 +177,7 @@ class Loop:
             self._registered[line] = now
 
     def _patience(self) -> float:
-        """How long nothing need be done if no frame comes [s]."""
+        """Return the time until the next action, if no frame comes [s]."""
         longest = ASKED_S if any(line.bus.is_asked for line in self._lines) else IDLE_S
         dues = [due for line in self._lines for bundle in line.bundles if (due := bundle.due()) is not None]
         return min(longest, max(0.0, min(dues, default=self._clock() + longest) - self._clock()))
@@ -191,15 +189,14 @@ class Loop:
         if now < self._look_due:
             return
         self._look_due = now + LOOK_S
-        self._remembering.look(now)
-        kept, clients = self._journal.conditions | self._remembering.conditions, self._subscribers.conditions
+        self._fault_recorder.look(now)
+        kept, clients = self._journal.conditions | self._fault_recorder.conditions, self._subscribers.conditions
         if self._control is not None:
             clients = clients | self._control.conditions
-        refused: set[Condition] = set()
         if self._refused is not None:
-            self._refused.look(now, self._lines, self._say, self._remembering.add)
-            refused = self._refused.conditions
-        present = refused.union(kept, clients, *(line.look(now) for line in self._lines))
+            self._refused.look(now, self._lines, self._say, self._fault_recorder.add)
+            kept |= self._refused.conditions
+        present = kept.union(clients, *(line.look(now) for line in self._lines))
         if not all(line.knows(now) for line in self._lines):  # what stood before a restart still may
             present |= {condition for condition in self._conditions.standing if condition.kind in OF_FRAMES}
         if self._conditions.update(now, present):
@@ -208,20 +205,17 @@ class Loop:
         self._notifier.tell(STATUS=standing or "listening")
 
     def _begins_anew(self) -> bool:
-        """Whether a time is gone in which nobody listened: what was seen before has nothing to do with what comes."""
+        """Return True if the process was suspended; the diagnosis state is then reset."""
         moved = self._clocks.look()
         if moved.stepped_s:
             self._say(f"the wall clock was set by {moved.stepped_s:+.0f} s; decisions do not use it")
         if not moved.slept_s and not moved.stopped_s:
             return False
-        what = (
-            f"the machine slept for {moved.slept_s:.0f} s"
-            if moved.slept_s
-            else f"this process was stopped for {moved.stopped_s:.0f} s"
-        )
+        stopped = f"this process was stopped for {moved.stopped_s:.0f} s"
+        what = f"the machine slept for {moved.slept_s:.0f} s" if moved.slept_s else stopped
         self._say(f"{what}; what was seen before is forgotten")
         if moved.slept_s:
-            self._remembering.slept()
+            self._fault_recorder.slept()
         for line in self._lines:
             for _ in range(QUEUED):
                 if not line.bus.receive():  # queued before that
@@ -238,38 +232,38 @@ class Loop:
 
     def _keep_context(self, line: BusChannel) -> None:
         for change in line.changes():
-            identity = self._scribe.next()
+            identity = self._sequencer.next()
             context = change.record(identity, None, line.name)
-            self._journal.put(Record(context.seq, "context", encode_context(context)))
+            self._journal.put(Record(context.seq, "context", encode(context)))
 
     def _keep_health(self) -> None:
         standing = self._conditions.standing
-        named, seq, wall = self._scribe.next()
+        named, seq, wall = self._sequencer.next()
         self._since = {condition: self._since.get(condition, wall) for condition in standing}
         self._say("; ".join(map(_said, standing)) or "all is well with buses and signals")
         health = Health(schema=SCHEMA, id=named, seq=seq, wall=wall, conditions=self._standing())
-        self._journal.put(Record(seq, "health", encode_health(health)))
+        self._journal.put(Record(seq, "health", encode(health)))
 
     def _standing(self) -> list[Standing]:
         return [Standing(kind=each.kind, of=each.of, since=self._since.get(each)) for each in self._conditions.standing]
 
     def _state(self) -> tuple[str, str, int, list[Standing]]:
-        """Whose service this is, since when, the number of what was told last, and what stands."""
-        return self._scribe.source, self._begun_at, self._told, self._standing()
+        """Return the vehicle's name, the start time, the number of the last record, and the standing conditions."""
+        return self._sequencer.source, self._begun_at, self._told, self._standing()
 
     def _tell(self, records: list[Record]) -> None:
-        """Standard output is one subscriber more: where nobody reads it any longer, the others still are told."""
+        """Publish records to the subscribers and, as long as it has a reader, to standard output."""
         for record in records:
             self._told = record.seq
             self._subscribers.publish(record)
-            self._answerer.told(record)
+            self._control_server.told(record)
             if self._journald is not None:
                 self._journald.told(record)
             if self._printing:
                 self._print(record.line)
 
     def _print(self, line: bytes) -> None:
-        """Never waits: a pipe that nobody empties is one that nobody reads."""
+        """Print without waiting: a pipe that nobody empties has no reader."""
         try:
             output = sys.stdout.fileno()
             for k in range(0, len(line), select.PIPE_BUF):
@@ -282,9 +276,9 @@ class Loop:
 
 
 def _stood(told: Record | None) -> dict[Condition, str | None]:
-    """The conditions in what an earlier run told last, and since when; none in what another version told otherwise."""
+    """Return the conditions of an earlier run's last record, and since when; none if another version wrote it."""
     try:
-        standing = decode_health(told.line).conditions if told is not None else []
+        standing = msgspec.json.decode(told.line, type=Health).conditions if told is not None else []
     except (msgspec.MsgspecError, ValueError):
         return {}
     return {Condition(KINDS[one.kind], one.of): one.since for one in standing if one.kind in KINDS}

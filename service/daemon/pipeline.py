@@ -1,4 +1,4 @@
-"""A bundle at work on a bus: its monitor, how its frames come, and the clock that turns arrival into log time."""
+"""Pipeline of a bundle on a bus: its monitor, its traffic check, and the clock that turns arrival into log time."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
@@ -9,7 +9,7 @@ from faultline.service.bundle.load import GRAPH_ERRORS, Bundle
 from faultline.service.bus import Bus
 from faultline.service.bus.base import Trouble
 from faultline.service.bus.losses import Losses
-from faultline.service.core.compatibility import decide_alike
+from faultline.service.core.compatibility import are_compatible
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.j1939.context import GROUPS, Change, CodeTracker
 from faultline.service.core.memory.freeze import Sample
@@ -45,7 +45,7 @@ _SILENT: tuple[Trouble, ...] = ("down", "removed", "bus-off")
 
 
 class Pipeline:
-    """Log time is monotonic time since the first frame, times `speed`."""
+    """Monitor of a bundle on a bus. Log time is monotonic time since the first frame, times `speed`."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class Pipeline:
         seen: Callable[[Sample], None] | None = None,
         place: str | None = None,
     ) -> None:
-        """`make` gives fresh ones, of log time 0; `seen`, where given, is told each tick besides.
+        """Store the callables: `make` returns fresh objects, of log time 0; `seen`, if given, is called with each tick.
 
         `place` is the folder that the configuration names, where the bundle was taken from another slot.
         """
@@ -69,7 +69,7 @@ class Pipeline:
         self._out_s = 0.0
 
     def hear(self, frames: Sequence[Frame]) -> Iterator[Event]:
-        """Takes all frames up to the last one; gives the events of the ticks that lie before it."""
+        """Take all frames up to the last one; yield the events of the ticks before it."""
         for frame in frames:
             if frame.t < self._out_until:
                 continue
@@ -81,12 +81,12 @@ class Pipeline:
             self._note(frames[-1].t)
 
     def silence(self, until: float) -> list[Event]:
-        """Nothing has come up to the monotonic time `until` [s]."""
+        """Advance to the monotonic time `until` [s] without frames; return the events."""
         self._note(until)
         return [] if self._start is None else self._monitor.advance(self._log_time(until - LAG_S))
 
     def look(self, now: float) -> set[Condition]:
-        """What is wrong with the frames and signals at the monotonic time `now` [s]."""
+        """Return the conditions of frames and signals at the monotonic time `now` [s]."""
         failed = {Condition("bundle-failed", self.bundle.manifest.name)} if now - self._out_until < FAILED_S else set()
         if now < self._out_until:
             return failed
@@ -97,12 +97,12 @@ class Pipeline:
         return found | failed
 
     def knows(self, now: float) -> bool:
-        """Whether at the monotonic time `now` [s] it has seen enough to say what is wrong with frames."""
+        """Return True if by the monotonic time `now` [s] it has seen enough to judge the frames."""
         waited = self._begun is not None and now - self._begun >= EXPECTED_S
         return self._monitor.quality is not None or waited
 
     def fail(self, now: float) -> float:
-        """Something went wrong in it at the monotonic time `now` [s]: it begins anew, after the seconds returned."""
+        """Begin anew after a failure at the monotonic time `now` [s]; return the seconds until then."""
         soon = now - self._out_until < FAILED_S
         self._out_s = min(2.0 * self._out_s, LONGEST_OUT_S) if soon else OUT_S
         self._out_until = now + self._out_s
@@ -110,18 +110,18 @@ class Pipeline:
         return self._out_s
 
     def restart(self) -> None:
-        """Forgets all that was seen: what comes next has nothing to do with it."""
+        """Reset the diagnosis state: what comes next is unrelated."""
         self._renew()
         self._start = self._begun = None
 
     def taken(self) -> list[Sample]:
-        """The ticks since this was asked last."""
+        """Return the ticks since the last call."""
         samples, self._samples = self._samples, []
         return samples
 
     def take_up(self, bundle: Bundle) -> bool:
-        """Goes on with another bundle: with all that was seen if it decides alike, which is returned."""
-        if decide_alike(self.bundle.manifest, bundle.manifest) and self.bundle.table.layouts == bundle.table.layouts:
+        """Go on with another bundle; return True if it is compatible, and the diagnosis state kept."""
+        if are_compatible(self.bundle.manifest, bundle.manifest) and self.bundle.table.layouts == bundle.table.layouts:
             self.bundle = bundle._replace(table=self.bundle.table)  # with its counts
             self._monitor.rename(bundle.id)
             return True
@@ -130,7 +130,7 @@ class Pipeline:
         return False
 
     def due(self) -> float | None:
-        """The monotonic time of the next tick [s]; None before the first frame."""
+        """Return the monotonic time of the next tick [s]; None before the first frame."""
         tick = self._monitor.next_tick_s
         return None if tick is None or self._start is None else self._start + tick / self._speed + LAG_S
 
@@ -145,7 +145,7 @@ class Pipeline:
             self._seen(sample)
 
     def _note(self, t: float) -> None:
-        """All frames up to the monotonic time `t` [s] have been decoded."""
+        """Note that all frames up to the monotonic time `t` [s] have been decoded."""
         if self._begun is not None:
             self._traffic.note((t - self._begun) * self._speed)
 
@@ -155,13 +155,9 @@ class Pipeline:
 
 
 def watched(
-    bundle: Bundle,
-    source: str,
-    speed: float,
-    seen: Callable[[Sample], None] | None = None,
-    place: str | None = None,
+    bundle: Bundle, source: str, speed: float, seen: Callable[[Sample], None] | None = None, place: str | None = None
 ) -> Pipeline:
-    """A bundle at work; `source` is the vehicle's name, `seen` who keeps all ticks."""
+    """Return the pipeline of a bundle; `source` is the vehicle's name, `seen` is called with each tick."""
 
     def make(bundle: Bundle) -> tuple[Monitor, Traffic]:
         monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, source, bundle.id)
@@ -213,7 +209,7 @@ class BusChannel:
         return found
 
     def _heard_by(self, bundle: Pipeline, frames: list[Frame], now: float) -> list[Event]:
-        """What one bundle makes of it; where its graphs fail, the others go on."""
+        """Yield the events of one bundle; if its graphs fail, the others go on."""
         events: list[Event] = []
         try:
             events.extend(bundle.hear(frames) if frames else bundle.silence(now))  # those before a failure stay
@@ -239,11 +235,11 @@ class BusChannel:
         self.losses.tables = tables
 
     def knows(self, now: float) -> bool:
-        """Whether what is not found is not there: the bundles have had time to see it, or the bus says why not."""
+        """Return True if absent conditions are refuted: the bundles have had time, or the bus says why not."""
         return self.bus.trouble in _SILENT or all(bundle.knows(now) for bundle in self.bundles)
 
     def look(self, now: float) -> set[Condition]:
-        """What is wrong with the bus; and with frames and signals, where they could come."""
+        """Return the conditions of the bus; and of frames and signals, if they could come."""
         if self.bus.why != self._why:
             self._why = self.bus.why
             if self._why:

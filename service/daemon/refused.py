@@ -60,7 +60,7 @@ class RefusedBundles:
 
     @property
     def conditions(self) -> set[Condition]:
-        """One of each, that says why."""
+        """Return a condition for each, with the reason."""
         return {Condition("bundle-refused", why) for why in self._why.values()}
 
     @property

@@ -20,7 +20,7 @@ FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memor
 
 
 class Reload:
-    """Looks at configuration, keys and bundles again. `trust_of` says who must have signed."""
+    """Reloads configuration, keys and bundles. `trust_of` gives the required signatures."""
 
     def __init__(
         self,
@@ -43,11 +43,7 @@ class Reload:
             self._say(f"not reloaded: {one_line(error)}")
             return
         self._load.trust = lambda: self._trust_of(config)
-        if changed := [
-            name
-            for name in ("source", "bus", "bundle", "events", "store", "control", "memory")
-            if _differs(name, config, self._config)
-        ]:
+        if changed := [name for name in FOR_A_RESTART if getattr(config, name) != getattr(self._config, name)]:
             self._say(
                 f"{self._path}: {', '.join(changed)} changed: restart the service for that; bundles are looked at"
             )
@@ -70,7 +66,3 @@ class Reload:
             return
         how = "goes on from where it was" if alike else "decides otherwise and begins anew"
         self._say(f"bundle {bundle.manifest.name} version {bundle.manifest.version} {bundle.id[:12]} taken up, {how}")
-
-
-def _differs(name: str, one: Config, other: Config) -> bool:
-    return bool(getattr(one, name) != getattr(other, name))

@@ -1,4 +1,4 @@
-"""Numbers and dates what is told; all records of a run are one sequence."""
+"""Numbers and times of records; all records of a run are one sequence."""
 
 import secrets
 from collections.abc import Callable
@@ -25,16 +25,16 @@ class Sequencer:
         self._prefix = f"{source}-{run}" if run else source
 
     def next(self) -> tuple[str, int, str | None]:
-        """Id, number and wall clock (RFC 3339) of the next record."""
+        """Return id, number and wall clock (RFC 3339) of the next record."""
         self.last += 1
         return f"{self._prefix}-{self.last}", self.last, self._wall()
 
     def event(self, event: Event) -> Event:
-        """The event, numbered and dated."""
+        """Return the event, numbered and dated."""
         named, seq, wall = self.next()
         return msgspec.structs.replace(event, id=named, seq=seq, wall=wall)
 
 
 def now() -> str:
-    """The wall clock (RFC 3339)."""
+    """Return the wall clock (RFC 3339)."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")

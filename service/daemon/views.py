@@ -1,10 +1,11 @@
-"""Messages made of what the service knows: buses, systems, what their names mean, and the newest tick."""
+"""Messages made of the service's state: buses, systems, what their names mean, and the newest tick."""
 
 import msgspec
 import numpy as np
 
 from faultline.service.core.manifest import MODES
 from faultline.service.core.records.discrimination import separations
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.daemon.fault_recorder import SystemState
 from faultline.service.daemon.pipeline import BusChannel
@@ -21,7 +22,7 @@ from faultline.service.protocol.live import (
 
 
 def bus_status(line: BusChannel) -> BusStatus:
-    """A bus, with its counts."""
+    """Return the status of a bus, with its counts."""
     counts = line.bus.counts
     return BusStatus(
         name=line.name,
@@ -34,7 +35,7 @@ def bus_status(line: BusChannel) -> BusStatus:
 
 
 def system_status(here: SystemState) -> SystemStatus:
-    """A system, and what its tests say now."""
+    """Return the status of a system and of its tests."""
     latest = here.recorder.latest
     named = SystemStatus(
         name=here.name,
@@ -56,7 +57,7 @@ def system_status(here: SystemState) -> SystemStatus:
 
 
 def description(here: SystemState) -> SystemDescription:
-    """What the names of a bundle mean, for who shows live values."""
+    """Return what the names of a bundle mean."""
     manifest = here.bundle.manifest
     return SystemDescription(
         name=here.name,
@@ -75,7 +76,7 @@ def description(here: SystemState) -> SystemDescription:
 
 
 def live_tick(here: SystemState, sent: int) -> tuple[int, bytes] | None:
-    """The newest tick of a system, by its number, as a line; None where that was `sent`, or there is none."""
+    """Return the newest tick of a system, by its number, as a line; None if that was `sent`, or there is none."""
     latest = here.recorder.latest
     if latest is None or latest.tick == sent:
         return None
@@ -100,7 +101,7 @@ def live_tick(here: SystemState, sent: int) -> tuple[int, bytes] | None:
         diagnoses=latest.diagnoses,
         separating=separations(manifest.generators, latest.diagnoses, latest.cannot_tell),
     )
-    return latest.tick, msgspec.json.encode(tick) + b"\n"
+    return latest.tick, encode(tick)
 
 
 def _numbers(values: FloatArray) -> list[float | None]:

@@ -1,1 +1,1 @@
-"""What the fault memory is on a J1939 network: DM1 and DM2, and all that a node must do to be allowed to send them."""
+"""Trouble codes on a J1939 network: DM1 and DM2, and what a node must do to be allowed to send them."""

@@ -1,4 +1,4 @@
-"""Claiming an address, SAE J1939-81: what is said for it, and what becomes of it when others claim the same.
+"""Address claiming, SAE J1939-81: claims, and the answers to competing claims.
 
 An address is ours once our claim was on the bus and, of addresses 128 to 247, nobody with a lower NAME has contended
 for 250 ms. Whoever claims it later with a higher NAME is told again whose it is; with a lower one it is his, and we
@@ -23,7 +23,7 @@ State = Literal["idle", "claiming", "claimed", "cannot"]
 
 
 class Claim:
-    """Of one NAME. It is told what is heard, and asked with the time for what is to be sent.
+    """Address claim of one NAME: takes received claims, and returns what is to be sent at a given time.
 
     `addresses`: those that it may have, the preferred one first; the others only where the NAME is arbitrary address
     capable. `winner` is the NAME that took the last address from us.
@@ -43,26 +43,26 @@ class Claim:
 
     @property
     def data(self) -> bytes:
-        """What a claim carries."""
+        """Return the payload of a claim."""
         return self.name.to_bytes(SIZE, "little")
 
     def begin(self, now: float) -> None:
-        """Begins anew, as after power-up: with the preferred address, which others may defend."""
+        """Begin as after power-up: with the preferred address, which others may defend."""
         self._taken.clear()
         self._next(now)
 
     def rest(self) -> None:
-        """Gives up until `begin`: nobody hears us."""
+        """Stop until `begin`: nothing that is sent is received."""
         self.state, self.address = "idle", NULL
         self._due = self._until = None
 
     def confirm(self, now: float) -> None:
-        """Our claim is on the bus."""
+        """Note that our claim was transmitted."""
         if self.state == "claiming" and self._until is None:
             self._until = now + (WAIT_S if self.address in CONTENDED else 0.0)
 
     def hear(self, source: int, name: int, now: float) -> None:
-        """Another one claims `source`; or says from `NULL` that it has no address."""
+        """Handle a claim of `source` by another node, or from `NULL` its message that it has no address."""
         if name == self.name:  # ours, or one that must not be: nothing says who should give way
             return
         self._taken = {address: other for address, other in self._taken.items() if other != name}
@@ -77,24 +77,24 @@ class Claim:
             self._next(now)
 
     def asked(self, now: float) -> None:
-        """Somebody wants to know who is where."""
+        """Handle a request for claimed addresses."""
         if self.state == "cannot":
             self._say_none(now)
         elif self.state != "idle":
             self._due = now
 
     def violated(self, now: float) -> None:
-        """Another one sends from our address."""
+        """Handle a frame that another node sent from our address."""
         if self.state == "claimed" and now >= self._violated + VIOLATED_S:
             self._violated = self._due = now
 
     @property
     def due(self) -> float | None:
-        """When there is something to do [s]."""
+        """Return the time of the next action [s]."""
         return min((t for t in (self._due, self._until) if t is not None), default=None)
 
     def poll(self, now: float) -> list[Frame]:
-        """What is to be sent now."""
+        """Return the messages to send now."""
         if self._until is not None and now >= self._until:
             self.state, self._until = "claimed", None
         if self._due is None or now < self._due:
@@ -103,7 +103,7 @@ class Claim:
         return [Message(ADDRESS_CLAIMED, self.data).frame(self.address, now)]
 
     def _next(self, now: float) -> None:
-        """The first of our addresses that nobody was heard to have."""
+        """Return the first of our addresses that no other node has claimed."""
         self._until = None
         free = [address for address in self._addresses if address not in self._taken]
         if free:

@@ -10,13 +10,9 @@ from faultline.service.j1939.claim import CONTENDED
 from faultline.service.j1939.name import name_of
 from faultline.service.strict import ControlSocket, EventsSocket, Part, Read, read
 
-Interface = Annotated[
-    str,
-    Meta(
-        pattern=r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z",
-        description="socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials",
-    ),
-]
+_BUS = r"\A(socketcan:[^\s/:]{1,15}|udp_multicast:\d+\.\d+\.\d+\.\d+:\d+)\Z"
+_BUSES = "socketcan:NAME (as socketcan:can0), or udp_multicast:GROUP:PORT for trials"
+Interface = Annotated[str, Meta(pattern=_BUS, description=_BUSES)]
 Address = Annotated[int, Meta(ge=0, le=253, description="addresses from 0 to 253, the preferred one first")]
 
 
@@ -35,7 +31,7 @@ class NameConfig(Part, frozen=True):
 
     @property
     def value(self) -> int:
-        """The NAME."""
+        """Return the NAME."""
         return name_of(**{key: int(value) for key, value in msgspec.structs.asdict(self).items()})
 
 
@@ -55,19 +51,14 @@ class _File(Part, frozen=True):
 
 
 def load_config(path: Path) -> J1939Config:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, says what makes no sense, or that nothing may be transmitted; the
-            message names the line.
-    """
+    """Return the configuration in the file at `path`, if it allows to transmit; else raises ConfigError, as `read`."""
     file = read(path, _File)
     _check(file)
     return file.said.j1939
 
 
 def _check(file: Read[_File]) -> None:
-    """What the parts must say of each other."""
+    """Check the fields against each other."""
     config = file.said.j1939
     addresses = config.addresses
     if len(addresses) > 1 and not config.name.arbitrary_address_capable:

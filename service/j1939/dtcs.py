@@ -1,4 +1,4 @@
-"""From the fault memory, as the control socket tells it, to trouble codes: active ones and previously active ones.
+"""Conversion of the fault memory to trouble codes, active and previously active.
 
 Of faults that are confirmed only: active is one that is there now (`test_failed`), previously active one that is not.
 Codes of an ambiguity group are all sent. A code that several faults have is sent once, with the largest count, and as
@@ -13,7 +13,7 @@ from faultline.service.core.records.fault import Dtc, Fault
 
 
 class Known(NamedTuple):
-    """What is on the bus: codes, the oldest fault's first, and whether the amber lamp is lit.
+    """Trouble codes to send, the oldest fault's first, and whether the amber lamp is lit.
 
     The lamp is lit while any confirmed fault is there, one without a code too.
     """
@@ -24,12 +24,12 @@ class Known(NamedTuple):
 
     @property
     def state(self) -> tuple[bool, frozenset[tuple[int, int]]]:
-        """What is a change of state when it changes; a count alone is none."""
+        """Return what makes a change of state: lamp and active codes, not their counts."""
         return self.amber, frozenset((code.spn, code.fmi) for code in self.active)
 
 
 def known(faults: Iterable[Fault]) -> Known:
-    """What the faults are on the bus."""
+    """Return the trouble codes of the faults."""
     confirmed = [fault for fault in faults if fault.status.confirmed]
     there = [fault for fault in confirmed if fault.status.test_failed]
     active = _codes(there)
@@ -42,7 +42,7 @@ def known(faults: Iterable[Fault]) -> Known:
 
 
 def unsent(faults: Sequence[Fault]) -> dict[int, str]:
-    """By number, what of confirmed faults is not on the bus, in words."""
+    """Return by fault number the reason why a confirmed fault, or one of its codes, is not sent."""
     told: dict[int, str] = {}
     for fault in faults:
         if not fault.status.confirmed:
@@ -57,7 +57,7 @@ def unsent(faults: Sequence[Fault]) -> dict[int, str]:
 
 
 def left_out(one: Known) -> int:
-    """How many codes are too many for a message."""
+    """Return the number of codes for which a message has no room."""
     return max(0, len(one.active) - MOST) + max(0, len(one.previous) - MOST)
 
 
@@ -73,5 +73,5 @@ def _codes(faults: Iterable[Fault]) -> dict[Dtc, Code]:
 
 
 def _is_valid(dtc: Dtc) -> bool:
-    """SPN 0 and the largest one mean that there is no code."""
+    """Return True unless SPN or FMI mean that there is no code."""
     return 0 < dtc.spn < MOST_SPN and 0 <= dtc.fmi <= MOST_FMI

@@ -1,4 +1,4 @@
-"""Whether what we send gets onto the bus: each frame of ours comes back once it was really transmitted.
+"""Transmission check: each frame that is sent comes back once it was really transmitted.
 
 On SocketCAN that is CAN_RAW_RECV_OWN_MSGS: a driver that echoes (IFF_ECHO) hands a frame back when its controller has
 transmitted it and somebody has acknowledged it. A controller that listens only, is bus-off or alone never does. A
@@ -22,15 +22,15 @@ class Echo:
         self._heard = float("-inf")
 
     def clear(self) -> None:
-        """None is looked for any more."""
+        """Forget all frames that were sent."""
         self._sent.clear()
 
     def sent(self, frame: Frame, now: float) -> None:
-        """A frame was sent."""
+        """Note a frame that was sent."""
         self._sent.append((now, frame.can_id, frame.data))
 
     def heard(self, frame: Frame, now: float) -> bool:
-        """Whether a frame that was heard is one of ours."""
+        """Return True if a received frame is one of ours."""
         for k, (_, can_id, data) in enumerate(self._sent):
             if can_id == frame.can_id and data == frame.data:
                 del self._sent[k]
@@ -40,11 +40,11 @@ class Echo:
 
     @property
     def due(self) -> float | None:
-        """When the oldest one will be overdue [s]."""
+        """Return the time when the oldest frame will be overdue [s]."""
         return self._sent[0][0] + PATIENCE_S if self._sent else None
 
     def is_overdue(self, now: float) -> bool:
-        """Whether nothing has come back for so long, though something should have."""
+        """Return True if no frame has come back within `PATIENCE_S`, though one should have."""
         while self._sent and now >= self._sent[0][0] + PATIENCE_S:
             if self._heard < self._sent[0][0]:
                 return True

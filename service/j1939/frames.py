@@ -12,7 +12,7 @@ _EXTENDED_PAGE = 1 << 25  # identifiers of ISO 15765-3, which are not J1939's
 
 
 class Message(NamedTuple):
-    """What is to be sent, by whatever address is ours; at most `FRAME` bytes."""
+    """Message to send from our address, whatever that is; at most `FRAME` bytes."""
 
     pgn: int
     data: bytes
@@ -20,12 +20,12 @@ class Message(NamedTuple):
     priority: int = PRIORITY
 
     def frame(self, source: int, t: float) -> Frame:
-        """The frame that carries it, `t` [s]."""
+        """Return the frame that carries the message, `t` [s]."""
         return Frame(t, identifier_of(self.pgn, source, self.destination, self.priority), True, self.data)
 
 
 class Heard(NamedTuple):
-    """What a frame says; `destination` is `GLOBAL` where the group addresses all."""
+    """Decoded frame; `destination` is `GLOBAL` where the group addresses all."""
 
     pgn: int
     source: int
@@ -34,12 +34,12 @@ class Heard(NamedTuple):
 
 
 def parse(frame: Frame) -> Heard | None:
-    """What a frame says; None of an 11-bit one, of more than 8 bytes, and of one that is not J1939's."""
+    """Decode a frame; None if it is 11-bit, longer than 8 bytes, or not of J1939."""
     if not frame.is_extended or frame.can_id & _EXTENDED_PAGE or len(frame.data) > FRAME:
         return None
     return Heard(*address_of(frame.can_id), frame.data)
 
 
 def pgn_bytes(pgn: int) -> bytes:
-    """The group's number as it stands in requests and in what announces parts: three bytes, the lowest first."""
+    """Return the group's number as in requests and announcements: three bytes, the lowest first."""
     return pgn.to_bytes(3, "little")

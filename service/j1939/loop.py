@@ -1,4 +1,4 @@
-"""One loop over the bus, the service's two sockets and the clock."""
+"""Event loop over the bus, the service's two sockets and the clock."""
 
 import select
 import signal
@@ -18,7 +18,7 @@ _GONE = ("down", "removed", "bus-off")
 
 
 class Loop:
-    """Drives a node; `say` is told what a person should know."""
+    """Runs a node; `say` is called with messages for a person."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Loop:
         self.turn()
         self._notifier.tell(READY=1)
         while not self._stopped:
-            waiting = [number for number in (self._wire.fileno(), *self._memory.filenos()) if number >= 0]
+            waiting = [number for number in (self._wire.bus.fileno(), *self._memory.filenos()) if number >= 0]
             select.select(waiting, [], [], self._patience())
             self.turn()
             self.heartbeat.beat()
@@ -51,7 +51,7 @@ class Loop:
     def turn(self) -> None:
         """Takes what has come, and sends what is due."""
         now = self._clock()
-        frames = self._wire.receive()
+        frames = self._wire.bus.receive()
         self._watch_bus(now)
         for frame in frames:
             self._node.hear(frame, now)
@@ -63,25 +63,25 @@ class Loop:
         self._report()
 
     def _patience(self) -> float:
-        """How long nothing need be done if nothing comes [s]."""
+        """Return the time until the next action, if nothing is received [s]."""
         dues = (due for due in (self._node.due, self._memory.due) if due is not None)
         return min(IDLE_S, max(0.0, min(dues) - self._clock()))
 
     def _watch_bus(self, now: float) -> None:
-        """Begins when the bus is there, and ends when it is not."""
-        trouble = self._wire.trouble
+        """Begin when the bus is there, and end when it is gone."""
+        trouble = self._wire.bus.trouble
         gone = trouble in _GONE
         if gone and self._node.status != "waiting":
             self._node.end()
         elif not gone and self._node.status == "waiting":
             self._node.begin(now)
-        text = (self._wire.why or f"{self._wire.name}: is {trouble}") if gone else ""
+        text = (self._wire.bus.why or f"{self._wire.name}: is {trouble}") if gone else ""
         if text != self._trouble:
             self._trouble = text
             self._say(f"{text}; nothing is sent" if text else f"{self._wire.name}: is there")
 
     def _report(self) -> None:
-        """What has become of our address, once."""
+        """Report a change of our address, once."""
         node = self._node
         now = (node.status, NULL if node.status == "mute" else node.address)
         if now != self._told:

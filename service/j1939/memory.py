@@ -1,4 +1,4 @@
-"""The service's fault memory, as its two sockets tell it: asked when anything was told, and now and then.
+"""Client of the service's fault memory: asks after each record of the event socket, and periodically.
 
 What was answered last is good for `KEEP_S` after the service is gone, and then nothing is known: that is not the same
 as no fault, and DM1 must not say so.
@@ -8,11 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from faultline.service.core.records.fault import Fault
+from faultline.service.core.records.line import encode
 from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 from faultline.service.protocol.answers import FaultList
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import decode, encode
-from faultline.service.protocol.errors import GarbledError, RefusedError
+from faultline.service.protocol.client import decode
+from faultline.service.protocol.errors import ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.reconnecting import Reconnecting
 from faultline.service.protocol.records import Subscription
@@ -29,7 +30,7 @@ QUESTION = encode(Question(ask="faults"))
 
 
 class Memory:
-    """`known` is what is on the bus, None where nobody knows. `say` is told, once, what a person should know."""
+    """State: `known` trouble codes, None if they are unknown. `say` is called once with each message for a person."""
 
     def __init__(self, control: Path, events: Path, say: Callable[[str], None]) -> None:
         self._where = control
@@ -46,12 +47,12 @@ class Memory:
         self._whys: set[str] = set()  # what was said since it answered last
 
     def filenos(self) -> list[int]:
-        """To wait for."""
+        """Return the descriptors to wait for."""
         return [number for lines in (self._control, self._events) if (number := lines.fileno()) >= 0]
 
     @property
     def due(self) -> float:
-        """When there is something to do, if nothing comes before [s]."""
+        """Return the time of the next action, if nothing is received before [s]."""
         dues = [self._events.due, self._control.due]
         if self._control.is_connected:
             dues.append(self._due if self._asked is None else self._asked + PATIENCE_S)
@@ -82,7 +83,7 @@ class Memory:
             self.known = None
 
     def close(self) -> None:
-        """Ends both connections."""
+        """Close both connections."""
         self._control.close()
         self._events.close()
 
@@ -92,11 +93,10 @@ class Memory:
         self._asked = None
         try:
             faults = decode(line, FaultList).faults
-        except RefusedError as error:
-            self._answered_nothing(f"refused ({error.message})", now)
-            return
-        except GarbledError as error:
-            self._answered_nothing(f"gave no answer that is understood ({error.__cause__})", now)
+        except ProtocolError as error:
+            garbled = f"gave no answer that is understood ({error.__cause__})"
+            self._fail(f"refused ({error.message})" if isinstance(error, RefusedError) else garbled, now)
+            self._due = now + ASK_BLIND_S
             return
         if self._whys:
             self._say(f"{self._where}: the service answers")
@@ -104,10 +104,6 @@ class Memory:
         self._failing, self._answered = None, now
         self.known = known(faults)
         self._warn(faults)
-
-    def _answered_nothing(self, why: str, now: float) -> None:
-        self._fail(why, now)
-        self._due = now + ASK_BLIND_S
 
     def _fail(self, why: str, since: float) -> None:
         if self._failing is None:
@@ -117,7 +113,7 @@ class Memory:
             self._say(f"{self._where}: the service {why}: without an answer for {KEEP_S:g} s DM1 is not sent")
 
     def _warn(self, faults: list[Fault]) -> None:
-        """Of what is not on the bus, once."""
+        """Report once what cannot be sent."""
         now = unsent(faults)
         for number, text in now.items():
             if self._told.get(number) != text:

@@ -22,7 +22,7 @@ _STEP_S, _STEPS = 0.0006, 256
 
 
 def name_of(**fields: int) -> int:
-    """The NAME of these fields; those left out are 0.
+    """Return the NAME of these fields; those left out are 0.
 
     Raises:
         ValueError: no such field, or a value that does not fit.
@@ -43,12 +43,12 @@ def name_of(**fields: int) -> int:
 
 
 def is_arbitrary(name: int) -> bool:
-    """Whether who has this NAME may take another address than the one that it prefers."""
+    """Return True if a node of this NAME may take another address than its preferred one."""
     return bool(name & _ARBITRARY)
 
 
 def delay_s(name: int, time: int) -> float:
-    """How long to wait before it is said, for the `time`th time, that no address can be claimed: 0 to 153 ms.
+    """Return the delay before the `time`th message that no address can be claimed: 0 to 153 ms.
 
     All who say so use the same identifier: two that begin at one moment disturb each other. So the delay looks random,
     of steps of 0.6 ms, and is another one each time; it comes from the NAME alone, so that nothing here is random.

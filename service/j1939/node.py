@@ -1,4 +1,4 @@
-"""A J1939 node that tells trouble codes: claims an address, sends DM1, answers requests. Pure: the time is an argument.
+"""J1939 node that sends trouble codes: claims an address, sends DM1, answers requests. Pure: time is an argument.
 
 Every frame that is really transmitted, ours too, must come back through `hear`: what does not come back was not heard
 by anybody. Then nothing is sent but a claim now and then, until one comes back (`service.j1939.echo`).
@@ -57,30 +57,30 @@ class Node:
 
     @property
     def address(self) -> int:
-        """Ours, or the one that we claim; `NULL` where there is none."""
+        """Return our address, or the one that is being claimed; `NULL` if there is none."""
         return self._claim.address
 
     @property
     def winner(self) -> int | None:
-        """The NAME that took the last address from us."""
+        """Return the NAME that took the last address from us."""
         return self._claim.winner
 
     def begin(self, now: float) -> None:
-        """The bus is there: claims an address."""
+        """Begin with claiming an address: the bus is there."""
         self._echo.clear()
         self._mute, self._retry = False, RETRY_S
         self._forget()
         self._claim.begin(now)
 
     def end(self) -> None:
-        """The bus is gone: nothing is sent until `begin`."""
+        """Stop sending until `begin`: the bus is gone."""
         self._echo.clear()
         self._mute = False
         self._forget()
         self._claim.rest()
 
     def know(self, known: Known | None, now: float) -> None:
-        """What is remembered now; None where nobody knows: then nothing is told, which is not the same as no fault."""
+        """Set the trouble codes; None if they are unknown: then none are sent, which does not mean no fault."""
         before, self._known = self._known, known
         if known is None or (before is not None and before.state == known.state):
             return
@@ -108,7 +108,7 @@ class Node:
             self._outbox.hear(heard, now)
 
     def frames(self, now: float) -> list[Frame]:
-        """What is to be sent now."""
+        """Return the frames to send now."""
         self._news = False
         if self._mute:
             if now >= self._retry_due:
@@ -127,7 +127,7 @@ class Node:
 
     @property
     def due(self) -> float | None:
-        """When `frames` has something to do, if nothing is heard before [s]."""
+        """Return when `frames` is to be called next, if nothing is received before [s]."""
         dues = [self._claim.due, self._retry_due if self._mute else self._echo.due]
         if self._claim.state == "claimed":
             dues.append(self._outbox.due)
@@ -138,7 +138,7 @@ class Node:
         return min((due for due in dues if due is not None), default=None)
 
     def _transmitted(self, heard: Heard, now: float) -> None:
-        """A frame of ours was on the bus."""
+        """Handle the confirmation that a frame of ours was transmitted."""
         if self._mute and self._claim.state == "idle":  # one that had waited in the controller: the bus is well again
             self._retry_due = now
             return
@@ -156,7 +156,7 @@ class Node:
             self._forget()
 
     def _asked(self, pgn: int, heard: Heard, now: float) -> None:
-        """A request to us or to all."""
+        """Handle a request to us or to all."""
         to_all = heard.destination == GLOBAL
         if pgn == ADDRESS_CLAIMED:
             self._claim.asked(now)
@@ -171,7 +171,7 @@ class Node:
             self._answer(pgn, heard.source, now)
 
     def _answer(self, pgn: int, asker: int, now: float) -> None:
-        """To one: a message of one frame has no address, one in parts goes by a connection."""
+        """Answer one node: a message of one frame has no address, one in parts goes by a connection."""
         payload = self._payload(pgn)
         if payload is not None and len(payload) <= FRAME:
             self._wanted[pgn] = None
@@ -198,20 +198,20 @@ class Node:
         return messages + self._outbox.poll(now)
 
     def _told(self, pgn: int, now: float) -> None:
-        """The next DM1 comes a second later, whatever made this one be sent."""
+        """Schedule the next DM1 a second later, whatever caused this one."""
         self._last = pgn
         if pgn == DM1:
             due = self._dm1_due
             self._dm1_due = (due if due <= now < due + LATE_S else now) + PERIOD_S
 
     def _payload(self, pgn: int) -> bytes | None:
-        """Of DM1 or DM2; None where nobody knows."""
+        """Return the payload of DM1 or DM2; None if it is unknown."""
         if self._known is None:
             return None
         return encode(self._known.active if pgn == DM1 else self._known.previous, self._known.amber)
 
     def _forget(self) -> None:
-        """What was to be sent from the address that was ours."""
+        """Drop what was to be sent from the address that was ours."""
         self._outbox.clear()
         self._wanted.clear()
         self._answers.clear()

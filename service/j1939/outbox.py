@@ -1,4 +1,4 @@
-"""What goes out in parts: one broadcast at a time, and a few connections beside it, one for a receiver."""
+"""Outgoing multi-packet messages: one broadcast at a time, and a few connections beside it, one for a receiver."""
 
 from faultline.service.core.j1939.identifiers import TP_CM
 from faultline.service.core.j1939.transport import RTS
@@ -11,7 +11,7 @@ _SIZE = 8
 
 
 class Outbox:
-    """Asked with the time for what to send; told what receivers say."""
+    """Queue of outgoing messages, polled with the time; takes the control messages of receivers."""
 
     def __init__(self) -> None:
         self._broadcast: Broadcast | None = None
@@ -25,19 +25,19 @@ class Outbox:
         self._out.clear()
 
     def is_free(self, now: float) -> bool:
-        """Whether a broadcast may begin."""
+        """Return True if a broadcast may begin."""
         return self._broadcast is None or (self._broadcast.done and now >= self._broadcast.due)
 
     def is_sending(self, pgn: int) -> bool:
-        """Whether a broadcast of this group has begun and is not over."""
+        """Return True if a broadcast of this group has begun and is not over."""
         return self._broadcast is not None and self._broadcast.pgn == pgn and not self._broadcast.done
 
     def broadcast(self, pgn: int, payload: bytes, now: float) -> None:
-        """Begins one; only where it is free."""
+        """Begin a broadcast; only if `is_free`."""
         self._broadcast = Broadcast(pgn, payload, now)
 
     def connect(self, pgn: int, payload: bytes, destination: int, now: float) -> bool:
-        """Whether it is sent to that one, or already was on its way."""
+        """Return True if the message is sent to that receiver, or already was on its way."""
         if (there := self._connections.get(destination)) is not None:
             return there.pgn == pgn
         if len(self._connections) >= CONNECTIONS:
@@ -59,7 +59,7 @@ class Outbox:
 
     @property
     def due(self) -> float | None:
-        """When there is something to send, or a broadcast may begin [s]."""
+        """Return when there is something to send, or a broadcast may begin [s]."""
         if self._out:
             return 0.0
         dues = [each.due for each in self._connections.values()]
@@ -68,7 +68,7 @@ class Outbox:
         return min(dues, default=None)
 
     def poll(self, now: float) -> list[Message]:
-        """What is to be sent now."""
+        """Return the messages to send now."""
         out, self._out = self._out, []
         for receiver, each in list(self._connections.items()):
             out += each.poll(now)

@@ -20,12 +20,12 @@ class Refusal(IntEnum):
 
 
 def wanted(heard: Heard) -> int | None:
-    """The group that a request asks for; None if it is no request."""
+    """Return the group that a request asks for; None if it is no request."""
     if heard.pgn != REQUEST or len(heard.data) < _SIZE:
         return None
     return int.from_bytes(heard.data[:_SIZE], "little")
 
 
 def refused(refusal: Refusal, pgn: int, asker: int) -> Message:
-    """The answer to `asker`, whose request for `pgn` is not met."""
+    """Return the answer to `asker`, whose request for `pgn` is refused."""
     return Message(ACKNOWLEDGEMENT, bytes([refusal, 0xFF, 0xFF, 0xFF, asker]) + pgn_bytes(pgn))

@@ -23,7 +23,7 @@ LONGEST_S = 30.0  # in which a message is over, however often its receiver asks 
 
 
 class Reason(IntEnum):
-    """Why a connection is aborted."""
+    """Reason of an aborted connection."""
 
     RESOURCES = 2
     TIMEOUT = 3
@@ -33,11 +33,7 @@ class Reason(IntEnum):
 
 
 class Parts:
-    """A message of 9 to 1785 bytes, cut.
-
-    Raises:
-        ValueError: it is shorter or longer.
-    """
+    """A message of 9 to 1785 bytes, cut; raises ValueError if it is shorter or longer."""
 
     def __init__(self, pgn: int, payload: bytes, destination: int) -> None:
         if not 8 < len(payload) <= LARGEST:
@@ -47,23 +43,23 @@ class Parts:
         self.count = -(-len(payload) // PART)
 
     def part(self, number: int) -> Message:
-        """The `number`th part, from 1."""
+        """Return the `number`th part, from 1."""
         content = self._payload[(number - 1) * PART : number * PART].ljust(PART, b"\xff")
         return Message(TP_DT, bytes([number]) + content, self.destination, TP_PRIORITY)
 
     def announced(self, kind: int) -> Message:
-        """Size, number of parts, and that as many may be asked for at once as there are."""
+        """Return size and number of parts; as many may be requested at once as there are."""
         size = len(self._payload).to_bytes(2, "little")
         return control(self.pgn, self.destination, bytes([kind]) + size + bytes([self.count, 0xFF]))
 
 
 def control(pgn: int, destination: int, begin: bytes) -> Message:
-    """A control message of the five bytes that it begins with."""
+    """Return a control message that begins with these five bytes."""
     return Message(TP_CM, begin + pgn_bytes(pgn), destination, TP_PRIORITY)
 
 
 def aborted(pgn: int, destination: int, reason: Reason) -> Message:
-    """What ends a connection before its time."""
+    """Return the message that aborts a connection."""
     return control(pgn, destination, bytes([ABORT, reason, 0xFF, 0xFF, 0xFF]))
 
 
@@ -78,11 +74,11 @@ class Broadcast:
 
     @property
     def done(self) -> bool:
-        """Whether all was sent; another one may begin at `due`."""
+        """Return True if all was sent; another broadcast may begin at `due`."""
         return self._next > self._parts.count
 
     def poll(self, now: float) -> list[Message]:
-        """What is to be sent now."""
+        """Return the messages to send now."""
         if self.done or now < self.due:
             return []
         number, self._next = self._next, self._next + 1
@@ -104,16 +100,16 @@ class Connection:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is to be sent any more."""
+        """Return True if nothing is to be sent any more."""
         return self._phase == "done" and not self._out
 
     @property
     def due(self) -> float:
-        """When it is to be asked again [s]."""
+        """Return the time of the next poll [s]."""
         return 0.0 if self._out else min(self._until, self._end)
 
     def poll(self, now: float) -> list[Message]:
-        """What is to be sent now."""
+        """Return the messages to send now."""
         if self._phase != "done" and now >= self._end:
             self._abort(Reason.TIMEOUT)
         elif self._phase != "done" and now >= self._until:
@@ -147,7 +143,7 @@ class Connection:
             self._cleared(data[1], data[2], now)
 
     def _cleared(self, count: int, first: int, now: float) -> None:
-        """`count` parts from `first` on are asked for; none: to wait."""
+        """Send `count` parts from `first` on, as the receiver requests; 0: wait."""
         if not count:
             self._wait(now, T4_S)
             return

@@ -75,7 +75,7 @@ class _Blf:
         self._is_cut = False  # the last container is not whole
 
     def frames(self) -> Iterator[OnChannel]:
-        """Of all objects. What follows damage is searched for the next object."""
+        """Yield the frames of all objects. What follows damage is searched for the next object."""
         content, at = self._content, self._header
         while (found := self._next(content, at, None)) is not None:
             if found.kind == _CONTAINER:
@@ -89,7 +89,7 @@ class _Blf:
                 yield from self._taken(content, found, found.begin)
 
     def end(self) -> None:
-        """Compares what was there with what the header says."""
+        """Compare the content with the header."""
         there = len(self._content)
         if self._size > there:
             self._report.missing = f"its header says {self._size} bytes, it has {there}"
@@ -205,7 +205,7 @@ def _fd(body: bytes) -> _Can:
 
 
 def _fd64(body: bytes) -> _Can:
-    """What is not stored of the data is zero, as CANoe reads it."""
+    """Decode a CAN FD 64 object; data that is not stored is zero, as CANoe reads it."""
     channel, _, length, _, identifier, _, flags, *_, behind, _ = _FD64.unpack_from(body)
     if length > _LONGEST_FD:
         raise ValueError
@@ -217,7 +217,7 @@ _READERS: Mapping[int, Callable[[bytes], _Can]] = {1: _classic, 86: _classic, 10
 
 
 def _unix(systemtime: bytes) -> float:
-    """A time of the header [s since 1970], in UTC as python-can takes it; 0 where it has none."""
+    """Return a time of the header [s since 1970], in UTC as python-can takes it; 0 if it has none."""
     year, month, _, day, hour, minute, second, ms = _SYSTEMTIME.unpack(systemtime)
     try:
         return datetime(year, month, day, hour, minute, second, 1000 * ms, tzinfo=UTC).timestamp()

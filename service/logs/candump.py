@@ -49,7 +49,7 @@ def read_candump(content: bytes, report: LogReport) -> Iterator[OnChannel]:
 
 
 def _other(number: int, line: bytes, report: LogReport) -> OnChannel | None:
-    """A line that is no classic data frame: CAN FD, or counted for what it is."""
+    """Return the frame of a line that is no classic data frame: CAN FD; else count it for what it is."""
     match = _FD.fullmatch(line)
     if match is not None:
         stamp, channel, identifier, data = match.groups()
@@ -72,7 +72,7 @@ def _flagged(number: int, frame: Frame, report: LogReport) -> None:
 
 
 def no_candump(content: bytes, report: LogReport) -> str:
-    """Why a file without a frame is no log of this format, and what one looks like."""
+    """Return why a file without a frame is no log of this format, and what one looks like."""
     remedy = f"a candump line looks like `{EXAMPLE}`"
     if not content.strip():
         return f"is empty; {remedy}"

@@ -21,7 +21,7 @@ READERS: Mapping[str, Callable[[bytes, LogReport], Iterator[OnChannel]]] = {
 
 
 def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
-    """The data frames of a log in time order, and what was lost; of one channel, where that is given.
+    """Return the data frames of a log in time order, and what was lost; of one channel, if that is given.
 
     Raises:
         LogError: the file cannot be read, or holds no frame, or none of the channel.
@@ -34,7 +34,7 @@ def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogRe
 
 
 def parse_log(content: bytes, path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
-    """As `read_log`, of the content of the file at `path`, whose ending gives the format."""
+    """Parse the content of the file at `path`, whose ending gives the format, as `read_log`."""
     report = LogReport()
     reader = READERS.get(path.suffix.lower(), read_candump)
     chosen = None if channel is None else channel.encode()

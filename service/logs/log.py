@@ -1,4 +1,4 @@
-"""A log as commands take it: an instrumented recording, or a bare log file."""
+"""Log for commands: an instrumented recording, or a bare log file."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -31,13 +31,13 @@ class Log:
 
     @property
     def drive(self) -> str:
-        """The SHA-256 by which it is known what the drive was used for: of the log, or of the bench's that made it."""
+        """Return the SHA-256 that identifies the drive: of the log, or of the bench's that made it."""
         ingested = self.recording.can.bench_sha256 if self.recording else None
         return ingested or self.sha256
 
     @property
     def dbc(self) -> str:
-        """The text of the DBC that the recording was made with.
+        """Return the text of the DBC that the recording was made with.
 
         Raises:
             LogError: a bare log file has none, or it cannot be read.
@@ -77,7 +77,7 @@ class Log:
             raise LogError(f"{self.id}: {'; '.join(unclear)}{how}")
 
     def check_dbc(self, sha256: str) -> None:
-        """A recording made with another DBC than the bundle's, of hash `sha256`, must not be decoded with that one.
+        """Refuse a recording made with another DBC than the bundle's, of hash `sha256`.
 
         Raises:
             LogError: the recording names another DBC.
@@ -101,17 +101,17 @@ class Log:
 
     @property
     def duration_s(self) -> float:
-        """From the first frame to the last [s]."""
+        """Return the time from the first frame to the last [s]."""
         return self.frames[-1].t - self.frames[0].t
 
     def relative(self) -> Iterator[Frame]:
-        """The frames with times after the first one [s]."""
+        """Return the frames with times after the first one [s]."""
         start = self.frames[0].t
         return (Frame(t - start, can_id, extended, data) for t, can_id, extended, data in self.frames)
 
 
 def open_log(path: Path, channel: str | None = None) -> Log:
-    """The log at `path`: the folder of an instrumented recording, or a log file that `read_log` takes.
+    """Open the log at `path`: the folder of an instrumented recording, or a log file that `read_log` takes.
 
     Of one `channel`, where that is given or the recording names it.
 

@@ -48,7 +48,7 @@ class Can(_Part, frozen=True):
 
 
 class Table(_Part, frozen=True):
-    """How a column's volts become pascal: piecewise linear through these points, from the sensor's datasheet."""
+    """Calibration table of a column, from volts to pascal: piecewise linear, from the sensor's datasheet."""
 
     column: str
     volts: Annotated[list[float], msgspec.Meta(min_length=2)]
@@ -65,7 +65,7 @@ class External(_Part, frozen=True):
 
 
 class Recording(_Part, frozen=True, kw_only=True):
-    """What `recording.toml` says. `id` is unique; `start` is the wall clock at the first frame."""
+    """Content of `recording.toml`. `id` is unique; `start` is the wall clock at the first frame."""
 
     schema: int
     id: Name
@@ -79,7 +79,7 @@ class Recording(_Part, frozen=True, kw_only=True):
     external: External | None = None
 
     def check_sensors(self, folder: Path, needed: str, what: str) -> None:
-        """Whether this recording in `folder` has the added sensors, where `what`, for the sensor set `needed`, does.
+        """Refuse a recording without the added sensors, where `what`, for the sensor set `needed`, has them.
 
         Raises:
             LogError: the recording is of fewer sensors.
@@ -92,7 +92,7 @@ class Recording(_Part, frozen=True, kw_only=True):
 
 
 def load_recording(folder: Path) -> Recording:
-    """The description of a recording whose files are all there and whose DBC is the one it was made with.
+    """Load the description of a recording whose files are all there and whose DBC is the one it was made with.
 
     Raises:
         LogError: something is missing, unknown, contradictory or changed; the message names the path in the file.
@@ -137,7 +137,7 @@ def _decode(raw: bytes, path: Path) -> Recording:
 
 
 def _check(recording: Recording, path: Path) -> None:
-    """What the types alone cannot say."""
+    """Check what the types do not express."""
     if recording.kind == "bench" and recording.external is None:
         raise LogError(f"{path}: kind is bench but there is no [external]; name the second logger's file there")
     if recording.kind == "instrumented" and recording.external is not None:

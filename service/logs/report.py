@@ -1,4 +1,4 @@
-"""A log's frames and what was lost of it, in every format."""
+"""Frames of a log, and the report of what was lost, in every format."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ _TOLD = 3  # bad places whose number and reason are kept
 
 
 class LogError(InputError):
-    """A file that is not a log, or a recording that is not whole."""
+    """File that is not a log, or recording that is not complete."""
 
 
 class Frame(NamedTuple):
@@ -39,13 +39,13 @@ Wanted = Callable[[int, bool], bool]
 
 
 def anything(_can_id: int, _is_extended: bool) -> bool:
-    """All identifiers."""
+    """Return True: all identifiers are wanted."""
     return True
 
 
 @dataclass
 class LogReport:
-    """What was read and what was not.
+    """Report of what was read and what was not.
 
     `bad` are places that could not be read, `told` the first few of them as (number, reason), numbered by `unit`: line,
     byte or row. `truncated`: the last line has no end and was not used, as a frame cut short may look whole. `missing`
@@ -81,12 +81,12 @@ class LogReport:
 
     @property
     def span(self) -> str:
-        """The part of the log that was read, in log time."""
+        """Return the part of the log that was read, in log time."""
         said = f" of {self.said_s:.1f} s" if self.said_s is not None and self.said_s > self.length_s + 0.1 else ""
         return f"0.0 to {self.length_s:.1f} s{said}"
 
     def summary(self) -> str:
-        """One sentence for the user."""
+        """Return one sentence for the user."""
         parts = [f"{self.frames} frames read, from {self.span}"]
         if self.bad:
             places = "; ".join(f"{self.unit} {number}: {reason}" for number, reason in self.told)
@@ -115,14 +115,14 @@ class LogReport:
         return next(both, [])
 
     def reject(self, number: int, reason: str) -> None:
-        """Counts a place that cannot be read."""
+        """Count a place that cannot be read."""
         self.bad += 1
         if len(self.told) < _TOLD:
             self.told.append((number, reason))
 
 
 def read_lines(content: bytes, report: LogReport, take: Callable[[bytes], OnChannel | None]) -> Iterator[OnChannel]:
-    """The frames of a text whose lines say how many bytes they hold, so that a whole last line needs no newline.
+    """Yield the frames of a text whose lines say how many bytes they hold, so that the last needs no newline.
 
     `take` gives the frame of a line, None where it has none, and raises `ValueError` where it cannot be read.
     """
@@ -151,12 +151,12 @@ def _check(frame: Frame) -> None:
 
 
 def shown(line: bytes) -> str:
-    """The beginning of a line, for an error."""
+    """Return the beginning of a line, for an error."""
     return repr(line[:40].decode("ascii", "replace"))
 
 
 def in_order(frames: list[Frame], report: LogReport) -> list[Frame]:
-    """The frames with times that never go back and never leap: detectors live on differences of time."""
+    """Return the frames with times that never go back and never leap: detectors live on differences of time."""
     ordered: list[Frame] = []
     shift = 0.0
     last = frames[0].t

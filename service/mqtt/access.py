@@ -1,4 +1,4 @@
-"""What proves who we are and who the broker is: password and certificates, read anew for each connection.
+"""Credentials: password and certificates, read anew for each connection.
 
 A certificate or a password that was renewed on the disk is used without a restart. systemd's credentials are files in
 $CREDENTIALS_DIRECTORY (systemd.exec(5)).
@@ -17,7 +17,7 @@ LONGEST = 65535
 
 
 def password(config: MqttConfig, environment: Mapping[str, str] = os.environ) -> str | None:
-    """The password in the file; without the end of its last line.
+    """Return the password in the file, without the end of its last line.
 
     Raises:
         InputError: it cannot be read, is empty, too long or no text.
@@ -41,7 +41,7 @@ def password(config: MqttConfig, environment: Mapping[str, str] = os.environ) ->
 
 
 def context(config: TlsConfig, environment: Mapping[str, str] = os.environ) -> ssl.SSLContext:
-    """What is asked of a connection: TLS 1.2 or newer, a certificate that is believed, for the broker's name.
+    """Return the TLS context: TLS 1.2 or newer, a trusted certificate for the broker's name.
 
     Raises:
         InputError: a file cannot be read or is none of its kind.
@@ -65,12 +65,12 @@ def context(config: TlsConfig, environment: Mapping[str, str] = os.environ) -> s
 
 
 def _nobody_to_ask() -> str:
-    """Without this OpenSSL would ask a terminal."""
+    """Refuse an encrypted key, for whose password OpenSSL would ask a terminal."""
     raise ValueError("the key is encrypted")
 
 
 def _file(place: str, environment: Mapping[str, str]) -> Path:
-    """The path itself, or that of the credential."""
+    """Return the path itself, or that of the credential."""
     if place.startswith("/"):
         return Path(place)
     folder = environment.get("CREDENTIALS_DIRECTORY", "")

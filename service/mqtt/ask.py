@@ -1,5 +1,7 @@
-"""Questions to the daemon whose answers are handed on as they came, with the fields of a newer daemon too."""
+"""Questions to the daemon, whose answers are forwarded unchanged, with the fields of a newer daemon too."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,18 +9,17 @@ import msgspec
 
 from faultline.service.protocol.client import ControlClient
 from faultline.service.protocol.errors import UNREADABLE, GarbledError
-from faultline.service.protocol.questions import Question
+from faultline.service.protocol.questions import Ask, Question
 from faultline.service.protocol.records import RecordError, part_of
 
 TIMEOUT_S = 1.0
 """For the whole answer: our own loop stands still meanwhile."""
 LARGEST = 4 << 20
 """Bytes of an answer."""
-STATE, FAULTS = Question(ask="state"), Question(ask="faults")
 
 
 class State(NamedTuple):
-    """Of the daemon's state its name, the number of the last record, and what stands, as JSON."""
+    """The daemon's state: its name, the number of the last record, and the standing conditions as JSON."""
 
     source: str
     seq: int
@@ -33,23 +34,17 @@ class Remembered(NamedTuple):
 
 
 def ask_state(path: Path) -> State:
-    """Return what the daemon says of itself; raises ProtocolError."""
-    parts = _ask(path, STATE)
-    try:
+    """Return the daemon's state; raises ProtocolError."""
+    with _asked(path, "state") as parts:
         conditions = part_of(parts, "conditions", msgspec.Raw)
         return State(part_of(parts, "source", str), part_of(parts, "seq", int), conditions)
-    except UNREADABLE as error:
-        raise GarbledError(f"sent no state: {error}", path) from error
 
 
 def ask_faults(path: Path) -> Remembered:
-    """Return what the daemon remembers; raises ProtocolError."""
-    parts = _ask(path, FAULTS)
-    try:
+    """Return the daemon's fault memory; raises ProtocolError."""
+    with _asked(path, "faults") as parts:
         faults = part_of(parts, "faults", list[msgspec.Raw])
         return Remembered({number_of(fault): bytes(fault) for fault in faults}, part_of(parts, "seq", int))
-    except UNREADABLE as error:
-        raise GarbledError(f"sent no faults: {error}", path) from error
 
 
 def number_of(fault: msgspec.Raw) -> int:
@@ -63,6 +58,12 @@ def number_of(fault: msgspec.Raw) -> int:
     return number
 
 
-def _ask(path: Path, question: Question) -> dict[str, msgspec.Raw]:
+@contextmanager
+def _asked(path: Path, ask: Ask) -> Iterator[dict[str, msgspec.Raw]]:
+    """Yield the answer's JSON by field; raises GarbledError if it lacks one that is read of it."""
     with ControlClient(path, TIMEOUT_S, LARGEST) as control:
-        return control.ask(question, dict[str, msgspec.Raw])
+        parts = control.ask(Question(ask=ask), dict[str, msgspec.Raw])
+    try:
+        yield parts
+    except UNREADABLE as error:
+        raise GarbledError(f"sent no {ask}: {error}", path) from error

@@ -1,4 +1,4 @@
-"""From the daemon to the broker: one loop, in which nothing waits but the selector."""
+"""Event loop from the daemon to the broker, which waits for nothing but its selector."""
 
 import os
 import selectors
@@ -32,7 +32,7 @@ LEAVING_S = 3.0
 
 
 class Bridge:
-    """Everything that `faultline mqtt` does as `config` says, going on from what `file` holds."""
+    """The process `faultline mqtt` as configured by `config`, going on from what `file` holds."""
 
     def __init__(
         self,
@@ -61,12 +61,12 @@ class Bridge:
         self.heartbeat = Heartbeat(ALIVE_S, clock)
 
     def stop(self) -> None:
-        """Ends `serve`; for a signal's handler."""
+        """End `serve`; for a signal's handler."""
         self._stopping = True
         self.wake()
 
     def wake(self) -> None:
-        """Begins the next turn now; from any thread."""
+        """Begin the next turn now; from any thread."""
         os.eventfd_write(self._wake, 1)
 
     def serve(self) -> None:
@@ -81,14 +81,14 @@ class Bridge:
         self._leave()
 
     def _turn(self) -> None:
-        """Does what there is to do, and waits for nothing but the daemon's answers."""
+        """One iteration: read records, connect, receive, reconcile, send, save progress."""
         now = self._clock()
         self._read(now)
         self._ask_name(now)
         self._broker.connect(self._naming.name, now)
         self._broker.hear(now)
         self._reconcile(now)
-        self._retained.health.daemon_is_there = self._daemon.is_there
+        self._retained.health.daemon_is_there = self._daemon.is_connected
         self._retained.health.lost = self._progress.lost
         self._broker.send(now)
         self._keep_at = self._progress.keep(self._naming.name, self._retained.faults.there, now)
@@ -103,13 +103,13 @@ class Bridge:
             self._sender.outbox.add(record)
 
     def _ask_name(self, now: float) -> None:
-        """Asks the daemon who it is, once a connection, where the configuration does not say it."""
-        if self._naming.is_fixed or not self._daemon.is_there or self._named == self._daemon.epoch:
+        """Ask the daemon for its name, once a connection, if the configuration does not give it."""
+        if self._naming.is_fixed or not self._daemon.is_connected or self._named == self._daemon.connections:
             return
         state = self._asked(now)
         try:
             if state is not None:
-                self._named = self._daemon.epoch
+                self._named = self._daemon.connections
                 self._naming.answered(state.source)
             elif self._seen is not None:
                 self._naming.seen(self._seen)
@@ -118,8 +118,8 @@ class Bridge:
 
     def _reconcile(self, now: float) -> None:
         """Makes right what the broker retains, once for each connection to it and to the daemon."""
-        topics, wanted = self._broker.topics, (self._broker.connections, self._daemon.epoch)
-        if topics is None or not self._daemon.is_there or wanted == self._reconciled:
+        topics, wanted = self._broker.topics, (self._broker.connections, self._daemon.connections)
+        if topics is None or not self._daemon.is_connected or wanted == self._reconciled:
             return
         state = self._asked(now)
         if state is None:
@@ -130,10 +130,10 @@ class Bridge:
             self._no_answer(error, now)
             return
         self._reconciled = wanted
-        self._sender.publish(self._retained.now(state, remembered, self._daemon.epoch, topics))
+        self._sender.publish(self._retained.now(state, remembered, self._daemon.connections, topics))
 
     def _asked(self, now: float) -> State | None:
-        """The daemon's state; None where it gives none, or it is not time to ask again."""
+        """Return the daemon's state; None if it gives none, or it is too early to ask again."""
         if now < self._asking.at:
             return None
         try:
@@ -150,26 +150,26 @@ class Bridge:
 
     def _tell(self) -> None:
         broker = "connected to the broker" if self._broker.topics is not None else "broker away"
-        status = f"{broker}, {'connected to the daemon' if self._daemon.is_there else 'daemon away'}"
+        status = f"{broker}, {'connected to the daemon' if self._daemon.is_connected else 'daemon away'}"
         if status != self._status:
             self._notifier.tell(STATUS=status)
             self._status = status
 
     def _wait(self, longest_s: float) -> None:
-        """Until there is something to do."""
+        """Wait until there is something to do."""
         now = self._clock()
-        dues = [*self._broker.due, self._daemon.retry_at, self._asking.at, self._keep_at or now]
+        dues = [*self._broker.due, self._daemon.retry.at, self._asking.at, self._keep_at or now]
         with selectors.PollSelector() as selector:
             selector.register(self._wake, selectors.EVENT_READ)
-            if self._sender.outbox.has_room:
-                self._daemon.register(selector)
+            if self._sender.outbox.has_room and self._daemon.is_connected:
+                selector.register(self._daemon, selectors.EVENT_READ)
             self._broker.register(selector)
             ready = selector.select(min([longest_s, *(due - now for due in dues if due > now)]))
         if any(key.fd == self._wake for key, _ in ready):
             os.eventfd_read(self._wake)
 
     def _leave(self) -> None:
-        """Says that we are offline, after what is in flight; or leaves that to the broker."""
+        """Publish that we are offline, after what is in flight; or leave that to the broker."""
         self._daemon.close()
         end, is_told = self._clock() + LEAVING_S, False
         while (topics := self._broker.topics) is not None and self._clock() < end:

@@ -1,12 +1,12 @@
-"""The broker as we know it: connected, away, and back; nothing is published while it is away."""
+"""Connection to the broker, made again after a failure; nothing is published meanwhile."""
 
 import selectors
 from collections.abc import Callable
 
-from faultline.service.mqtt.answers import name_of
 from faultline.service.mqtt.config import MqttConfig
 from faultline.service.mqtt.link import Answered, Down, Happened, Held, Link, Up
 from faultline.service.mqtt.outbox import Publication
+from faultline.service.mqtt.puback_policy import name_of
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.sender import Sender
 from faultline.service.mqtt.throttled import Say
@@ -37,12 +37,12 @@ class Broker:
 
     @property
     def topics(self) -> Topics | None:
-        """Where things are published now; None while nothing can be."""
+        """Return the topics; None while nothing can be published."""
         return self._topics if self._link is not None and self._link.is_up else None
 
     @property
     def due(self) -> list[float]:
-        """When something is to be done though nothing happens [s]."""
+        """Return the times at which something is due though nothing happens [s]."""
         oldest = self._sender.outbox.oldest
         overdue = [oldest + self._config.acknowledged_within] if oldest is not None else []
         return [self._retry.at, self._sender.hold_until, *overdue]
@@ -53,7 +53,7 @@ class Broker:
             self._link.register(selector)
 
     def connect(self, vehicle: str | None, now: float) -> None:
-        """Has a connection for the vehicle of that name, or begins one where that is due; without a name none."""
+        """Keep a connection for the vehicle of that name, or begin one if that is due; without a name none."""
         if self._link is not None and self._topics is not None and self._topics.vehicle != vehicle:
             self.end(now, with_will=True)
         if self._link is None and vehicle is not None and now >= self._retry.at:
@@ -77,11 +77,11 @@ class Broker:
             self._sender.send(self._link, self.topics, now)
 
     def send_besides(self, publication: Publication, now: float) -> int | None:
-        """Publishes that now; its identifier, None where that cannot be."""
+        """Publish it now; return its identifier, None if that is not possible."""
         return None if self._link is None else self._sender.send_besides(self._link, publication, now)
 
     def end(self, now: float, *, with_will: bool) -> None:
-        """Says goodbye; with the will the broker says that we are offline."""
+        """Disconnect; with the will the broker publishes that we are offline."""
         if self._link is not None:
             self._link.end(with_will=with_will)
         self._drop(now)

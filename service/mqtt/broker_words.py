@@ -1,4 +1,4 @@
-"""Why there is no connection to the broker, in one line for whoever has to mend it."""
+"""Messages for a person: why there is no connection to the broker."""
 
 import re
 import socket
@@ -28,7 +28,7 @@ _REMEDIES = {
 
 
 def failed(error: Exception) -> str:
-    """Why connecting failed."""
+    """Return why connecting failed."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, ssl.SSLCertVerificationError):
@@ -48,7 +48,7 @@ def failed(error: Exception) -> str:
 
 
 def lost(words: str, *, is_up: bool) -> str:
-    """Why a connection broke, in paho's `words`: before or after the broker took us."""
+    """Return why a connection broke, from paho's `words`: before or after the broker accepted it."""
     if is_up:
         return f"the connection is lost: {_plain(words)}"
     if "SSL" in words or "ssl" in words:
@@ -57,17 +57,17 @@ def lost(words: str, *, is_up: bool) -> str:
 
 
 def refused(code: ReasonCode) -> str:
-    """Why the broker does not take us."""
+    """Return why the broker refuses the connection."""
     return _with_remedy("it refuses us", code)
 
 
 def ended(code: ReasonCode) -> str:
-    """Why the broker sent us away."""
+    """Return why the broker ended the connection."""
     return _with_remedy("it has ended the connection", code)
 
 
 def _plain(words: str) -> str:
-    """Without what only programmers read: `[SSL: NAME] name (_ssl.c:2580)`, `[Errno 104] ...`."""
+    """Return the words without what only programmers read: `[SSL: NAME] name (_ssl.c:2580)`, `[Errno 104] ...`."""
     return re.sub(r"\[[^]]*\] *| *\(_ssl\.c:\d+\)", "", words).replace("_", " ").lower()
 
 

@@ -38,12 +38,12 @@ class _CloudEvent(msgspec.Struct, omit_defaults=True):
 
 
 def source(vehicle: str) -> str:
-    """The vehicle as a URN, which no broker or prefix is part of: it stays what it is wherever the event goes."""
+    """Return the vehicle as a URN, without broker and prefix: it stays the same wherever the event goes."""
     return f"urn:faultline:{vehicle}"
 
 
 def structured(record: Record, vehicle: str) -> bytes:
-    """The CloudEvent; the same bytes whenever it is made of the same record."""
+    """Return the CloudEvent; the same bytes whenever it is made of the same record."""
     fields = _fields(record)
     return msgspec.json.encode(
         _CloudEvent(
@@ -61,7 +61,7 @@ def structured(record: Record, vehicle: str) -> bytes:
 
 
 def _fields(record: Record) -> dict[str, object]:
-    """All that the record says; nothing where it is no object of ours, which has no subject."""
+    """Return the record's fields; none if it is no JSON object."""
     try:
         return msgspec.json.decode(record.line, type=dict[str, object])
     except UNREADABLE:
@@ -69,7 +69,7 @@ def _fields(record: Record) -> dict[str, object]:
 
 
 def _type(record: Record, fields: dict[str, object]) -> str:
-    """`io.faultline.` and what it is; of an unknown schema with its version, as its meaning is not known here."""
+    """Return `io.faultline.` and the kind; of an unknown schema with its version, as its meaning is unknown."""
     word = {EVENT: fields.get("transition"), FAULT: fields.get("change")}.get(record.schema)
     stem = {EVENT: "event", FAULT: "fault", HEALTH: "health", CLEARED: "cleared", CONTEXT: "context"}.get(record.schema)
     if stem is not None:
@@ -79,7 +79,7 @@ def _type(record: Record, fields: dict[str, object]) -> str:
 
 
 def _subject(record: Record, fields: dict[str, object]) -> str | None:
-    """The number of the fault; of an event the system, or the bundle that decided; None where it is of all."""
+    """Return the fault's number; of an event the system, or the bundle that decided; None if it concerns all."""
     fault, numbers = fields.get("fault"), fields.get("numbers")
     subject: object = None
     if record.schema == FAULT and isinstance(fault, dict):
@@ -93,7 +93,7 @@ def _subject(record: Record, fields: dict[str, object]) -> str | None:
 
 
 def _time(wall: str | None) -> str | None:
-    """The wall clock's time, if it is one (RFC 3339, with its offset)."""
+    """Return the wall clock's time, if it is one (RFC 3339, with its offset)."""
     if wall is None:
         return None
     try:

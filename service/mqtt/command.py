@@ -1,10 +1,8 @@
-"""Hand what is told to a fleet's MQTT 5 broker."""
+"""Forward events to an MQTT 5 broker."""
 
-import argparse
 import signal
-import sys
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 from importlib import resources
 from pathlib import Path
 
@@ -15,7 +13,9 @@ from faultline.service.mqtt.bridge import Bridge
 from faultline.service.mqtt.config import load_config
 from faultline.service.mqtt.cursor import CursorFile
 from faultline.service.mqtt.throttled import Said
-from faultline.service.systemd import Notifier, Supervisor
+from faultline.service.systemd import Notifier, Supervisor, log_as
+
+_say = log_as("mqtt")
 
 EXAMPLE = """example:
   faultline mqtt --config /etc/faultline/mqtt.toml
@@ -26,12 +26,7 @@ EXAMPLE = """example:
 def main(argv: list[str]) -> int:
     """Runs until SIGTERM or SIGINT; returns the exit code."""
     layout = resources.files("faultline.service").joinpath("vehicle", "mqtt.toml").read_text()
-    parser = Parser(
-        "faultline mqtt",
-        description=__doc__,
-        epilog=f"{EXAMPLE}the file:\n\n{layout}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("faultline mqtt", description=__doc__, epilog=f"{EXAMPLE}the file:\n\n{layout}")
     parser.add_argument("--config", type=Path, required=True, help="the configuration, as below")
     options = parser.parse_args(argv)
     config = load_config(options.config)
@@ -46,8 +41,3 @@ def main(argv: list[str]) -> int:
         with Supervisor(notifier, {"loop": bridge.heartbeat}, _say):
             bridge.serve()
     return 0
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline mqtt: {text}", file=sys.stderr, flush=True)

@@ -22,7 +22,7 @@ Overdue = Annotated[int, Meta(ge=1, le=600, description="seconds until an answer
 
 
 class TlsConfig(Part, frozen=True):
-    """Whom we believe, and who we are; that a certificate is not looked at cannot be asked for."""
+    """TLS: trusted certificates and our own; that the broker's is not checked cannot be configured."""
 
     ca: Annotated[Place, Meta(description="a file with the certificates to trust, or a credential")] | None = None
     certificate: Annotated[Place, Meta(description="a file with our own certificate, or a credential")] | None = None
@@ -49,7 +49,7 @@ class MqttConfig(Part, frozen=True):
 
     @property
     def to(self) -> tuple[str, int]:
-        """The broker's name and port."""
+        """Return the broker's name and port."""
         return self.host, self.port if self.port is not None else 1883 if self.tls is None else 8883
 
 
@@ -58,18 +58,14 @@ class _File(Part, frozen=True):
 
 
 def load_config(path: Path) -> MqttConfig:
-    """The configuration in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the configuration in the file at `path`; raises ConfigError, which names the line."""
     file = read(path, _File)
     _check(file)
     return file.said.mqtt
 
 
 def _check(file: Read[_File]) -> None:
-    """What types do not say."""
+    """Check what types do not express."""
     config = file.said.mqtt
     for key, text in (("prefix", config.prefix), ("vehicle", config.vehicle)):
         try:

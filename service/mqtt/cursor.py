@@ -1,4 +1,4 @@
-"""How far the broker has acknowledged, in a small file: what is left of this process when it is killed.
+"""Cursor file: how far the broker has acknowledged; all that is left of this process when it is killed.
 
 Replaced as a whole, on the disk before it counts (fsync of the file and of its folder). One line of JSON and the CRC of
 that line, so that what is damaged is not believed.
@@ -15,11 +15,9 @@ import msgspec
 from msgspec import Meta
 
 from faultline.service.core.errors import InputError
-from faultline.writing import write_file
+from faultline.writing import put_aside, write_file
 
 VERSION = 1
-ASIDE = 3
-"""Files that were put aside and are left."""
 LARGEST = 1 << 20  # bytes
 
 _ANEW = "beginning with the oldest record there is"
@@ -28,7 +26,7 @@ _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 
 
 class Cursor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is kept: the last record that is done (None, 0: none yet), how many were lost, and who is where.
+    """Cursor: the last record that is done (None, 0: none yet), the number of lost ones, and who is where.
 
     `faults` are those with a retained state at the broker; `vehicle` the name in the topics.
     """
@@ -61,45 +59,34 @@ class CursorFile:
         self._lock = _locked(path)
 
     def close(self) -> None:
-        """Others may have it."""
+        """Release the lock."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
     def load(self) -> tuple[Cursor, str]:
-        """What was kept, or the beginning; and what is wrong with the file, which is put aside then."""
+        """Return the cursor, or the beginning; and the error of a damaged file, which is put aside."""
         try:
             with self._path.open("rb") as file:
                 content = file.read(LARGEST + 1)
         except FileNotFoundError:
             return Cursor(), ""
         except OSError as error:
-            return (
-                Cursor(),
-                f"{self._path}: cannot be read: {error.strerror}; {_ANEW}",
-            )
+            return Cursor(), f"{self._path}: cannot be read: {error.strerror}; {_ANEW}"
         try:
             return _decoded(content), ""
         except ValueError as error:
             return Cursor(), f"{self._path}: {error}; {self._put_aside()}; {_ANEW}"
 
     def save(self, cursor: Cursor) -> None:
-        """Keeps it; on return it is on the disk. Raises OSError where it is not, and what was kept before is."""
+        """Save it; on return it is on the disk. Raises OSError where it is not, and what was kept before is."""
         write_file(self._path, _encoded(cursor), 0o600)
 
     def _put_aside(self) -> str:
-        """Renames the file; of older ones the latest are left. What has become of it."""
-        stem = f"{self._path.name}.damaged-"
         try:
-            tails = [each.name.removeprefix(stem) for each in self._path.parent.glob(f"{stem}*")]
-            numbers = sorted(int(tail) for tail in tails if tail.isdecimal())
-            for number in numbers[: -(ASIDE - 1)]:
-                self._path.with_name(f"{stem}{number}").unlink(missing_ok=True)
-            aside = self._path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
-            self._path.rename(aside)
+            return f"it is now {put_aside(self._path)}"
         except OSError as error:
             return f"it cannot be put aside: {error.strerror}"
-        return f"it is now {aside}"
 
 
 def _encoded(cursor: Cursor) -> bytes:
@@ -108,7 +95,7 @@ def _encoded(cursor: Cursor) -> bytes:
 
 
 def _decoded(content: bytes) -> Cursor:
-    """The cursor; raises ValueError where there is none that this faultline can believe."""
+    """Decode a cursor; raises ValueError if it is damaged or of a newer version."""
     line, _, check = content.partition(b"\n")
     if check != b"%08x\n" % zlib.crc32(line):
         raise ValueError("is damaged")
@@ -122,7 +109,7 @@ def _decoded(content: bytes) -> Cursor:
 
 
 def _locked(path: Path) -> int | None:
-    """A lock beside the file; None on a disk that takes no new file now, which may come back."""
+    """Lock a file beside it; None on a disk that takes no new file now, which may come back."""
     try:
         lock = os.open(path.with_name(f"{path.name}.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:

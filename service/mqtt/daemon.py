@@ -1,13 +1,12 @@
-"""The daemon as we know it: its records in order, with what is missing between them; away, and back."""
+"""The records of the daemon, in order, with the number of those that are missing between them."""
 
-import selectors
 from pathlib import Path
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.mqtt.throttled import Say
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import encode
 from faultline.service.protocol.reconnecting import Reconnecting
 from faultline.service.protocol.records import Record, RecordError, Subscription, read
 
@@ -19,58 +18,33 @@ LONGEST = 1 << 20
 """Bytes of a line; a longer one is left out, and its number is missing then."""
 
 
-class Daemon:
+class Daemon(Reconnecting):
     """Reads records after the one with that `identifier` and number `seq` (None, 0: from the oldest there is)."""
 
     def __init__(self, path: Path, identifier: str | None, seq: int, say: Say) -> None:
-        self._path, self._say = path, say
-        self._id, self._seq = identifier, seq
-        self._lines = Reconnecting(path, Backoff(*RETRY_S), self._subscription, LONGEST)
-
-    @property
-    def epoch(self) -> int:
-        """How often it was connected."""
-        return self._lines.connections
-
-    @property
-    def is_there(self) -> bool:
-        """True while it is connected."""
-        return self._lines.is_connected
-
-    @property
-    def retry_at(self) -> float:
-        """When the next try to connect is due [s]."""
-        return self._lines.retry.at
-
-    def register(self, selector: selectors.BaseSelector) -> None:
-        """Put the connection, if there is one, into the loop's selector for one turn."""
-        if self.is_there:
-            selector.register(self._lines, selectors.EVENT_READ)
+        super().__init__(path, Backoff(*RETRY_S), self._subscription, LONGEST)
+        self._id, self._seq, self._say = identifier, seq, say
 
     def turn(self, now: float) -> list[Record]:
         """Connect where that is due; return what has come, no more than one chunk."""
-        epoch, failures = self.epoch, self._lines.failures
-        lines = self._lines.take(now)
-        if self.epoch != epoch:
+        connections, failures = self.connections, self.failures
+        lines = self.take(now)
+        if self.connections != connections:
             self._say(f"connected to the daemon, after {self._id or 'nothing'}")
-        if self._lines.failures != failures:
-            self._say(f"the daemon is away: {self._lines.why}; looking for it")
+        if self.failures != failures:
+            self._say(f"the daemon is away: {self.why}; looking for it")
         records = [record for line in lines if (record := self._record(line)) is not None]
         if records:
-            self._lines.retry.well()
+            self.retry.well()
         return records
-
-    def close(self) -> None:
-        """End the connection."""
-        self._lines.close()
 
     def _subscription(self) -> bytes:
         return encode(Subscription(self._id if self._id is not None else 0))
 
     def _record(self, line: bytes) -> Record | None:
-        """The record, which knows how many are missing before it; None where the line is none, or was read before."""
+        """Return the record with the number of those missing before it; None if it is none, or was read before."""
         try:
-            record = read(line, self.epoch)
+            record = read(line, self.connections)
         except RecordError as error:
             self._say(f"{self._path}: sent what is no record: {line[:SHOWN]!r} ({error})", "no record")
             return None

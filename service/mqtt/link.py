@@ -1,4 +1,4 @@
-"""One connection to the broker, through paho, turned by our own loop.
+"""A single connection to the broker, through paho, driven by our own loop.
 
 A connection lives once: it is made, is up, is down, and the next is another object, so that nothing of paho's own
 queues outlives it. Looking up the name, connecting and the TLS handshake may take long, and have a thread; all else is
@@ -33,7 +33,7 @@ WITH_WILL = 0x04
 
 
 class Up(NamedTuple):
-    """The broker takes us: how much may be in flight, and how many bytes a packet may have (None: any)."""
+    """Connected: how much may be in flight, and the largest packet in bytes (None: any)."""
 
     in_flight: int
     largest: int | None
@@ -41,26 +41,26 @@ class Up(NamedTuple):
 
 
 class Answered(NamedTuple):
-    """It has answered a publication; MQTT's reason code."""
+    """Acknowledgement of a publication, with MQTT's reason code."""
 
     identifier: int
     code: int
 
 
 class Looked(NamedTuple):
-    """It has answered our wish to see what it holds; MQTT's reason code."""
+    """Answer to our subscription, with MQTT's reason code."""
 
     code: int
 
 
 class Held(NamedTuple):
-    """It holds a retained message there."""
+    """Retained message at the broker."""
 
     topic: str
 
 
 class Down(NamedTuple):
-    """The connection is no more, or was never there: why; and MQTT's reason code where the broker hung up with one."""
+    """End of the connection: why, and MQTT's reason code where the broker sent one."""
 
     why: str
     code: int | None = None
@@ -88,7 +88,7 @@ class Link:
 
     @property
     def is_up(self) -> bool:
-        """Whether something can be published."""
+        """Return True if something can be published."""
         return self._is_up and not self._is_down
 
     def register(self, selector: selectors.BaseSelector) -> None:
@@ -113,7 +113,7 @@ class Link:
         return happened
 
     def publish(self, publication: Publication) -> int | None:
-        """Hands it to the broker, QoS 1; its identifier, or None where the connection has just gone."""
+        """Publish it with QoS 1; return its identifier, or None if the connection has just gone."""
         assert self._client is not None
         properties = None
         if publication.payload:
@@ -123,7 +123,7 @@ class Link:
         return None if self._is_down or info.rc == MQTTErrorCode.MQTT_ERR_NO_CONN else info.mid
 
     def look(self, topics: str) -> None:
-        """Asks what is retained there; it comes as `Held`.
+        """Subscribe to retained messages there; each comes as `Held`.
 
         What we publish there later comes back, too, without the retain flag. Not to have that (no local) might keep
         back what an earlier connection of ours left there, under the same name (MQTT 5.0, 3.8.3.1).
@@ -132,20 +132,20 @@ class Link:
         self._client.subscribe(topics, options=SubscribeOptions(qos=0, retainAsPublished=False))
 
     def end(self, *, with_will: bool) -> None:
-        """Says goodbye, if somebody is there, and closes."""
+        """Disconnect and close."""
         if self._client is not None and self.is_up:
             self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL) if with_will else None)
         self.close()
 
     def close(self) -> None:
-        """Closes without a word: the broker publishes the will."""
+        """Close without a DISCONNECT: the broker publishes the will."""
         self._is_down = True
         sock = self._client.socket() if self._client is not None else None
         if sock is not None:
             sock.close()
 
     def _connect(self) -> None:
-        """The thread: everything that may take long."""
+        """Connect; runs in a thread, as it may take long."""
         try:
             client = self._made()
             host, port = self._config.to
@@ -223,13 +223,13 @@ class Link:
             self._happened.append(Held(message.topic))
 
     def _on_log(self, _client: Client, _data: object, level: int, text: str) -> None:
-        """Only here paho says why a socket failed."""
+        """Keep the message of paho's log, the only place where it says why a socket failed."""
         if level == LogLevel.MQTT_LOG_ERR:
             self._words = text.rpartition("socket: ")[2]
 
 
 def _hurry(sock: object) -> None:
-    """Small packets go at once: with twenty in flight, waiting for the kernel to fill one costs 40 ms each time."""
+    """Disable Nagle's algorithm: with twenty in flight, filling a packet first costs 40 ms each time."""
     if isinstance(sock, socket.socket):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 

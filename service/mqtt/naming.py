@@ -1,4 +1,4 @@
-"""Which vehicle this is."""
+"""The vehicle's name in topics."""
 
 from faultline.service.mqtt.topics import TopicError, level
 
@@ -12,11 +12,11 @@ class Naming:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether nobody needs to be asked."""
+        """Return True if the name is configured."""
         return self._is_fixed
 
     def answered(self, source: str) -> None:
-        """The daemon says its name.
+        """Take the name that the daemon gives.
 
         Raises:
             TopicError: it cannot be part of a topic; then there is no name until another comes.
@@ -26,13 +26,13 @@ class Naming:
             self.name = level(source, "the daemon's name (`source`)")
 
     def seen(self, vehicle: str) -> None:
-        """A record's id begins with that name, which counts where none is known; raises as `answered`."""
+        """Take the name in a record's id if none is known; raises as `answered`."""
         if self.name is None and not self._is_answered:
             self.name = level(vehicle, "the vehicle's name in a record's id")
 
 
 def _usable(name: str | None) -> str | None:
-    """What was kept, if it is one that is taken now."""
+    """Return the name that was kept, if it is valid now."""
     try:
         return level(name, "vehicle") if name is not None else None
     except TopicError:

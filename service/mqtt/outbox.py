@@ -1,4 +1,4 @@
-"""What waits, what is in flight, and how far the broker has acknowledged.
+"""Outgoing records: waiting, in flight, and how far the broker has acknowledged.
 
 Records go in order. The place moves over a record once all that was published of it, and of every record before it, is
 acknowledged, in whatever order the acknowledgements come. After a broken connection, or a refusal, what lies behind the
@@ -22,7 +22,7 @@ WINDOW_BYTES = 1 << 20
 
 
 class Publication(msgspec.Struct, frozen=True, kw_only=True):
-    """What is published, QoS 1. `of` is what it is, for a person; an empty retained one erases what is there."""
+    """Message to publish, QoS 1. `of` names it for a person; an empty retained one erases what is there."""
 
     topic: str
     payload: bytes
@@ -32,7 +32,7 @@ class Publication(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def size(self) -> int:
-        """Bytes of its packet at most (MQTT 5.0, 3.3): the 32 are header, lengths, identifier and property names."""
+        """Return an upper bound of its packet's bytes (MQTT 5.0, 3.3): 32 for header, lengths, property names."""
         return len(self.topic) + len(self.payload) + len(self.content_type) + 32
 
 
@@ -44,7 +44,7 @@ class Passed(msgspec.Struct, frozen=True):
 
 
 class _Flying(NamedTuple):
-    """What is in flight: since when [s], what it is, and of which record; of none where it is sent again anyway."""
+    """Publication in flight: since when [s], and of which record; of none if it is sent again anyway."""
 
     at: float
     publication: Publication
@@ -72,36 +72,31 @@ class Outbox:
 
     @property
     def has_room(self) -> bool:
-        """Whether more records are to be read."""
+        """Return True if more records are to be read."""
         return len(self._records) + len(self._sent) < WINDOW and self._bytes < WINDOW_BYTES
 
     @property
     def in_flight(self) -> int:
-        """Publications that are not answered."""
+        """Return the number of unacknowledged publications."""
         return len(self._flight)
 
     @property
     def oldest(self) -> float | None:
-        """When the oldest of them was sent [s]; None where there is none."""
+        """Return when the oldest of them was sent [s]; None if there is none."""
         return next((flying.at for flying in self._flight.values()), None)
 
     @property
     def only(self) -> int | None:
-        """What is in flight, where it is one; None otherwise."""
+        """Return the identifier in flight if there is exactly one; else None."""
         return next(iter(self._flight)) if len(self._flight) == 1 else None
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether every record is done."""
-        return not self._records and not self._sent
-
     def add(self, record: Record) -> None:
-        """The next record."""
+        """Append a record."""
         self._records.append(record)
         self._bytes += len(record.line)
 
     def next_part(self, parts_of: Callable[[Record], Sequence[Publication]]) -> Publication | None:
-        """What is to be published next, None where there is nothing; `parts_of` is asked as late as that.
+        """Return the next publication, None if there is none; `parts_of` is called as late as that.
 
         Whoever takes it calls `sent` or `give_up` before he asks again.
         """
@@ -111,33 +106,33 @@ class Outbox:
         return self._sent[-1].waiting[0] if self._sent and self._sent[-1].waiting else None
 
     def sent(self, identifier: int, now: float) -> None:
-        """What `next_part` gave is in flight."""
+        """Note that the publication of `next_part` is in flight."""
         record = self._sent[-1]
         self._flight[identifier] = _Flying(now, record.waiting.popleft(), record)
 
     def sent_besides(self, identifier: int, publication: Publication, now: float) -> None:
-        """Something that is no part of a record is in flight."""
+        """Note a publication in flight that is no part of a record."""
         self._flight[identifier] = _Flying(now, publication, None)
 
     def give_up_next(self) -> list[Passed]:
-        """What `next_part` gave cannot be published."""
+        """Give up the publication of `next_part`."""
         record = self._sent[-1]
         return self._done(record, record.waiting.popleft(), given_up=True)
 
     def find(self, identifier: int) -> tuple[Publication | None, bool]:
-        """What is in flight with that identifier, and whether it is part of a record that waits for the answer."""
+        """Return the publication with that identifier, and whether a record waits for its answer."""
         flying = self._flight.get(identifier)
         return (None, False) if flying is None else (flying.publication, flying.of is not None)
 
     def answered(self, identifier: int, *, given_up: bool = False) -> list[Passed]:
-        """The broker has taken it, or never will; what is done with that, oldest first."""
+        """Handle an acknowledgement, or giving up; return the records that are done, oldest first."""
         flying = self._flight.pop(identifier, None)
         if flying is None or flying.of is None:
             return []
         return self._done(flying.of, flying.publication, given_up=given_up)
 
     def refused(self, identifier: int) -> None:
-        """The broker has not taken it, and may later: it is sent again, and all that comes after it."""
+        """Handle a refusal that may be temporary: it is sent again, and all that comes after it."""
         self._flight.pop(identifier, None)
         self.again()
 
@@ -148,7 +143,7 @@ class Outbox:
         self._flight = {identifier: flying._replace(of=None) for identifier, flying in self._flight.items()}
 
     def disconnected(self) -> None:
-        """As `again`, and nothing is in flight any more."""
+        """Send all records again, with nothing in flight any more."""
         self.again()
         self._flight.clear()
 

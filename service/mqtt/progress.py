@@ -1,4 +1,4 @@
-"""How far it is, kept now and then: after a kill a little is sent twice, and the disk is not worn by every record."""
+"""Progress, saved periodically: after a kill a few records are sent twice, and the disk is not worn by each."""
 
 from collections.abc import Collection, Iterable
 
@@ -13,7 +13,7 @@ RETRY_S = 5.0
 
 
 class Progress:
-    """The last record that is done, how many were lost, and what is kept of that in the file."""
+    """Progress: the last record that is done, the number of lost ones, and what of that is saved."""
 
     def __init__(self, file: CursorFile, kept: Cursor, say: Say) -> None:
         self._file, self._kept, self._say = file, kept, say
@@ -21,13 +21,13 @@ class Progress:
         self._next = float("-inf")
 
     def passed(self, records: Iterable[Passed]) -> None:
-        """These are done, in order."""
+        """Note records that are done, in order."""
         for each in records:
             self._id, self._seq = each.record.id, each.record.seq
             self.lost += each.record.lost + each.given_up
 
     def keep(self, vehicle: str | None, faults: Collection[int], now: float) -> float | None:
-        """Writes what is new, if it is time; when it will be, None where nothing is new."""
+        """Save what is new, if it is time; return when it will be, None if nothing is new."""
         cursor = Cursor(id=self._id, seq=self._seq, lost=self.lost, vehicle=vehicle, faults=sorted(faults))
         if cursor == self._kept:
             return None

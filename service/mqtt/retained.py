@@ -1,4 +1,4 @@
-"""All that is retained of a vehicle: the states of its faults, and its health."""
+"""Retained messages of a vehicle: the states of its faults, and its health."""
 
 from faultline.service.mqtt.ask import Remembered, State
 from faultline.service.mqtt.cursor import Cursor
@@ -11,7 +11,7 @@ from faultline.service.protocol.records import Record, RecordError
 
 
 class Retained:
-    """What it is to be, from the records and from what the daemon answers."""
+    """Derives the retained messages from records and from the daemon's answers."""
 
     def __init__(self, kept: Cursor, version: str, say: Say) -> None:
         self.faults = FaultStates(kept.faults)
@@ -19,12 +19,12 @@ class Retained:
         self._say = say
 
     def connected(self) -> None:
-        """A connection to the broker has begun."""
+        """Handle a new connection to the broker."""
         self.faults.connected()
         self.health.connected()
 
     def after(self, record: Record, topics: Topics) -> list[Publication]:
-        """What the record changes of the faults; health is `due` by itself."""
+        """Return the fault states that the record changes; health is `due` by itself."""
         try:
             self.health.after(record)
             return self.faults.after(record, topics)
@@ -33,6 +33,6 @@ class Retained:
             return []
 
     def now(self, state: State, remembered: Remembered, epoch: int, topics: Topics) -> list[Publication]:
-        """What makes it right again, as the daemon says what stands and what it remembers."""
+        """Return the publications that correct the retained messages, from the daemon's state and fault memory."""
         self.health.now(state.conditions, epoch, state.seq)
         return self.faults.remembered(remembered.faults, epoch, remembered.seq, topics)

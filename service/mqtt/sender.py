@@ -1,4 +1,4 @@
-"""What is published, in which order, and what becomes of what the broker does not take.
+"""Order of publications, and handling of refusals.
 
 States come before records, and records in order.
 """
@@ -6,10 +6,10 @@ States come before records, and records in order.
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from faultline.service.mqtt.answers import HANGS_UP, PATIENCE_S, Answers, name_of
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
 from faultline.service.mqtt.link import Answered, Link, Up
 from faultline.service.mqtt.outbox import IN_FLIGHT, Outbox, Passed, Publication
+from faultline.service.mqtt.puback_policy import HANGS_UP, PATIENCE_S, PubackPolicy, name_of
 from faultline.service.mqtt.retained import Retained
 from faultline.service.mqtt.throttled import Say
 from faultline.service.mqtt.topics import Topics
@@ -27,7 +27,7 @@ class Sender:
         self._retained, self._passed, self._say = retained, passed, say
         self.outbox = Outbox()
         self._states: deque[Publication] = deque()
-        self._answers = Answers()
+        self._policy = PubackPolicy()
         self._hold = Backoff(*RETRY_S)
         self._limit, self._largest = IN_FLIGHT, float("inf")
         self._alone = 0  # so many records go one by one, to find out which one makes the broker hang up
@@ -35,17 +35,17 @@ class Sender:
 
     @property
     def hold_until(self) -> float:
-        """Until when no record is sent [s]."""
+        """Return the time until which no record is sent [s]."""
         return self._hold.at
 
     def begin(self, up: Up) -> None:
-        """A connection has begun, with its limits."""
+        """Handle a new connection, with its limits."""
         self._states.clear()
         self._limit = up.in_flight
         self._largest = up.largest if up.largest is not None else float("inf")
 
     def ended(self, code: int | None, now: float) -> None:
-        """The connection has ended, with the broker's reason code if it gave one.
+        """Handle the end of the connection, with the broker's reason code if it gave one.
 
         States are found out anew with the next one, records are sent again. What was sent last may be why it ended:
         where several things were in flight, the next time each goes alone, and a reason is of the one that did.
@@ -62,17 +62,17 @@ class Sender:
         self._states.clear()
 
     def publish(self, states: Sequence[Publication]) -> None:
-        """These are sent before any record that waits."""
+        """Queue states, which are sent before any record that waits."""
         self._states.extend(states)
 
     def send(self, link: Link, topics: Topics, now: float) -> None:
-        """Sends what there is, as far as the broker has acknowledged what was sent before."""
-        while link.is_up and self.outbox.in_flight < (1 if self._alone or self._answers.refusing else self._limit):
+        """Send what there is, up to the number that may be unacknowledged."""
+        while link.is_up and self.outbox.in_flight < (1 if self._alone or self._policy.refusing else self._limit):
             if not self._send_state(link, topics, now) and not self._send_record(link, topics, now):
                 return
 
     def send_besides(self, link: Link, publication: Publication, now: float) -> int | None:
-        """Sends that now; its identifier, None where there is no room or no connection."""
+        """Send it now; return its identifier, None if there is no room or no connection."""
         if not link.is_up or self.outbox.in_flight >= self._limit:
             return None
         identifier = link.publish(publication)
@@ -81,7 +81,7 @@ class Sender:
         return identifier
 
     def answered(self, answer: Answered, now: float) -> None:
-        """The broker has taken something, or not."""
+        """Handle an acknowledgement or a refusal."""
         publication, is_of_a_record = self.outbox.find(answer.identifier)
         if publication is None:
             return
@@ -92,7 +92,7 @@ class Sender:
             if answer.code >= 0x80:
                 self._say(f"{refused}; check what it allows at {publication.topic}", about)
             return
-        verdict = self._answers.judge(answer.code, now)
+        verdict = self._policy.judge(answer.code, now)
         if verdict == "again":
             self._say(f"{refused}; it is tried again, check what is allowed at {publication.topic}", about)
             self.outbox.refused(answer.identifier)
@@ -106,7 +106,7 @@ class Sender:
         self._passed(self.outbox.answered(answer.identifier, given_up=verdict == "given up"))
 
     def _send_state(self, link: Link, topics: Topics, now: float) -> bool:
-        """Whether a state was sent, or left out."""
+        """Send a state; return False if there was none or it could not be sent."""
         if not self._states and (health := self._retained.health.due(topics)) is not None:
             self._states.append(health)
         if not self._states:
@@ -120,7 +120,7 @@ class Sender:
         return self.send_besides(link, publication, now) is not None
 
     def _send_record(self, link: Link, topics: Topics, now: float) -> bool:
-        """Whether a part of a record was sent, or given up."""
+        """Send a part of a record, or give it up; return False if there was none or it could not be sent."""
         if now < self._hold.at:
             return False
         publication = self.outbox.next_part(lambda record: self._parts(record, topics))
@@ -136,7 +136,7 @@ class Sender:
         return identifier is not None
 
     def _parts(self, record: Record, topics: Topics) -> list[Publication]:
-        """The event, and the states that it changes."""
+        """Return the event, and the states that it changes."""
         payload = structured(record, topics.vehicle)
         event = Publication(topic=topics.events, payload=payload, content_type=CONTENT_TYPE, of=f"record {record.id}")
         return [event, *self._retained.after(record, topics)]

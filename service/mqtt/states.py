@@ -1,4 +1,4 @@
-"""The retained topics of the faults: what is remembered of each now.
+"""Retained topics of the faults: the state of each remembered one.
 
 Records come as late as the broker was away, so what they say may be old. What the daemon answers is of now, and says up
 to which number: what that contains already changes no retained topic any more.
@@ -20,22 +20,22 @@ FOUND = 4096
 
 
 class Moment:
-    """Up to where the daemon's answer reaches: a connection to it, and a number."""
+    """Extent of the daemon's answer: a connection to it, and a record's number."""
 
     def __init__(self) -> None:
         self._epoch, self._seq = 0, 0
 
     def reached(self, epoch: int, seq: int) -> None:
-        """It has all that came over that connection up to that number."""
+        """Set the extent: all records of that connection up to that number."""
         self._epoch, self._seq = epoch, seq
 
     def contains(self, record: Record) -> bool:
-        """Whether it has what the record says. Of an earlier connection it has all: the daemon may be another now."""
+        """Return True if it covers the record; all of an earlier connection: the daemon may be another now."""
         return record.epoch < self._epoch or (record.epoch == self._epoch and record.seq <= self._seq)
 
 
 class FaultStates:
-    """Which faults have a retained state at the broker, as far as we know, and what makes that right again.
+    """Faults with a retained state at the broker, as far as known, and what corrects that.
 
     `there` are those that were published and not erased, by an earlier run too.
     """
@@ -47,12 +47,12 @@ class FaultStates:
         self._is_known = False  # what is to be there, since the connection began
 
     def connected(self) -> None:
-        """A connection to the broker has begun: nobody knows what it holds."""
+        """Handle a new connection to the broker, whose retained states are unknown."""
         self._found.clear()
         self._is_known = False
 
     def after(self, record: Record, topics: Topics) -> list[Publication]:
-        """What the record changes; raises RecordError where it is not what its schema says."""
+        """Return what the record changes; raises RecordError if it is not as its schema says."""
         if record.schema not in (FAULT, CLEARED) or self._moment.contains(record):
             return []
         if record.schema == CLEARED:
@@ -65,7 +65,7 @@ class FaultStates:
         return [self._told(number, bytes(fault), topics)]
 
     def remembered(self, faults: Mapping[int, bytes], epoch: int, seq: int, topics: Topics) -> list[Publication]:
-        """What is to be published when the daemon says that these are remembered, up to number `seq`."""
+        """Return what is to be published for these remembered faults, known up to number `seq`."""
         self._moment.reached(epoch, seq)
         self._is_known = True
         gone = sorted((self.there | self._found) - set(faults))
@@ -76,7 +76,7 @@ class FaultStates:
         ]
 
     def found(self, number: int, topics: Topics) -> list[Publication]:
-        """The broker holds a state of that fault; erases it where there should be none."""
+        """Handle a state retained at the broker; return its erasure if there should be none."""
         if self._is_known:
             return [] if number in self.there else [self._erased(number, topics)]
         if len(self._found) < FOUND:

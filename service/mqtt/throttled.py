@@ -1,4 +1,4 @@
-"""Messages for a person, rate-limited: the same is not said too often."""
+"""Rate-limited messages for a person."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -10,21 +10,21 @@ SAID = 64
 
 
 class Say(Protocol):
-    """Tells a person something; what is `about` the same is not told too often."""
+    """Writes a message; messages `about` the same are rate-limited."""
 
     def __call__(self, text: str, about: str = "") -> None:
-        """Tells it; where it is about nothing in particular, about itself."""
+        """Write it; without `about` it is rate-limited by its text."""
 
 
 class Said:
-    """Says a thing once a minute at most, however often it happens; and how often that was, when it says it again."""
+    """Writes a message once a minute at most; the next one says how many were left out."""
 
     def __init__(self, say: Callable[[str], None], clock: Callable[[], float]) -> None:
         self._say, self._clock = say, clock
         self._last: dict[str, tuple[float, int]] = {}  # when it was said, and how often it was not since
 
     def __call__(self, text: str, about: str = "") -> None:
-        """Says it, unless something about the same was said within the minute."""
+        """Write it, unless one about the same was written within the minute."""
         now, about = self._clock(), about or text
         at, kept = self._last.pop(about, (float("-inf"), 0))
         if now - at < SAID_S:

@@ -1,4 +1,4 @@
-"""The topics of one vehicle, and what may be part of a topic.
+"""Topics of one vehicle, and what may be part of a topic.
 
 Source: MQTT 5.0 (OASIS), 4.7: `/` separates levels, `+` and `#` are wildcards, a first `$` is the broker's own.
 """
@@ -21,7 +21,7 @@ class TopicError(InputError):
 
 
 def level(name: str, what: str) -> str:
-    """The name, which may stand in a topic and in a URN; `what` it is goes into the message.
+    """Return the name, which may stand in a topic and in a URN; errors say `what` it is.
 
     Raises:
         TopicError: it has other characters than letters, digits, `_`, `.` and `-`, or too many.
@@ -36,7 +36,7 @@ def level(name: str, what: str) -> str:
 
 
 def levels(prefix: str) -> str:
-    """As `level`, for several of them with `/` between."""
+    """Return several levels with `/` between, each checked as by `level`."""
     if len(prefix) > PREFIX:
         raise TopicError(f"prefix {_shown(prefix)} is longer than {PREFIX} characters; give a shorter one")
     for each in prefix.split("/"):
@@ -45,7 +45,7 @@ def levels(prefix: str) -> str:
 
 
 class Topics:
-    """Where what is published, of one vehicle.
+    """Topics of one vehicle.
 
     >>> Topics("fleet/north", "truck-17").fault(3)
     'fleet/north/truck-17/faults/3'
@@ -59,15 +59,15 @@ class Topics:
         self.any_fault = f"{self._faults}+"
 
     def fault(self, number: int) -> str:
-        """Where the state of a fault is."""
+        """Return the topic of a fault's state."""
         return f"{self._faults}{number}"
 
     def number(self, topic: str) -> int | None:
-        """Of which fault that topic is; None where it is of none."""
+        """Return the number of the fault whose topic it is; None if it is of none."""
         found = _NUMBER.fullmatch(topic.removeprefix(self._faults)) if topic.startswith(self._faults) else None
         return int(found.group()) if found else None
 
 
 def _shown(name: str) -> str:
-    """It in one short line, whatever is in it."""
+    """Return the name in one short printable line."""
     return ascii(name if len(name) <= LEVEL else f"{name[:LEVEL]}...")

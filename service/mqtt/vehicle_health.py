@@ -1,4 +1,4 @@
-"""The retained topic of the vehicle's health: whether it can be heard at all, and what keeps it from telling."""
+"""Retained topic of the vehicle's health: whether it is online, and which conditions stand."""
 
 import msgspec
 
@@ -19,7 +19,7 @@ class _Status(msgspec.Struct):
 
 
 class VehicleHealth:
-    """What is said of it: of `version` of faultline, with `lost` records that were never delivered, ever."""
+    """Health message of `version` of faultline, with `lost` records that were never delivered."""
 
     def __init__(self, version: str, lost: int) -> None:
         self._version = version
@@ -30,21 +30,21 @@ class VehicleHealth:
         self._published: Publication | None = None
 
     def after(self, record: Record) -> None:
-        """Takes the conditions of a record on health, if it is news; raises RecordError where it has none."""
+        """Take the conditions of a record on health, if they are new; raises RecordError if it has none."""
         if record.schema == HEALTH and not self._moment.contains(record):
             self._conditions = part_of(record.parts, "conditions", msgspec.Raw)
 
     def now(self, conditions: msgspec.Raw, epoch: int, seq: int) -> None:
-        """The daemon says what stands now, up to number `seq`."""
+        """Take the conditions that the daemon answers, known up to number `seq`."""
         self._moment.reached(epoch, seq)
         self._conditions = conditions
 
     def connected(self) -> None:
-        """A connection to the broker has begun: what it holds is not ours, or says that we are offline."""
+        """Handle a new connection to the broker, which may hold another message."""
         self._published = None
 
     def due(self, topics: Topics) -> Publication | None:
-        """What is to be published now; None where it was."""
+        """Return what is to be published now; None if it was."""
         wanted = self._publication("online" if self.daemon_is_there else "daemon-away", topics)
         if wanted == self._published:
             return None
@@ -52,11 +52,11 @@ class VehicleHealth:
         return wanted
 
     def offline(self, topics: Topics) -> Publication:
-        """What is left behind, by us or as our will."""
+        """Return the message that we are offline, to publish or as our will."""
         return self._publication("offline", topics)
 
     def _publication(self, status: str, topics: Topics) -> Publication:
-        """Conditions that stood when the daemon was heard last are not those that stand."""
+        """Return the message; conditions of an absent daemon are unknown."""
         conditions = self._conditions if status == "online" else _UNKNOWN
         content = _Status(status=status, conditions=conditions, lost=self.lost, version=self._version)
         return Publication(topic=topics.health, payload=msgspec.json.encode(content), retain=True, of="health")

@@ -1,1 +1,1 @@
-"""Where events go: views of the one stream of events."""
+"""Outputs: event socket, control socket and the system's journal."""

@@ -1,4 +1,4 @@
-"""Questions of other processes, over a Unix stream socket; for who asks see docs/control.md.
+"""Control socket: questions of other processes; see docs/control.md.
 
 A connection asks as often as it likes, one question at a time. Who asks for live values is sent the newest when it can
 take them: what lies between is left out.
@@ -12,10 +12,11 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.outputs.lines import IDLE_S, Client, LineServer
 from faultline.service.protocol.errors import UNREADABLE, Code, ErrorAnswer, Refusal, RefusedError
 from faultline.service.protocol.questions import Question
@@ -24,7 +25,7 @@ _PEER = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 
 
 class Asker(NamedTuple):
-    """Who asks: the user, as the kernel says it, and whether it may erase faults."""
+    """Client's user, as the kernel says it, and whether it may erase faults."""
 
     user: str
     may_clear: bool
@@ -37,13 +38,13 @@ Live = Callable[[int], tuple[int, bytes] | None]
 
 
 class Answers(Protocol):
-    """Who knows the answers."""
+    """Interface of the server that answers."""
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
-        """Calls `then` with the answer, now or from the loop later on; raises `RefusedError`."""
+        """Call `then` with the answer, now or from the loop later on; raises `RefusedError`."""
 
     def live(self, name: str | None) -> Live:
-        """What gives the newest tick of a system; raises `RefusedError`."""
+        """Return the source of a system's newest tick; raises `RefusedError`."""
 
 
 class _Connection(Client):
@@ -56,7 +57,7 @@ class _Connection(Client):
         self.uid: int = uid
 
 
-class ControlSocket(LineServer):
+class ControlSocket(LineServer[_Connection]):
     """Serves `answers`; the users named in `clear`, root and our own may erase faults.
 
     Raises:
@@ -68,49 +69,43 @@ class ControlSocket(LineServer):
         self._clear = frozenset(clear)
         self.answers: Answers | None = None
 
-    def __enter__(self) -> "ControlSocket":
-        return self
-
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
-        """As any; and takes what was asked while an answer was on its way."""
+        """Serve as any; and take what was asked while an answer was on its way."""
         super().serve(ready)
         for client in list(self._clients):
             if client.request:
                 self._take(client)
 
     def tick(self) -> None:
-        """There may be new live values."""
+        """Send new live values, if there are any."""
         for client in list(self._clients):
-            if cast(_Connection, client).live is not None and not client.rest:
+            if client.live is not None and not client.rest:
                 self._flush(client)
 
-    def _made(self, sock: socket.socket) -> Client:
+    def _made(self, sock: socket.socket) -> _Connection:
         return _Connection(sock)
 
-    def _is_idle(self, client: Client) -> bool:
+    def _is_idle(self, client: _Connection) -> bool:
         """True also if it asked, got its answer, and has asked nothing since for `IDLE_S`."""
-        connection = cast(_Connection, client)
-        if connection.is_waiting or connection.live is not None or client.rest:
+        if client.is_waiting or client.live is not None or client.rest:
             return False
         return not client.has_asked or time.monotonic() - client.active > IDLE_S
 
-    def _take(self, client: Client) -> None:
-        """Not while an answer is on its way: the next question waits for its turn."""
-        connection = cast(_Connection, client)
-        if connection.live is not None:
+    def _take(self, client: _Connection) -> None:
+        """Take the next question, unless an answer is on its way: then it waits for its turn."""
+        if client.live is not None:
             self._refuse(client, "live values are the last that is asked")
-        while client in self._clients and not connection.is_waiting and not client.rest:
+        while client in self._clients and not client.is_waiting and not client.rest:
             before = client.request
             super()._take(client)
             if client.request == before:
                 return
 
-    def _asked(self, client: Client, line: bytes) -> None:
-        connection = cast(_Connection, client)
+    def _asked(self, client: _Connection, line: bytes) -> None:
         try:
-            self._answer(connection, _question(line))
+            self._answer(client, _question(line))
         except RefusedError as refused:
-            self._say(connection, refusal(refused.code, refused.message))
+            self._say(client, refusal(refused.code, refused.message))
 
     def _answer(self, client: _Connection, question: Question) -> None:
         if self.answers is None:
@@ -126,26 +121,25 @@ class ControlSocket(LineServer):
         if client not in self._clients:
             return
         client.is_waiting = False
-        client.rest += msgspec.json.encode(answer) + b"\n"
+        client.rest += encode(answer)
         self._flush(client)
 
-    def _next(self, client: Client) -> bytes | None:
-        connection = cast(_Connection, client)
-        found = connection.live(connection.sent) if connection.live is not None else None
+    def _next(self, client: _Connection) -> bytes | None:
+        found = client.live(client.sent) if client.live is not None else None
         if found is None:
             return None
-        connection.sent = found[0]
+        client.sent = found[0]
         return found[1]
 
-    def _refuse(self, client: Client, reason: str) -> None:
+    def _refuse(self, client: _Connection, reason: str) -> None:
         code: Code = "busy" if reason == "too many clients" else "bad-request"
-        client.rest += msgspec.json.encode(refusal(code, reason)) + b"\n"
+        client.rest += encode(refusal(code, reason))
         self._send(client)
         self._drop(client)
 
 
 def refusal(code: str, message: str) -> ErrorAnswer:
-    """What is answered instead."""
+    """Return the answer of a refusal."""
     return ErrorAnswer(error=Refusal(code=code, message=message))
 
 

@@ -1,4 +1,4 @@
-"""Alarms as entries of the system's journal, with fields that `journalctl` finds: `journalctl SPN=3362`.
+"""Entries of the system's journal for faults, with fields that `journalctl` finds: `journalctl SPN=3362`.
 
 Source: systemd's native journal protocol: a datagram of lines FIELD=value. Every kind of change has a message id
 (`journalctl MESSAGE_ID=...`, docs/service.md). What only refines what was told is left to the events.
@@ -9,16 +9,10 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from faultline.service.core.records.event import schema_of
-from faultline.service.core.records.fault import (
-    CLEARED,
-    SCHEMA,
-    Change,
-    Cleared,
-    FaultRecord,
-    decode_cleared,
-    decode_record,
-)
+from faultline.service.core.records.fault import CLEARED, SCHEMA, Change, Cleared, FaultRecord
 from faultline.service.store.file import Record
 
 SOCKET = Path("/run/systemd/journal/socket")
@@ -39,7 +33,7 @@ MOST, WITHIN_S = 20, 60.0
 
 
 class Journald:
-    """Sends what is told, without ever waiting. `clock` is the monotonic time [s]."""
+    """Sends fault records to the journal without waiting. `clock` is the monotonic time [s]."""
 
     def __init__(self, clock: Callable[[], float], path: Path = SOCKET) -> None:
         self._clock, self._path = clock, str(path)
@@ -47,11 +41,11 @@ class Journald:
 
     @staticmethod
     def is_wanted() -> bool:
-        """Whether what we say goes to a journal: systemd.exec(5), `$JOURNAL_STREAM`."""
+        """Return True if our messages go to a journal: systemd.exec(5), `$JOURNAL_STREAM`."""
         return "JOURNAL_STREAM" in os.environ and SOCKET.exists()
 
     def told(self, record: Record) -> None:
-        """Takes a record that subscribers are told."""
+        """Send a record that subscribers get."""
         if record.about != "fault" or (fields := _fields(record)) is None:
             return
         if self._clock() - self._since >= WITHIN_S:
@@ -77,15 +71,15 @@ class Journald:
 
 
 def _fields(record: Record) -> dict[str, str] | None:
-    """What an entry says; None of what is not worth one."""
+    """Return the fields of an entry; None if the record is not worth one."""
     if schema_of(record.line) == CLEARED:
-        cleared = decode_cleared(record.line)
+        cleared = msgspec.json.decode(record.line, type=Cleared)
         return _entry(
             None, cleared, f"{', '.join(map(str, cleared.numbers)) or 'nothing'}", {"FAULTLINE_BY": cleared.by}
         )
     if schema_of(record.line) != SCHEMA:
         return None
-    told = decode_record(record.line)
+    told = msgspec.json.decode(record.line, type=FaultRecord)
     if told.change not in MESSAGES:
         return None
     fault = told.fault

@@ -1,4 +1,4 @@
-"""Lines of JSON over a Unix stream socket, from one selectors loop: any number of clients, none can hold it up.
+"""Server of JSON lines on a Unix socket, in one selectors loop: any number of clients, none can hold it up.
 
 A client is sent what it takes, and asked for no more than a line at a time; what is waiting for it is bounded by who
 derives from this. Where all places are taken, the client that has been idle longest makes room; where none is idle, or
@@ -6,20 +6,17 @@ the process is short of descriptors, the new one is refused, and that is a condi
 """
 
 import errno
-import os
 import resource
 import selectors
 import socket
-import stat
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
+from typing import Generic, Self, TypeVar
 
-import msgspec
-
-from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
+from faultline.service.core.records.line import encode
+from faultline.service.outputs.listening import listen
 from faultline.service.protocol.errors import Rejection
 
 CLIENTS = 32  # at most
@@ -28,14 +25,13 @@ RESERVED = 16  # descriptors, or a quarter, that clients leave to the rest of th
 AGAIN_S = 1.0  # where no connection can be accepted, this is tried again after so long
 REFUSED_S = 10.0  # for so long after a client was refused, that is a condition
 REQUEST_SIZE = 4096  # bytes of a client's line
-MODE = 0o660  # the daemon's user and group
 
 
 _SHORT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class Client:
-    """A connection: what it has sent of its line, what of a line is half sent to it, and when it asked last."""
+    """Connection of a client: received part of a line, unsent part of a line, time of the last question."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
@@ -45,47 +41,44 @@ class Client:
         self.has_asked = False
 
 
-class LineServer(ABC):
-    """Listens at a path.
+C = TypeVar("C", bound=Client)
 
-    Raises:
-        InputError: the path cannot be used, or another process serves it.
-    """
+
+class LineServer(ABC, Generic[C]):
+    """Server at a path; raises InputError if the path cannot be used, or another process serves it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._listener = _listen(path)
+        self._listener = listen(path, "--socket")
         self._selector: selectors.BaseSelector | None = None
-        self._clients: list[Client] = []
+        self._clients: list[C] = []
         self._accept_at = 0.0  # monotonic time before which nothing is accepted [s]
         self._refused_at = -float("inf")
 
     @property
     def conditions(self) -> set[Condition]:
-        """That clients were refused lately."""
+        """Return a condition if clients were refused lately."""
         lately = time.monotonic() - self._refused_at < REFUSED_S
         return {Condition("clients-refused", str(self._path))} if lately else set()
 
-    def __enter__(self) -> "LineServer":
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def register(self, selector: selectors.BaseSelector) -> None:
-        """Puts the listening socket, and later each client's, into the loop's selector."""
+        """Register the listening socket, and later each client's, with the loop's selector."""
         self._selector = selector
         selector.register(self._listener, selectors.EVENT_READ, self)
 
     def serve(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
-        """Does what a `select` found to do; keys of others are left alone."""
+        """Handle the events of a `select`; keys of others are left alone."""
         if self._accept_at and time.monotonic() >= self._accept_at and self._selector is not None:
             self._accept_at = 0.0
             self._selector.register(self._listener, selectors.EVENT_READ, self)
         for key, events in ready:
-            if isinstance(key.data, Client) and key.data in self._clients:
+            if key.data in self._clients:
                 if events & selectors.EVENT_READ:
                     self._read(key.data)
                 if events & selectors.EVENT_WRITE and key.data in self._clients:
@@ -94,7 +87,7 @@ class LineServer(ABC):
             self._accept()
 
     def close(self) -> None:
-        """Ends every connection and removes the socket file."""
+        """Close every connection and remove the socket file."""
         for client in list(self._clients):
             self._drop(client)
         self._forget(self._listener)
@@ -102,18 +95,18 @@ class LineServer(ABC):
         self._path.unlink(missing_ok=True)
 
     @abstractmethod
-    def _asked(self, client: Client, line: bytes) -> None:
-        """The client has sent a line."""
+    def _made(self, sock: socket.socket) -> C:
+        """Return the client of a new connection."""
 
     @abstractmethod
-    def _next(self, client: Client) -> bytes | None:
-        """What the client is to be sent next, None for nothing now."""
+    def _asked(self, client: C, line: bytes) -> None:
+        """Handle a line of a client."""
 
-    def _made(self, sock: socket.socket) -> Client:
-        """The client of a new connection."""
-        return Client(sock)
+    @abstractmethod
+    def _next(self, client: C) -> bytes | None:
+        """Return the next line for the client, None for nothing now."""
 
-    def _is_idle(self, client: Client) -> bool:
+    def _is_idle(self, client: C) -> bool:
         """True if the client may make room for another: it has asked for nothing."""
         return not client.has_asked
 
@@ -150,7 +143,7 @@ class LineServer(ABC):
         self._accept_at = self._refused_at + AGAIN_S
         self._forget(self._listener)
 
-    def _read(self, client: Client) -> None:
+    def _read(self, client: C) -> None:
         try:
             content = client.sock.recv(REQUEST_SIZE)
         except BlockingIOError:
@@ -166,8 +159,8 @@ class LineServer(ABC):
             return
         self._take(client)
 
-    def _take(self, client: Client) -> None:
-        """Takes what the client has asked, if that is a whole line."""
+    def _take(self, client: C) -> None:
+        """Take a question of the client, if it is a whole line."""
         line, end, rest = client.request.partition(b"\n")
         if end:
             client.request, client.has_asked, client.active = rest, True, time.monotonic()
@@ -175,13 +168,13 @@ class LineServer(ABC):
         elif len(client.request) >= REQUEST_SIZE:
             self._refuse(client, "the request has no end")
 
-    def _refuse(self, client: Client, reason: str) -> None:
-        client.rest += msgspec.json.encode(Rejection(error=reason)) + b"\n"
+    def _refuse(self, client: C, reason: str) -> None:
+        client.rest += encode(Rejection(error=reason))
         self._send(client)
         self._drop(client)
 
-    def _flush(self, client: Client) -> None:
-        """Sends until the client takes no more or has all."""
+    def _flush(self, client: C) -> None:
+        """Send until the client takes no more or has all."""
         while client in self._clients:
             if client.rest:
                 if not self._send(client):
@@ -193,8 +186,8 @@ class LineServer(ABC):
                     self._want(client, selectors.EVENT_READ)
                 return
 
-    def _send(self, client: Client) -> bool:
-        """Whether the client took all of `rest`."""
+    def _send(self, client: C) -> bool:
+        """Send; return True if the client took all of `rest`."""
         try:
             sent = client.sock.send(client.rest)
         except BlockingIOError:
@@ -207,18 +200,18 @@ class LineServer(ABC):
             self._want(client, selectors.EVENT_READ | selectors.EVENT_WRITE)
         return not client.rest
 
-    def _want(self, client: Client, events: int) -> None:
+    def _want(self, client: C, events: int) -> None:
         if self._selector is not None:
             self._selector.modify(client.sock, events, client)
 
-    def _drop(self, client: Client) -> None:
+    def _drop(self, client: C) -> None:
         if client in self._clients:
             self._clients.remove(client)
             self._forget(client.sock)
             client.sock.close()
 
     def _forget(self, sock: socket.socket) -> None:
-        """Out of the selector, if that is still open and knows it."""
+        """Remove it from the selector, if that is still open and knows it."""
         known = self._selector.get_map() if self._selector is not None else None
         if self._selector is not None and known is not None and sock in known:
             self._selector.unregister(sock)
@@ -238,39 +231,3 @@ def _lowest(sock: socket.socket) -> socket.socket:
         return sock
     sock.close()
     return lower
-
-
-def _listen(path: Path) -> socket.socket:
-    """A listening socket at `path`; the file that a dead process left there is replaced."""
-    _clear(path)
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    mask = os.umask(~MODE & 0o777)
-    try:
-        listener.bind(str(path))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise InputError(f"{path}: cannot listen there: {error.strerror or error}; give another --socket") from error
-    finally:
-        os.umask(mask)
-    listener.setblocking(False)
-    return listener
-
-
-def _clear(path: Path) -> None:
-    try:
-        if not stat.S_ISSOCK(path.stat().st_mode):
-            raise InputError(f"{path}: is there already and is no socket; give another --socket")
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; give another --socket") from error
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; give another --socket") from error
-        else:
-            raise InputError(f"{path}: another process serves events there; stop it or give another --socket")

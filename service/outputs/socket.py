@@ -1,4 +1,4 @@
-"""Events over a Unix stream socket, as lines of JSON; for subscribers see docs/events.md.
+"""Event socket: records as lines of JSON; for subscribers see docs/events.md.
 
 One ring holds the latest events and every client has a place in it. Who is behind the ring reads from the store, a page
 at a time, until it has caught up; without a store it goes on with the oldest there is, and the numbers show the gap.
@@ -10,7 +10,6 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
 
 import msgspec
 
@@ -36,7 +35,7 @@ class _Subscriber(Client):
         self.is_waiting = False  # for the store
 
 
-class EventSocket(LineServer):
+class EventSocket(LineServer[_Subscriber]):
     """Serves events to any number of clients from one selectors loop, without ever blocking.
 
     `earlier` are those of earlier runs, oldest first, that can be asked for; `read` gives what is older, from the store
@@ -46,40 +45,30 @@ class EventSocket(LineServer):
         InputError: the path cannot be used, or another process serves it.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        earlier: Sequence[Record] = (),
-        read: Read | None = None,
-    ) -> None:
+    def __init__(self, path: Path, earlier: Sequence[Record] = (), read: Read | None = None) -> None:
         super().__init__(path)
         self._read_store = read
         self._ring = deque(earlier, maxlen=RING)
 
-    def __enter__(self) -> "EventSocket":
-        return self
-
     def publish(self, record: Record) -> None:
-        """Puts a record, of a larger number than those before, into the ring and sends what each client takes."""
+        """Publish a record, of a larger number than those before, to the ring and to each client."""
         self._ring.append(record)
         for client in list(self._clients):
             self._flush(client)
 
     def renew(self, earlier: Sequence[Record]) -> None:
-        """The store was opened late: what it has can be asked for, and is not news to those who are connected."""
+        """Take the records of a store that was opened late, which are not news to connected clients."""
         self._ring = deque(earlier, maxlen=RING)
         for client in self._clients:
-            subscriber = cast(_Subscriber, client)
-            if subscriber.last is not None and self._ring:
-                subscriber.last = self._ring[-1].seq
-                subscriber.page.clear()
+            if client.last is not None and self._ring:
+                client.last = self._ring[-1].seq
+                client.page.clear()
 
-    def _made(self, sock: socket.socket) -> Client:
+    def _made(self, sock: socket.socket) -> _Subscriber:
         return _Subscriber(sock)
 
-    def _asked(self, client: Client, line: bytes) -> None:
-        subscriber = cast(_Subscriber, client)
-        if subscriber.last is not None or subscriber.is_waiting:
+    def _asked(self, client: _Subscriber, line: bytes) -> None:
+        if client.last is not None or client.is_waiting:
             self._refuse(client, "one line is all that is asked")
             return
         try:
@@ -87,11 +76,11 @@ class EventSocket(LineServer):
         except (msgspec.MsgspecError, ValueError) as error:  # the latter for bytes that are no UTF-8
             self._refuse(client, str(error))
             return
-        self._place(subscriber, request.after)
+        self._place(client, request.after)
         self._flush(client)
 
     def _place(self, client: _Subscriber, after: int | str | None) -> None:
-        """What the client has had already; nothing, where `after` is not among what is known."""
+        """Set the client's place after what it has had; before all, if `after` is unknown."""
         newest = self._ring[-1].seq if self._ring else 0
         if after is None:
             client.last = newest
@@ -103,7 +92,7 @@ class EventSocket(LineServer):
             self._look_up(client, after)
 
     def _look_up(self, client: _Subscriber, named: str) -> None:
-        """The number of what is in the store under this id, which ends with it."""
+        """Look up the number of a stored record by its id, which ends with it."""
         number = number_in(named)
         if self._read_store is None or number is None:
             client.last = 0
@@ -117,23 +106,22 @@ class EventSocket(LineServer):
         client.is_waiting = True
         self._read_store(Page(1, after=number - 1), found)
 
-    def _next(self, client: Client) -> bytes | None:
-        subscriber = cast(_Subscriber, client)
-        if subscriber.last is None or subscriber.is_waiting:
+    def _next(self, client: _Subscriber) -> bytes | None:
+        if client.last is None or client.is_waiting:
             return None
-        record = subscriber.page.popleft() if subscriber.page else None
+        record = client.page.popleft() if client.page else None
         if record is None:
-            if not self._ring or self._ring[-1].seq <= subscriber.last:
+            if not self._ring or self._ring[-1].seq <= client.last:
                 return None
-            if self._ring[0].seq > subscriber.last + 1 and self._read_store is not None:
-                self._turn_back(subscriber, self._read_store)
+            if self._ring[0].seq > client.last + 1 and self._read_store is not None:
+                self._turn_back(client, self._read_store)
                 return None
-            record = self._ring[bisect_right(self._ring, subscriber.last, key=lambda each: each.seq)]
-        subscriber.last = record.seq
+            record = self._ring[bisect_right(self._ring, client.last, key=lambda each: each.seq)]
+        client.last = record.seq
         return record.line
 
     def _turn_back(self, client: _Subscriber, read_store: Read) -> None:
-        """Something older than the ring is to come: a page of it is asked for."""
+        """Ask for a page of records that are older than the ring."""
 
         def read(records: list[Record] | None) -> None:
             client.is_waiting = False
@@ -149,5 +137,5 @@ class EventSocket(LineServer):
 
 
 def _is(record: Record, named: str) -> bool:
-    """Whether that is the record's own id, the first that it names: a fault names those of events too."""
+    """Return True if that is the record's own id, the first that it names: a fault names those of events too."""
     return record.line.startswith(b'"id":' + msgspec.json.encode(named) + b",", record.line.find(b'"id":'))

@@ -20,7 +20,7 @@ SHARED = Path(__file__).parent
 
 
 class Td(NamedTuple):
-    """A cell of a table: its words, smaller words below, how dark it is (0 to 1), whether it is framed."""
+    """Table cell: its words, smaller words below, how dark it is (0 to 1), whether it is framed."""
 
     words: str
     small: str = ""

@@ -11,7 +11,7 @@ from faultline.service.protocol.errors import AwayError, GarbledError
 
 @asynccontextmanager
 async def connected(path: Path, first: bytes) -> AsyncIterator[asyncio.StreamReader]:
-    """A connection to a socket of the service on which `first`, one line, has been sent.
+    """Connect to a socket of the service and send `first`, one line; yield the reader.
 
     Raises:
         AwayError: nobody serves there.

@@ -7,7 +7,7 @@ _chance = secrets.SystemRandom().random
 
 
 class Backoff:
-    """When to try again [s]: after `first`, then twice as long each time until `longest`, less up to half by chance.
+    """Exponential back-off [s]: `first`, then twice as long each time until `longest`, less up to half by chance.
 
     The jitter keeps a fleet whose broker was away from coming back all at once; `chance` draws it from [0, 1). State:
     the next wait, and `at`, when the next try is due.

@@ -5,11 +5,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeVar
 
 import msgspec
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.connection import LONGEST, Connection
 from faultline.service.protocol.errors import UNREADABLE, AwayError, ErrorAnswer, GarbledError, RefusedError
 from faultline.service.protocol.live import LiveTick
@@ -23,11 +23,6 @@ CONNECT_S = 0.05
 REMEDY = "; is the service running, with a [control] socket there?"
 
 T = TypeVar("T")
-
-
-def encode(message: Question | Subscription) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(message) + b"\n"
 
 
 def decode(line: bytes, kind: type[T], where: object = "") -> T:
@@ -50,7 +45,7 @@ def decode(line: bytes, kind: type[T], where: object = "") -> T:
 
 
 class ControlClient:
-    """A connection to the control socket at `path`, on which an answer may take `answer_s` [s].
+    """Client of the control socket at `path`, on which an answer may take `answer_s` [s].
 
     Raises:
         AwayError: nobody serves there.
@@ -68,32 +63,26 @@ class ControlClient:
     def __enter__(self) -> "ControlClient":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._connection.close()
 
     def ask(self, question: Question, kind: type[T]) -> T:
-        """Return the answer to a question.
-
-        Raises:
-            AwayError, RefusedError, GarbledError: there is none.
-        """
+        """Return the answer to a question; raises AwayError, RefusedError, GarbledError if there is none."""
         self._send(question)
         line = self._line()
         assert line is not None
         return decode(line, kind, self._path)
 
     def ask_json(self, ask: Ask, **fields: Any) -> dict[str, Any]:
-        """As `ask`, the answer as it came: with what a newer service says besides."""
+        """Return the answer as it came, with what a newer service says besides; raises as `ask`."""
         return self.ask(Question(ask=ask, **fields), dict[str, Any])
 
     def live(self, name: str | None) -> Iterator[LiveTick]:
-        """The ticks of a system as they come; raises as `ask`, caused by a TimeoutError where none comes for long."""
+        """Yield the ticks of a system; raises as `ask`, caused by a TimeoutError if none comes for long."""
         return (tick for tick in self.live_or_silent(name, None) if isinstance(tick, LiveTick))
 
     def live_or_silent(self, name: str | None, silent_s: float | None) -> Iterator[LiveTick | float]:
-        """As `live`, and between ticks `silent_s` [s] each time that none has come for so long."""
+        """Yield ticks as `live`, and `silent_s` [s] each time that none has come for so long."""
         self._send(Question(ask="live", name=name))
         while True:
             line = self._line(silent_s)
@@ -112,7 +101,7 @@ class ControlClient:
             raise AwayError(f"{error.message}{REMEDY}", self._path) from error
 
     def _line(self, silent_s: float | None = None) -> bytes | None:
-        """The next line, within `answer_s` of the one before; None where none came for `silent_s`."""
+        """Return the next line, within `answer_s` of the one before; None if none came for `silent_s`."""
         if not self._came:
             until = self._end if silent_s is None else min(self._end, time.monotonic() + silent_s)
             try:
@@ -128,7 +117,7 @@ class ControlClient:
 
 
 def subscribe(path: Path, after: int | str | None, wait_s: float = 0.0) -> Iterator[bytes]:
-    """The whole lines, with their ends, that the event socket at `path` sends until the service ends.
+    """Yield the lines, with their ends, that the event socket at `path` sends until the service ends.
 
     Raises:
         AwayError: nobody serves there within `wait_s` [s].
@@ -157,7 +146,7 @@ def _connected(path: Path, first: bytes, wait_s: float) -> Connection:
 
 
 def _within(connection: Connection, end: float | None) -> list[bytes]:
-    """The next lines, one at least; raises TimeoutError at the monotonic time `end` [s], AwayError as `read`."""
+    """Return the next lines, one at least; raises TimeoutError at the monotonic time `end` [s], AwayError as `read`."""
     while True:  # what is there is read, however late it is asked for
         if not _is_readable(connection, None if end is None else max(0.0, end - time.monotonic())):
             raise TimeoutError

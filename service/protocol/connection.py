@@ -1,4 +1,4 @@
-"""A connection to a Unix stream socket on which lines come: it never waits, so that any loop can have it."""
+"""Non-blocking connection to a Unix stream socket that carries lines."""
 
 import socket
 from pathlib import Path
@@ -12,7 +12,7 @@ LONGEST = 16 << 20
 
 
 class Connection:
-    """Connected to `path`, on which `first` was sent.
+    """Connection to `path`, on which `first` was sent.
 
     A line of more than `longest` bytes is left out and not kept. Where the service is slow to accept, connecting takes
     `connect_s` [s] at most.
@@ -39,7 +39,7 @@ class Connection:
             raise AwayError(f"{error.strerror or error}{remedy}", path) from error
 
     def fileno(self) -> int:
-        """For a selector: readable when lines may have come."""
+        """Return the descriptor, readable when lines may have come."""
         return self._sock.fileno()
 
     def send(self, line: bytes) -> None:
@@ -50,7 +50,7 @@ class Connection:
             raise AwayError(error.strerror or str(error), self._path) from error
 
     def read(self) -> list[bytes]:
-        """The lines, without their ends, that have come whole since the last call: as many as are in one chunk.
+        """Return the lines, without their ends, that are complete since the last call: as many as are in one chunk.
 
         Raises:
             AwayError: the other end has gone; a line without its end is none.
@@ -73,7 +73,7 @@ class Connection:
         return lines + others
 
     def close(self) -> None:
-        """End it."""
+        """Close it."""
         self._sock.close()
 
     def _keep(self, part: bytes) -> None:

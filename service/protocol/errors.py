@@ -1,4 +1,4 @@
-"""Why there is no answer of the service, and what stands for it on the wire.
+"""Errors of the protocol, and their messages on the wire.
 
 `InputError`
   +-- `ProtocolError`
@@ -22,7 +22,7 @@ Code = Literal["bad-request", "unknown", "not-allowed", "not-kept", "busy"]
 
 
 class Refusal(msgspec.Struct, frozen=True, kw_only=True):
-    """Why a question is not answered."""
+    """Reason why a question is refused."""
 
     code: Annotated[str, Meta(description="one of the codes below; clients take others for a refusal too")] = "unknown"
     message: Annotated[str, Meta(description="the reason, for a person")] = "it did not say why"
@@ -41,7 +41,7 @@ class Rejection(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProtocolError(InputError):
-    """There is no answer; `code` is one of `Code`, *away* or *garbled*, `message` the reason without the path."""
+    """Error without an answer; `code` is one of `Code`, *away* or *garbled*, `message` the reason without the path."""
 
     def __init__(self, code: str, message: str, where: object = "") -> None:
         super().__init__(f"{where}: {message}" if where else message)
@@ -49,14 +49,14 @@ class ProtocolError(InputError):
 
 
 class AwayError(ProtocolError):
-    """Nobody serves there, the connection broke off, or no answer came in time."""
+    """Error that nobody serves there, the connection broke off, or no answer came in time."""
 
     def __init__(self, message: str, where: object = "") -> None:
         super().__init__("away", message, where)
 
 
 class GarbledError(ProtocolError):
-    """What came is not what the protocol says."""
+    """Error that a message is not as the protocol says."""
 
     def __init__(self, message: str, where: object = "") -> None:
         super().__init__("garbled", message, where)

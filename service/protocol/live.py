@@ -1,4 +1,4 @@
-"""Live ticks, the ticks of a recording, and what the names in both mean."""
+"""Live ticks, the ticks of a recording, and the meaning of the names in both."""
 
 from typing import Annotated
 
@@ -35,7 +35,7 @@ class GeneratorMeaning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FaultMeaning(msgspec.Struct, frozen=True, kw_only=True):
-    """What a fault's name means."""
+    """Meaning of a fault's name."""
 
     name: Annotated[str, Meta(description="its name")]
     component: Annotated[str | None, Meta(description="the component that fails")] = None
@@ -45,14 +45,14 @@ class FaultMeaning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class EquationMeaning(msgspec.Struct, frozen=True, kw_only=True):
-    """What an equation's name means."""
+    """Meaning of an equation's name."""
 
     name: Annotated[str, Meta(description="its name")]
     description: Annotated[str, Meta(description="what it balances")]
 
 
 class DisturbanceMeaning(msgspec.Struct, frozen=True, kw_only=True):
-    """What may enter an equation without being a component's fault."""
+    """Disturbance of an equation that is no component's fault."""
 
     name: Annotated[str, Meta(description="its name")]
     equation: Annotated[str, Meta(description="the equation it enters")]
@@ -60,7 +60,7 @@ class DisturbanceMeaning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SystemDescription(msgspec.Struct, frozen=True, kw_only=True):
-    """What the names of a bundle mean."""
+    """Meaning of the names of a bundle."""
 
     name: Annotated[str, Meta(description="of the system")]
     bundle: Annotated[str, Meta(description="SHA-256 of the manifest")]
@@ -96,8 +96,7 @@ class LiveTick(msgspec.Struct, frozen=True, kw_only=True):
     r: Annotated[list[float | None], Meta(description="its residual, in the same unit")]
     sigma: Annotated[list[float | None], Meta(description="the residual's spread without a fault, in the same unit")]
     sums: Annotated[
-        list[float | None],
-        Meta(description="its largest detector in parts of the threshold, with the residual's sign"),
+        list[float | None], Meta(description="its largest detector in parts of the threshold, with the residual's sign")
     ]
     usable: Annotated[list[bool], Meta(description="it can tell")]
     alarm: Annotated[list[str], Meta(description="as in an event")]
@@ -120,7 +119,7 @@ class LiveTick(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Stand(msgspec.Struct, frozen=True, kw_only=True):
-    """What the decision says from a tick of a recording on, until the next one."""
+    """Decision from a tick of a recording on, until the next one."""
 
     tick: Annotated[int, Meta(description="the first")]
     alarm: Annotated[list[str], Meta(description="as in an event")]

@@ -1,4 +1,4 @@
-"""A connection that is made again after it is lost, for a loop that waits for nothing but its selector."""
+"""Connection with automatic reconnection, for a loop that waits for nothing but its selector."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,12 +28,12 @@ class Reconnecting:
         return self._connection is not None
 
     def fileno(self) -> int:
-        """For a selector; -1 while there is no connection."""
+        """Return the descriptor; -1 while there is no connection."""
         return -1 if self._connection is None else self._connection.fileno()
 
     @property
     def due(self) -> float | None:
-        """When the next try is due [s]; None while there is a connection."""
+        """Return when the next try is due [s]; None while there is a connection."""
         return self.retry.at if self._connection is None else None
 
     def take(self, now: float) -> list[bytes]:

@@ -54,7 +54,7 @@ class Header(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """One record as a client received it.
+    """Record as a client received it.
 
     `line` is its JSON without the end of the line; `epoch` the number of the connection that brought it, from 1;
     `lost` how many records before it, by their numbers, the service did not give.
@@ -70,18 +70,18 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @property
     def kind(self) -> str:
-        """The schema's name without its version: event, fault, cleared, health, context."""
+        """Return the schema's name without its version: event, fault, cleared, health, context."""
         return self.schema.removeprefix("faultline.").partition("/")[0]
 
     @property
     def vehicle(self) -> str | None:
-        """The name that the id begins with; None where the id has another form."""
+        """Return the name that the id begins with; None if the id has another form."""
         found = _ID.fullmatch(self.id)
         return found.group(1) if found else None
 
     @cached_property
     def parts(self) -> dict[str, msgspec.Raw]:
-        """The JSON of each field, as it came."""
+        """Return the JSON of each field, as it came."""
         return _PARTS.decode(self.line)
 
 

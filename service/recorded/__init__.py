@@ -1,1 +1,1 @@
-"""A finished recording, answered about as the service on the vehicle answers: same sockets, same fault memory."""
+"""Service of a finished recording, with the sockets and the fault memory of a live one."""

@@ -1,4 +1,4 @@
-"""A log as a bus: its frames in batches, at their log times."""
+"""Bus that replays a log: its frames in batches, at their log times."""
 
 from collections.abc import Iterable
 from itertools import islice
@@ -8,7 +8,7 @@ from faultline.service.logs import Frame
 
 
 class LogBus(Bus):
-    """Gives the frames in their order, `t` [s] of log time, and none once all were given."""
+    """Bus of a log's frames in their order, `t` [s] of log time, and none once all were given."""
 
     def __init__(self, frames: Iterable[Frame]) -> None:
         super().__init__()
@@ -16,16 +16,16 @@ class LogBus(Bus):
         self.now = 0.0  # log time of the last frame that was given [s]
 
     def fileno(self) -> int:
-        """Nothing to wait for."""
+        """Return -1: there is nothing to wait for."""
         return -1
 
     @property
     def dropped(self) -> int:
-        """None: what the logger lost is in no log."""
+        """Return 0: what the logger lost is in no log."""
         return 0
 
     def receive(self) -> list[Frame]:
-        """The next frames."""
+        """Return the next frames."""
         frames = list(islice(self._frames, BATCH))
         self.counts.frames += len(frames)
         if frames:
@@ -37,4 +37,4 @@ class LogBus(Bus):
         raise BusError(f"a log takes no frame {frame.can_id:X}")
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""

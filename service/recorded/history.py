@@ -1,4 +1,4 @@
-"""All ticks of a drive as columns, and any part of them with no more points than a picture has room for."""
+"""Ticks of a drive as columns, and any part of them with no more points than a picture has room for."""
 
 from array import array
 from collections.abc import Sequence
@@ -83,7 +83,7 @@ class Ticks:
         )
 
     def _standing_for(self, rows: Columns, every: int) -> npt.NDArray[np.intp]:
-        """Of each `every` rows the one with the largest sum."""
+        """Return of each `every` rows the one with the largest sum."""
         if every == 1:
             return np.arange(len(rows))
         largest = np.abs(np.nan_to_num(self._split(rows)[6])).max(axis=1, initial=0.0)
@@ -95,7 +95,7 @@ class Ticks:
         return np.split(rows, np.cumsum([1, inputs, inputs, tests, tests, tests, tests]), axis=1)
 
     def _standing(self, ticks: npt.NDArray[np.int64]) -> list[Stand]:
-        """What stood at each of the ticks, once where it is the same: no more of them than ticks."""
+        """Return the decision at each of the ticks, once if it is the same: no more of them than ticks."""
         begins = np.array([each.tick for each in self._stands], np.int64)
         chosen = np.unique(np.searchsorted(begins, ticks, "right") - 1)
         generators = self._manifest.generators

@@ -1,11 +1,10 @@
-"""The service of a finished recording: diagnosed as a whole, then asked and heard over the sockets of a live one."""
+"""Service of a finished recording: diagnosed as a whole, then served at the sockets of a live one."""
 
 import os
 import selectors
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.records.event import Event
@@ -31,7 +30,7 @@ SHOWN_TICKS = 2000  # where the question does not say
 
 
 class Recording:
-    """A log, diagnosed with a bundle: its ticks, what was told in it, and what is remembered at its end.
+    """Log, diagnosed with a bundle: its ticks, its records, and the fault memory at its end.
 
     `progress` is told the log time [s] that is done. Its records have no wall clock: a log knows none for certain.
     """
@@ -44,13 +43,13 @@ class Recording:
         self._bus = LogBus(log.relative())
         self._line = BusChannel("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
         self._journal = Journal(None, say)
-        scribe = Sequencer(log.id, 0, run="", wall=lambda: None)
+        sequencer = Sequencer(log.id, 0, run="", wall=lambda: None)
         memory = MemoryConfig()
-        self._remembering = FaultRecorder(
-            scribe, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
+        self._fault_recorder = FaultRecorder(
+            sequencer, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
         )
         self._diagnose(progress)
-        self.answers = _Answers(self._remembering, self._journal, log.id, self)
+        self.answers = _Answers(self._fault_recorder, self._journal, log.id, self)
 
     def _diagnose(self, progress: Callable[[float], None]) -> None:
         [kept] = self._line.bundles
@@ -60,18 +59,18 @@ class Recording:
         self._take(kept, kept.silence(self._bus.now + LAG_S))
 
     def _take(self, kept: Pipeline, events: list[Event]) -> None:
-        self._remembering.take(kept, events)
-        self._remembering.look(self._bus.now)
+        self._fault_recorder.take(kept, events)
+        self._fault_recorder.look(self._bus.now)
         self.records += self._journal.take()
 
 
 class _Answers(ControlServer):
-    """As of a live service, and of the whole drive besides; nothing of it can be erased."""
+    """Control server of a recording, with the history of the whole drive; nothing can be erased."""
 
     is_recording = True
 
-    def __init__(self, remembering: FaultRecorder, journal: Journal, source: str, recording: Recording) -> None:
-        super().__init__(remembering, journal, lambda: (source, None, len(recording.records), []))
+    def __init__(self, fault_recorder: FaultRecorder, journal: Journal, source: str, recording: Recording) -> None:
+        super().__init__(fault_recorder, journal, lambda: (source, None, len(recording.records), []))
         self._recording = recording
 
     def answer(self, question: Question, asker: Asker, then: Then) -> None:
@@ -85,7 +84,7 @@ class _Answers(ControlServer):
                 super().answer(question, asker, then)
 
     def _history(self, question: Question) -> History:
-        self._observed(question.name)
+        self._system(question.name)
         most = SHOWN_TICKS if question.count is None else question.count
         if not 1 <= most <= MOST_TICKS:
             raise RefusedError("bad-request", f"`count` must be 1 to {MOST_TICKS}")
@@ -96,7 +95,7 @@ class _Answers(ControlServer):
         return self._recording.history.part(question.name, after, before, most)
 
     def _records(self, question: Question, then: Then) -> None:
-        """From memory: there is no store."""
+        """Answer from memory: there is no store."""
         page = page_of(question)
         records = self._recording.records
         if page.after is not None:
@@ -126,9 +125,7 @@ class Serving:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.eventfd_write(self._end, 1)
         self._thread.join()
         os.close(self._end)

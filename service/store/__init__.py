@@ -1,1 +1,1 @@
-"""What was told is kept: it survives the process, and a power cut."""
+"""Store of records, which survives the process and a power cut."""

@@ -1,10 +1,9 @@
-"""The store's file: records of what was told, and what is remembered, in SQLite.
+"""Store file: records and rows of the fault memory, in SQLite.
 
 A commit that has returned survives a power cut (`journal_mode=WAL`, `synchronous=FULL`; with NORMAL all that was
 acknowledged since the last checkpoint is lost). One process has it, exclusively: others ask the service.
 """
 
-import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -15,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import msgspec
 
 from faultline.service.core.errors import InputError
+from faultline.writing import put_aside, sync
 
 VERSION = 2  # 1 had no table `kept`
 
@@ -22,7 +22,6 @@ About = Literal["event", "health", "fault", "context"]
 KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000, "context": 5_000}
 """The latest so many are kept. Each kind has its own number: a loose plug must not push out faults."""
 PRUNED = 256  # records between two looks whether there are too many
-ASIDE = 3  # damaged files that are left
 ENDLESS = 2**53  # larger than any number of a record
 NOTHING: Mapping[str, bytes | None] = MappingProxyType({})
 LOCKED_S = 5.0  # who looks at the file with a tool of his own has so long
@@ -50,13 +49,13 @@ _NO_DAMAGE = (
 
 
 class StoreError(InputError):
-    """A store that cannot be opened; `is_locked` if another process has it, which may be over in a moment."""
+    """Store that cannot be opened; `is_locked` if another process has it, which may be over in a moment."""
 
     is_locked = False
 
 
 class Record(NamedTuple):
-    """One line of JSON that is told, newline included, with its number and what it is about."""
+    """Record as one line of JSON, newline included, with its number and what it is about."""
 
     seq: int
     about: About
@@ -88,7 +87,7 @@ class StoreFile:
         self._begin()
 
     def append(self, records: Sequence[Record], kept: Mapping[str, bytes | None] = NOTHING) -> None:
-        """Adds the records, and sets or erases (None) what is `kept`, all or nothing; on return it is on the disk.
+        """Add the records, and set or erase (None) the rows of `kept`, all or nothing; on return it is on the disk.
 
         A record that is there already stays as it is.
 
@@ -113,7 +112,7 @@ class StoreFile:
         self._since_pruned = self._since_pruned + len(records) if self._since_pruned < PRUNED else 0
 
     def again(self) -> None:
-        """Opens it once more; what is damaged is put aside and a new one begun. Raises as the constructor."""
+        """Open it once more; what is damaged is put aside and a new one begun. Raises as the constructor."""
         self.close()
         self.aside = None
         self._begin()
@@ -126,7 +125,7 @@ class StoreFile:
         return self._size < before
 
     def restore(self) -> Path | None:
-        """Writes all that is in it to its place anew; where what was found there instead was put, None for nothing.
+        """Write all its content to its place anew; return where what was found there instead was put, None for nothing.
 
         Raises:
             sqlite3.Error, OSError, StoreError: it cannot be written there.
@@ -134,43 +133,38 @@ class StoreFile:
         copy, aside = self.path.with_name(f".{self.path.name}.new"), None
         copy.unlink(missing_ok=True)
         self._db.execute("VACUUM INTO ?", (str(copy),))
-        for path in (copy, copy.parent):
-            descriptor = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+        sync(copy)
+        sync(copy.parent)
         self.close()
         log = _log(self.path)
         if _identity(log) == self._opened[log]:  # ours, and not of what was put there: SQLite would join them
             log.unlink(missing_ok=True)
         if self.path.exists():
-            aside = _put_aside(self.path)
+            aside = put_aside(self.path, ("", "-wal"))
         log.unlink(missing_ok=True)
         copy.rename(self.path)
         self._begin()
         return aside
 
     def close(self) -> None:
-        """Ends it; what was added stays whether it is called or not."""
+        """Close it; what was added stays whether it is called or not."""
         with suppress(sqlite3.Error):
             self._db.close()
 
     def before(self, seq: int | None, count: int) -> list[Record]:
-        """The latest records, before number `seq` where that is given; oldest first."""
+        """Return the latest records, before number `seq` if that is given; oldest first."""
         rows = self._db.execute(
-            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC",
-            (ENDLESS if seq is None else seq,),
+            "SELECT seq, about, line FROM record WHERE seq < ? ORDER BY seq DESC", (ENDLESS if seq is None else seq,)
         )
         return self._records(rows, count)[::-1]
 
     def after(self, seq: int, count: int) -> list[Record]:
-        """The records after number `seq`, oldest first."""
+        """Return the records after number `seq`, oldest first."""
         rows = self._db.execute("SELECT seq, about, line FROM record WHERE seq > ? ORDER BY seq", (seq,))
         return self._records(rows, count)
 
     def _records(self, rows: Iterable[tuple[object, ...]], count: int) -> list[Record]:
-        """The first so many of the rows that are records."""
+        """Return the first `count` of the rows that are records."""
         found: list[Record] = []
         for row in rows if count else ():
             record = _record(row)
@@ -197,7 +191,7 @@ class StoreFile:
             except sqlite3.Error as error:
                 if not is_damage(error):
                     raise
-                self.aside = _put_aside(self.path)
+                self.aside = put_aside(self.path, ("", "-wal"))
                 self._read()
         except (OSError, sqlite3.Error) as error:
             is_locked = isinstance(error, sqlite3.Error) and _code(error) in (
@@ -213,7 +207,7 @@ class StoreFile:
         self._size = self.path.stat().st_size
 
     def _read(self) -> None:
-        """Opens it and reads what is in it; an error in that is damage that the check did not see."""
+        """Open it and read its content; an error in that is damage that the check did not see."""
         self._db = _open(self.path)
         try:
             self.earlier = self.before(None, self._remembered)
@@ -230,7 +224,7 @@ class StoreFile:
 
 
 def _record(row: tuple[object, ...]) -> Record | None:
-    """The record in a row, None where it makes no sense: somebody else has written there."""
+    """Return the record in a row, None if it is invalid: somebody else has written there."""
     match row:
         case (int(seq), ("event" | "health" | "fault" | "context") as about, bytes(line)) if 0 < seq < ENDLESS:
             try:
@@ -243,7 +237,7 @@ def _record(row: tuple[object, ...]) -> Record | None:
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Whether it is the file that is broken."""
+    """Return True if it is the file that is broken."""
     return _code(error) not in _NO_DAMAGE
 
 
@@ -257,7 +251,7 @@ def _log(path: Path) -> Path:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and inode of a file; None where there is none."""
+    """Return device and inode of a file; None if there is none."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -266,7 +260,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    """The database, whole and ours alone; raises sqlite3.Error where it is damaged or cannot be used."""
+    """Open the database exclusively; raises sqlite3.Error if it is damaged or cannot be used."""
     db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=LOCKED_S)
     try:
         db.execute("PRAGMA locking_mode=EXCLUSIVE")  # also keeps the log's index in memory, not in a file
@@ -287,7 +281,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _is_new(db: sqlite3.Connection, path: Path) -> bool:
-    """Whether nothing is in it; what is there must be whole, and of this faultline or an older one. Changes nothing."""
+    """Return True if it is empty; content must be intact, and of this faultline or an older one. Changes nothing."""
     (version,) = db.execute("PRAGMA user_version").fetchone()
     if version > VERSION:
         raise StoreError(
@@ -300,19 +294,3 @@ def _is_new(db: sqlite3.Connection, path: Path) -> bool:
     if version == 0 and db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
         raise StoreError(f"{path}: is another program's database; nothing was changed: give another path")
     return bool(version == 0)
-
-
-def _put_aside(path: Path) -> Path:
-    """Renames a damaged store and its log; of older ones the latest are left."""
-    stem = f"{path.name}.damaged-"
-    numbers = sorted(
-        int(tail) for each in path.parent.glob(f"{stem}*") if (tail := each.name.removeprefix(stem)).isdecimal()
-    )
-    for number in numbers[: -(ASIDE - 1)]:
-        for suffix in ("", "-wal"):
-            path.with_name(f"{stem}{number}{suffix}").unlink(missing_ok=True)
-    aside = path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
-    for suffix in ("", "-wal"):
-        with suppress(FileNotFoundError):
-            path.with_name(f"{path.name}{suffix}").rename(aside.with_name(f"{aside.name}{suffix}"))
-    return aside

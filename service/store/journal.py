@@ -1,4 +1,4 @@
-"""Kept before it is told: records wait here until they are on the disk, which has a thread of its own.
+"""Write-ahead journal: records are published once they are on the disk, which has a thread of its own.
 
 A disk that is full, slow or broken keeps no alarm back: what it has not taken within `PATIENCE_S` is told all the
 same, as is that it was not kept; the disk is tried again, with all of it. What is remembered besides goes to the disk
@@ -33,14 +33,14 @@ PENDING = 10_000  # records that wait for a disk that does not take them; then t
 
 
 class Page(NamedTuple):
-    """So many records: those after a number, or the latest before one (before None: of all)."""
+    """Page of records: those after a number, or the latest before one (before None: of all)."""
 
     most: int
     after: int | None = None
     before: int | None = None
 
     def of(self, file: StoreFile) -> list[Record]:
-        """Those of a store; raises sqlite3.Error."""
+        """Return the records of a store; raises sqlite3.Error."""
         if self.after is not None:
             return file.after(self.after, self.most)
         return file.before(self.before, self.most)
@@ -52,7 +52,7 @@ class _Asked(NamedTuple):
 
 
 class Journal:
-    """Records in the order in which they were put. `path` None keeps nothing: all is told at once.
+    """Journal of records in the order in which they were put. `path` None keeps nothing: all is published at once.
 
     Of earlier runs, `last` is the number of the latest record, `health` the latest on health, and `earlier` are the
     latest `remembered` of all. `kept` is what is remembered now, by name: of the thread that puts. A store that cannot
@@ -83,9 +83,8 @@ class Journal:
         self._file: StoreFile | None = None  # opened, and not taken up yet
         self._opener: threading.Thread | None = None
         self._changed = threading.Condition()
-        self._wake = os.eventfd(
-            0, os.EFD_NONBLOCK | os.EFD_CLOEXEC
-        )  # never closed: a disk that hangs may still wake us
+        # Never closed: a disk that hangs may still wake us.
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread: threading.Thread | None = None
         if path is not None:
             self._begin(path, remembered)
@@ -97,12 +96,12 @@ class Journal:
         self.finish(0.0)
 
     def fileno(self) -> int:
-        """Readable when there may be something to take."""
+        """Return the descriptor, readable when there may be something to take."""
         return self._wake
 
     @property
     def fresh(self) -> bool:
-        """Whether it works as far as it can: a disk that hangs or fails is a condition, a thread that died a defect."""
+        """Return True if its thread is alive; a disk that hangs or fails is a condition and no defect."""
         return self._thread is None or self._ended or self._thread.is_alive()
 
     @property
@@ -111,7 +110,7 @@ class Journal:
         return self.path is None or self._thread is not None
 
     def put(self, *records: Record, kept: Mapping[str, bytes | None] = NOTHING) -> None:
-        """Takes records to keep and then to tell, and what is to be remembered, or no more (None), from then on."""
+        """Take records to store and then to publish, and rows to set, or to erase (None), from then on."""
         now = self._clock()
         with self._changed:
             for name, value in kept.items():
@@ -130,21 +129,21 @@ class Journal:
             self._changed.notify()
 
     def remember(self, kept: Mapping[str, bytes | None]) -> None:
-        """Takes what is to be remembered, or no more (None), of which nobody is told."""
+        """Take rows to set, or to erase (None), without a record."""
         self.put(kept=kept)
 
     @property
     def kept_up_to(self) -> int:
-        """The number up to which all that was put is on the disk, or was given up."""
+        """Return the number up to which all that was put is on the disk, or was given up."""
         return max(self._kept, self.last)
 
     def has(self, seq: int) -> bool:
-        """Whether the record of that number, which was taken, is on the disk."""
+        """Return True if the record of that number, which was taken, is on the disk."""
         with self._changed:
             return self._thread is not None and not self._failing and seq <= self._kept
 
     def read(self, page: Page, then: Callable[[list[Record] | None], None]) -> None:
-        """Asks for records of the store; `then` is called from within `take` with them, with None where none can be."""
+        """Ask for records of the store; `then` is called from within `take` with them, or with None."""
         with self._changed:
             if self._thread is not None and len(self._asked) < ASKED:
                 self._asked.append(_Asked(page, then))
@@ -154,7 +153,7 @@ class Journal:
                 os.eventfd_write(self._wake, 1)
 
     def take(self) -> list[Record]:
-        """Those that are to be told now: they are on the disk, or it does not take them."""
+        """Return the records to publish now: they are on the disk, or it does not take them."""
         with suppress(BlockingIOError):
             os.eventfd_read(self._wake)
         while self._answers:
@@ -177,7 +176,7 @@ class Journal:
 
     @property
     def conditions(self) -> set[Condition]:
-        """What is wrong with the store."""
+        """Return the conditions of the store."""
         if self.path is None:
             return set()
         found = set()
@@ -192,7 +191,7 @@ class Journal:
         return found
 
     def finish(self, within_s: float) -> list[Record]:
-        """Ends it after what waits is kept, but after `within_s` [s] anyway; gives what has not been told."""
+        """Stop once what waits is stored, but after `within_s` [s] anyway; return what has not been published."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -220,7 +219,7 @@ class Journal:
         return True
 
     def _begin(self, path: Path, remembered: int) -> None:
-        """Opens the store in its thread, and waits for that."""
+        """Open the store in its thread, and wait for that."""
 
         def run() -> None:
             file = self._opened(path, remembered)
@@ -242,7 +241,7 @@ class Journal:
         self.take_up()
 
     def _opened(self, path: Path, remembered: int) -> StoreFile | None:
-        """The store, which is tried until it can be opened; None where the journal ends before that."""
+        """Return the store, opened again and again; None if the journal ends before that."""
         wait_s, said = AGAIN_S, ""
         while True:
             failed: Exception
@@ -266,7 +265,7 @@ class Journal:
             self._say(f"{file.path}: was damaged, is now {file.aside}; a new store was begun")
 
     def _run(self, file: StoreFile) -> None:
-        """The disk's thread."""
+        """Run the disk's thread."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._pending or self._dirty or self._asked or self._ended, LOOK_S)
@@ -296,7 +295,7 @@ class Journal:
         os.eventfd_write(self._wake, 1)
 
     def _keep(self, file: StoreFile, batch: list[Record], kept: Mapping[str, bytes | None]) -> str:
-        """Puts records on the disk; why it did not take them, or nothing."""
+        """Store records; return why the disk did not take them, or ""."""
         try:
             try:
                 if file.is_gone():
@@ -321,7 +320,7 @@ class Journal:
         return ""
 
     def _done(self, batch: list[Record], kept: Mapping[str, bytes | None], failed: str) -> list[str]:
-        """What a try to keep a batch has come to; `failed` says why it did not. What is to be said of that."""
+        """Handle the result of storing a batch; `failed` says why it did not. Return the messages for a person."""
         said = []
         with self._changed:
             if failed and not self._failing:

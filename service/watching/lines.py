@@ -1,4 +1,4 @@
-"""Lines of a screen: what a name may bring onto a terminal, how they are cut, how many there is room for."""
+"""Lines of a screen: safe characters, cutting, and the space for each section."""
 
 import unicodedata
 from collections.abc import Sequence
@@ -10,14 +10,14 @@ STYLES = {"": "", "bold": "1", "bad": "1;31", "warn": "33", "good": "32", "dim":
 
 
 class Look(NamedTuple):
-    """What the terminal can: colours, and more than ASCII."""
+    """Capabilities of the terminal: colours, and more than ASCII."""
 
     colour: bool = False
     unicode: bool = True
 
     @property
     def more(self) -> str:
-        """Where something is cut."""
+        """Return the mark where something is cut."""
         return "…" if self.unicode else "~"
 
 
@@ -35,12 +35,12 @@ Line = list[Piece]
 
 
 def line(*parts: str | Piece) -> Line:
-    """Of pieces and of plain text."""
+    """Return a line of pieces and of plain text."""
     return [part if isinstance(part, Piece) else Piece(part) for part in parts]
 
 
 def clean(text: str, look: Look) -> str:
-    r"""The text as columns of one character each: nothing in it moves the cursor, whatever the service was told.
+    r"""Return the text as columns of one character each: nothing in it moves the cursor, whatever it contains.
 
     >>> clean("a\x1b[2Jb\n\u202ec\u4e2d", Look())
     'a?[2Jb??c?'
@@ -56,7 +56,7 @@ def _is_plain(each: str, is_unicode: bool) -> bool:
 
 
 def rendered(pieces: Line, columns: int, look: Look) -> str:
-    """A line of at most that many columns, with colours where there may be any.
+    """Return a line of at most that many columns, with colours where there may be any.
 
     >>> rendered(line("a ", Piece("fault", "bad")), 5, Look())
     'a fa…'
@@ -73,7 +73,7 @@ def rendered(pieces: Line, columns: int, look: Look) -> str:
 
 
 def wrapped(parts: Sequence[Piece], columns: int) -> list[Line]:
-    """The parts, two blanks between them, on as many lines as they need.
+    """Return the parts, two blanks between them, on as many lines as they need.
 
     >>> [[piece.text for piece in each] for each in wrapped([Piece("a b"), Piece("c"), Piece("d")], 6)]
     [['a b  ', 'c'], ['d']]
@@ -92,7 +92,7 @@ def wrapped(parts: Sequence[Piece], columns: int) -> list[Line]:
 
 
 class Section(NamedTuple):
-    """Lines that belong together. `least` of them are shown before another section has more than its own.
+    """Section of lines. `least` of them are shown before another section has more than its own.
 
     Where not all have room those of the largest `worth` stay, in their order; without it the first.
     """
@@ -104,7 +104,7 @@ class Section(NamedTuple):
 
 
 def fitted(sections: Sequence[Section], order: Sequence[int], rows: int) -> list[Line]:
-    """The sections below each other on that many rows, room given in that `order`; a blank between them if there is."""
+    """Return the sections below each other on that many rows, room given in that `order`; blanks if there is room."""
     counts = [0] * len(sections)
     left = rows
     for most in (lambda each: each.least, lambda each: len(each.lines)):

@@ -1,4 +1,4 @@
-"""What a running service says of itself, heard over its two sockets by threads that connect again by themselves."""
+"""Live client of a running service, over its two sockets, by threads that reconnect."""
 
 import os
 import threading
@@ -34,7 +34,7 @@ Describe = Callable[[bytes], str]
 
 
 class LiveClient:
-    """State: what was heard, and since when. `wake` becomes readable when there is something new.
+    """Receives the state, ticks and records. `wake` becomes readable when there is something new.
 
     `subscribe` gives records after a number or an id, until the service ends; `describe` puts one into words. Both
     raise `InputError`.
@@ -52,12 +52,12 @@ class LiveClient:
         self.failure: BaseException | None = None
 
     def begin(self) -> None:
-        """Begins to hear; its threads end with the process."""
+        """Start its threads, which end with the process."""
         for work in (self._live, self._standing, self._records):
             threading.Thread(target=self._guard, args=(work,), daemon=True).start()
 
     def seen(self) -> ViewModel:
-        """All that is known now. Raises what ended one of the threads: that is a defect."""
+        """Return the view model now. Raises what ended one of the threads: that is a defect."""
         if self.failure is not None:
             raise self.failure
         with self._lock:
@@ -69,7 +69,7 @@ class LiveClient:
         return msgspec.structs.replace(seen, connection="waiting", why=why, tick=None)
 
     def next_system(self) -> None:
-        """Turns to the system after this one, from its next tick on."""
+        """Turn to the next system, from its next tick on."""
         with self._lock:
             state, system = self._seen.state, self._seen.system
             names = [each.name for each in state.systems] if state else []
@@ -102,7 +102,7 @@ class LiveClient:
                 time.sleep(RETRY_S)
 
     def _hear(self, control: ControlClient) -> None:
-        """Ticks of a system, until another one is wanted."""
+        """Receive the ticks of a system, until another one is wanted."""
         state = control.ask(STATE, ServiceState)
         names = [each.name for each in state.systems]
         name = self._name or (names[0] if names else None)

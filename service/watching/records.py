@@ -1,4 +1,4 @@
-"""Records of the event socket in words, for a person."""
+"""Text of records of the event socket."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,12 +8,12 @@ import msgspec
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Equation, Fault, Manifest
 from faultline.service.core.records.context import SCHEMA as CONTEXT
-from faultline.service.core.records.context import Context, LampStates, TroubleCode, decode_context
+from faultline.service.core.records.context import Context, LampStates, TroubleCode
 from faultline.service.core.records.event import Diagnosis, Event, decode, schema_of
-from faultline.service.core.records.fault import CLEARED, Change, FaultRecord, decode_cleared, decode_record
+from faultline.service.core.records.fault import CLEARED, Change, Cleared, FaultRecord
 from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.core.records.health import SCHEMA as HEALTH
-from faultline.service.core.records.health import Health, decode_health, meaning
+from faultline.service.core.records.health import Health, meaning
 
 WORDS = {
     "started": "started",
@@ -44,21 +44,17 @@ CHANGES: dict[Change, str] = {
 
 
 def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
-    """A record that came from `path`, for a person.
-
-    Raises:
-        InputError: it is none.
-    """
+    """Return the text of a record from `path`; raises InputError if it is none."""
     try:
         schema = schema_of(line)
         if schema == HEALTH:
-            return describe_health(decode_health(line))
+            return describe_health(msgspec.json.decode(line, type=Health))
         if schema == FAULT:
-            return describe_fault(decode_record(line))
+            return describe_fault(msgspec.json.decode(line, type=FaultRecord))
         if schema == CONTEXT:
-            return describe_context(decode_context(line))
+            return describe_context(msgspec.json.decode(line, type=Context))
         if schema == CLEARED:
-            cleared = decode_cleared(line)
+            cleared = msgspec.json.decode(line, type=Cleared)
             return f"{'':9}    erased by {cleared.by}: {', '.join(map(str, cleared.numbers)) or 'nothing'}"
         return describe(decode(line), faults, equations)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
@@ -66,7 +62,7 @@ def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: M
 
 
 def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]:
-    """What the names of faults and equations mean, by name; of a disturbed equation, what may disturb it too."""
+    """Return what the names of faults and equations mean; of a disturbed equation, what may disturb it too."""
     equations = {one.name: one for one in manifest.equations}
     for each in manifest.disturbances:
         was = equations[each.equation]
@@ -75,7 +71,7 @@ def meanings(manifest: Manifest) -> tuple[dict[str, Fault], dict[str, Equation]]
 
 
 def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, Equation] | None = None) -> str:
-    """The event for a person; `faults` and `equations` explain names, and may be empty."""
+    """Return the text of an event; `faults` and `equations` explain names, and may be empty."""
     blind_no_more = event.transition == "cannot_tell" and not event.cannot_tell
     head = f"{event.t_s:9.1f} s  {'all tests can tell' if blind_no_more else WORDS[event.transition]}"
     if event.since_tick is not None and event.tick:
@@ -94,7 +90,7 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
 
 
 def describe_health(health: Health) -> str:
-    """What stands, for a person."""
+    """Return the text of the standing conditions."""
     if not health.conditions:
         return f"{'':9}    all is well with buses and signals"
     lines = [f"{each.of} {meaning(each.kind)}, since {each.since}" for each in health.conditions]
@@ -102,7 +98,7 @@ def describe_health(health: Health) -> str:
 
 
 def describe_fault(record: FaultRecord) -> str:
-    """What has become of a remembered fault, for a person."""
+    """Return the text of a change of a remembered fault."""
     fault = record.fault
     names = " or ".join(" and ".join(each.faults) or "unknown" for each in fault.diagnoses)
     return f"{'':9}    fault {fault.number} {CHANGES[record.change]}: {names}, status 0x{fault.mask:02X}"
@@ -138,7 +134,7 @@ def _lit(lamps: LampStates) -> list[str]:
 
 
 def _nothing(event: Event) -> str:
-    """No candidate is not the same as no fault."""
+    """Return the text of an event without candidates, which does not mean no fault."""
     if event.transition == "withdrawn":
         return "what was told rests on samples that are doubted now: whether there is a fault is not known"
     if event.transition == "dismissed":

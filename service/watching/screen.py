@@ -1,4 +1,4 @@
-"""The screen: a pure function of what is known and of how large the terminal is."""
+"""Screen as a pure function of the view model and of the terminal's size."""
 
 from collections.abc import Sequence
 from textwrap import wrap
@@ -15,7 +15,7 @@ MODE_WORDS = {"live": ("LIVE", "good"), "waiting": ("WAITING", "warn"), "away": 
 
 
 def screen(seen: ViewModel, columns: int, rows: int, look: Look = PLAIN) -> list[str]:
-    """At most `rows` lines of at most `columns` columns; text of others brings nothing but what can be printed."""
+    """Return at most `rows` lines of at most `columns` columns; all characters are printable."""
     tick, system = seen.tick, seen.system
     sections = [
         Section([_head(seen), verdict(seen)], 2),
@@ -31,7 +31,7 @@ def screen(seen: ViewModel, columns: int, rows: int, look: Look = PLAIN) -> list
 
 
 def verdict(seen: ViewModel) -> Line:
-    """What is to be believed now, in words."""
+    """Return the verdict in words."""
     tick = seen.tick
     if tick is None:
         return line(Piece("cannot tell: ", "warn"), "no live values")
@@ -60,12 +60,12 @@ def _head(seen: ViewModel) -> Line:
 
 
 def _why(seen: ViewModel, columns: int) -> list[Line]:
-    """Why there are no values, whole."""
+    """Return why there are no values, whole."""
     return [line(Piece(each, "warn")) for each in wrap(seen.why, max(columns, 20))] if seen.tick is None else []
 
 
 def _names(diagnosis: Diagnosis, system: SystemDescription | None) -> str:
-    """Faults with the components that they name; what is unknown, with where it is."""
+    """Return the faults with their components; of what is unknown, where it is."""
     meanings = {} if system is None else {each.name: f" ({each.component})" for each in system.faults}
     if diagnosis.faults:
         return " and ".join(f"{name}{meanings.get(name, '')}" for name in diagnosis.faults)
@@ -75,7 +75,7 @@ def _names(diagnosis: Diagnosis, system: SystemDescription | None) -> str:
 
 
 def _explanations(tick: LiveTick | None, system: SystemDescription | None) -> list[Line]:
-    """Each with its probability, its component and what it is; then what would tell them apart."""
+    """Return each explanation with its probability and component; then the tests that discriminate."""
     if tick is None:
         return []
     descriptions = {} if system is None else {each.name: each.description or "" for each in system.faults}
@@ -103,7 +103,7 @@ def _conditions(seen: ViewModel) -> list[Line]:
 
 
 def _signals(tick: LiveTick | None, system: SystemDescription | None, columns: int) -> list[Line]:
-    """Values with unit, what the tests predict, and quality; side by side where there is room."""
+    """Return values with unit, predictions and quality; side by side if there is room."""
     if system is None:
         return []
     names = widest([each.signal for each in system.inputs])
@@ -130,7 +130,7 @@ def _signals(tick: LiveTick | None, system: SystemDescription | None, columns: i
 
 
 def _word(tick: LiveTick | None, k: int) -> str:
-    """A signal's quality, loud where it is not good."""
+    """Return a signal's quality, in capitals if it is not good."""
     quality = "no value" if tick is None else at(tick.quality, k) or "?"
     return quality if quality == "good" else quality.upper().replace("_", " ")
 

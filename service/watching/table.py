@@ -1,4 +1,4 @@
-"""The tests as a table: what each says, its sum in parts of its threshold, its row of the fault signature matrix."""
+"""Table of the tests: verdict, sum in parts of the threshold, row of the fault signature matrix."""
 
 from collections.abc import Collection, Sequence
 from string import ascii_lowercase, digits
@@ -34,12 +34,12 @@ class _Widths(NamedTuple):
 
     @property
     def matrix(self) -> int:
-        """The column at which the matrix begins."""
+        """Return the column at which the matrix begins."""
         return 2 + self.name + 1 + self.says + 1 + self.bar + 1 + 1 + self.number + self.gap
 
 
 def table(tick: LiveTick | None, system: SystemDescription | None, columns: int, look: Look) -> Section:
-    """A row per test: what it says, its sum in parts of its threshold, and the faults that it is sensitive to."""
+    """Return a row per test: its verdict, its sum in parts of the threshold, and the faults that it is sensitive to."""
     if system is None:
         return Section([])
     rows = {each.test: set[str]() for each in system.generators}
@@ -70,7 +70,7 @@ def table(tick: LiveTick | None, system: SystemDescription | None, columns: int,
 
 
 def _says(tick: LiveTick | None, test: str, widths: _Widths) -> tuple[str, str, tuple[str, str]]:
-    """A test's word, its style, and what stands in its row for a fault that it is sensitive to (ASCII, Unicode)."""
+    """Return a test's word, its style, and the mark in its row for a fault that it is sensitive to (ASCII, Unicode)."""
     if tick is None:
         return "-", "dim", ("o", "□")
     if test in tick.alarm:
@@ -81,7 +81,7 @@ def _says(tick: LiveTick | None, test: str, widths: _Widths) -> tuple[str, str, 
 
 
 def bar(value: float | None, width: int, look: Look = PLAIN) -> str:
-    """A sum in parts of its threshold, which stands in the middle; of either sign, full at twice the threshold.
+    """Return the bar of a sum in parts of its threshold, which stands in the middle; full at twice the threshold.
 
     >>> bar(0.5, 8, Look(unicode=False)), bar(-1.5, 8, Look(unicode=False)), bar(None, 8, Look(unicode=False))
     ('##..|....', '####|##..', '    |    ')
@@ -96,7 +96,7 @@ def bar(value: float | None, width: int, look: Look = PLAIN) -> str:
 
 
 def _sums(tick: LiveTick | None, system: SystemDescription) -> dict[str, float]:
-    """By test, the largest of its generators'."""
+    """Return by test the largest sum of its generators."""
     found: dict[str, float] = {}
     for k, each in enumerate(system.generators):
         value = at(tick.sums, k) if tick is not None else None
@@ -110,7 +110,7 @@ def _candidates(tick: LiveTick | None) -> frozenset[str]:
 
 
 def _heads(system: SystemDescription, columns: int) -> list[tuple[str, str]]:
-    """Of each fault its name and what stands above its column: the name, or a letter that the legend explains."""
+    """Return of each fault its name and the head of its column: the name, or a letter that the legend explains."""
     names, room = [each.name for each in system.faults], columns - _Widths.of(system, columns).matrix
     if sum(len(name) + 2 for name in names) <= room:
         return [(name, f" {name} ") for name in names]
@@ -133,7 +133,7 @@ def _marked(heads: Sequence[tuple[str, str]], candidates: frozenset[str]) -> lis
 
 
 def legend(tick: LiveTick | None, system: SystemDescription | None, columns: int) -> list[Line]:
-    """What the letters above the columns stand for, where those are letters; candidates have a star."""
+    """Return the legend of the letters above the columns, where those are letters; candidates have a star."""
     if system is None or all(name == head.strip() for name, head in _heads(system, columns)):
         return []
     candidates = _candidates(tick)

@@ -1,4 +1,4 @@
-"""A terminal that is drawn upon in place, and is left as it was found."""
+"""Terminal that is drawn upon in place, and is left as it was found."""
 
 import os
 import select
@@ -8,7 +8,7 @@ import sys
 import termios
 import tty
 from collections.abc import Sequence
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?7l\x1b[2J"  # another screen, no cursor, no wrapping
@@ -34,29 +34,27 @@ class Terminal:
         self._take()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._give_back()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows, as they are now."""
+        """Return columns and rows, as they are now."""
         try:
             return os.get_terminal_size(self._out)
         except OSError:  # no terminal: as the environment says
             return shutil.get_terminal_size()
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Replaces what is there."""
+        """Replace the content."""
         content = "\r\n".join(f"\x1b[K{each}" for each in lines)
         if len(lines) < self.size()[1]:
             content += "\r\n\x1b[J"
         self._write(b"\x1b[?2026h\x1b[H" + content.encode(sys.stdout.encoding, "replace") + b"\x1b[?2026l")
 
     def keys(self, wake: int, longest_s: float) -> str:
-        """What is typed, "" where nothing is until `wake` becomes readable or `longest_s` [s] are over."""
+        """Return what is typed, "" if nothing is until `wake` becomes readable or `longest_s` [s] are over."""
         watched = [wake] if self._keys is None else [wake, self._keys]
         ready, _, _ = select.select(watched, [], [], longest_s)
         if self._keys is None or self._keys not in ready:

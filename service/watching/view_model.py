@@ -1,4 +1,4 @@
-"""All that a screen shows of a running service."""
+"""View model: all that a screen shows of a running service."""
 
 from collections.abc import Sequence
 from typing import Literal, TypeVar
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class ViewModel(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a screen shows.
+    """Content of a screen.
 
     `connection` is *live* where `tick` is of now, *waiting* where the service is there and gives none, *away* where it
     is not; `why` says so in words. There is no tick but with *live*: what was is not shown as what is.
@@ -27,5 +27,5 @@ class ViewModel(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def at(values: Sequence[T], k: int) -> T | None:
-    """The value there; None where the service sent fewer."""
+    """Return the value there; None if the service sent fewer."""
     return values[k] if k < len(values) else None

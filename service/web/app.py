@@ -1,4 +1,4 @@
-"""The application: the routes by path, what wires them to the daemon, and the gate before all of them."""
+"""ASGI application: routes by path, their connection to the daemon, and the gate before all of them."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -13,7 +13,6 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from faultline.service.protocol.errors import ProtocolError
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import Hub
 from faultline.service.web.limits import Gate, Limits
 from faultline.service.web.live import Live
@@ -24,25 +23,25 @@ from faultline.service.web.settings import Settings
 from faultline.service.web.stream import Stream, Streams
 from faultline.service.web.tokens import Tokens
 from faultline.service.web.vehicle import Vehicle
-from faultline.service.web.waiting import Ending
+from faultline.service.web.waiting import Shutdown
 
 Handler = Callable[[Request], Awaitable[Response | Stream]]
 
 
 def application(
-    settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, ending: Ending, say: Callable[[str], None]
+    settings: Settings, tokens: Tokens, limits: Limits, counts: Counts, shutdown: Shutdown, say: Callable[[str], None]
 ) -> ASGIApp:
-    """All of it, for a daemon at the settings' sockets."""
-    control = SharedControl(Path(settings.control), limits.answer_s, limits.clear_s)
-    hub = Hub(Path(settings.events), control, counts, say)
-    streams = Streams(limits, counts, ending)
+    """Return the application for a daemon at the settings' sockets."""
+    vehicle = Vehicle(Path(settings.control), limits.answer_s, limits.clear_s)
+    hub = Hub(Path(settings.events), vehicle, counts, say)
+    streams = Streams(limits, counts, shutdown)
     guarded = settings.allow_remote
-    routes = Routes(Vehicle(control), hub, Live(control, ending, say), streams, tokens, guarded=guarded)
-    return Gate(_app(routes, hub, ending), limits, counts, settings.hosts, tokens if guarded else None)
+    routes = Routes(vehicle, hub, Live(vehicle, shutdown, say), streams, tokens, guarded=guarded)
+    return Gate(_app(routes, hub, shutdown), limits, counts, settings.hosts, tokens if guarded else None)
 
 
 def table(routes: Routes) -> list[Route]:
-    """The routes by path."""
+    """Return the routes by path."""
     return [
         _route("/", GET=routes.index),
         _route("/static/{name:path}", GET=routes.static),
@@ -63,13 +62,13 @@ def table(routes: Routes) -> list[Route]:
     ]
 
 
-def _app(routes: Routes, hub: Hub, ending: Ending) -> Starlette:
-    """The routes, hearing events while they are served; if that fails, this server ends."""
+def _app(routes: Routes, hub: Hub, shutdown: Shutdown) -> Starlette:
+    """Return the routes with a task that receives events; if that fails, this server ends."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(hub.run())
-        ending.watch(task)
+        shutdown.watch(task)
         yield
         task.cancel()
 
@@ -80,7 +79,7 @@ def _app(routes: Routes, hub: Hub, ending: Ending) -> Starlette:
 
 
 def _route(path: str, **handlers: Handler) -> Route:
-    """A path with its methods and no other: a GET is no HEAD here, as a stream has no end to wait for."""
+    """Return a path with its methods and no other: a GET is no HEAD here, as a stream has no end to wait for."""
 
     async def answer(request: Request) -> Response | Stream:
         return await handlers[request.method](request)

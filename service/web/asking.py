@@ -1,4 +1,4 @@
-"""Asks the daemon over its control socket (docs/control.md), so that whoever asks here cannot keep it busy.
+"""Shared access to the daemon's control socket (docs/control.md), so that no number of callers can keep it busy.
 
 The same question at the same time is asked once, and its answer is good for `FRESH_S` or until something was told.
 Beyond that, questions that name something are spaced, as there are many of them, and few are open at once.
@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import answer
-from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import AwayError, RefusedError
 from faultline.service.protocol.questions import Question
 
@@ -25,14 +26,14 @@ T = TypeVar("T")
 
 
 class Pace:
-    """Spaces questions: `rate` a second [1/s], and `burst` of them without waiting."""
+    """Rate limit of questions: `rate` a second [1/s], and a burst of `burst`."""
 
     def __init__(self, rate: float = RATE, burst: int = BURST, clock: Callable[[], float] = time.monotonic) -> None:
         self._step, self._ahead, self._clock = 1.0 / rate, burst / rate, clock
         self._next = clock() - self._ahead
 
     def wait(self) -> float:
-        """For how long [s] the next question waits; raises RefusedError where that is too long."""
+        """Return how long [s] the next question waits; raises RefusedError if that is too long."""
         now = self._clock()
         due = max(self._next, now - self._ahead)
         if due - now > WAIT_S:
@@ -42,7 +43,7 @@ class Pace:
 
 
 class SharedControl:
-    """Asks questions. State: answers that are fresh, and those under way, by question.
+    """Asks questions. State: fresh answers, and those under way, by question.
 
     An answer may take `answer_s` [s], and `clear_s` where the daemon waits for the disk.
     """
@@ -56,7 +57,7 @@ class SharedControl:
         self._recent: dict[bytes, tuple[float, asyncio.Task[bytes]]] = {}
 
     async def ask(self, question: Question, kind: type[T]) -> T:
-        """The answer, which others who asked the same at this time get too.
+        """Return the answer, shared with others who ask the same at this time.
 
         Raises:
             AwayError, RefusedError, GarbledError: there is none.
@@ -65,18 +66,18 @@ class SharedControl:
         return decode(await self._shared(encode(question), spaced=spaced), kind)
 
     async def ask_alone(self, question: Question, kind: type[T]) -> T:
-        """As `ask`, of what is long and hardly asked twice: nothing of it is held for others."""
+        """Return the answer to a long question that is hardly asked twice: it is not shared."""
         return decode(await self._answer(encode(question), self._answer_s), kind)
 
     async def clear(self, question: Question, kind: type[T]) -> T:
-        """As `ask`, of what changes something: it is asked in any case, and nothing from before is fresh after it."""
+        """Ask what changes something: always sent, and no earlier answer is fresh after it."""
         try:
             return decode(await self._answer(encode(question), self._clear_s), kind)
         finally:
             self.forget()
 
     def forget(self) -> None:
-        """Something has changed: no answer is fresh any more, nor is one under way."""
+        """Discard all answers, also those under way: something has changed."""
         self._recent.clear()
 
     async def _shared(self, line: bytes, *, spaced: bool) -> bytes:
@@ -100,6 +101,6 @@ class SharedControl:
 
 
 def _looked_at(task: asyncio.Task[bytes]) -> None:
-    """An answer that nobody waits for any more may be an error: that is no news."""
+    """Retrieve the error of an answer that nobody waits for, which asyncio would report otherwise."""
     if not task.cancelled():
         task.exception()

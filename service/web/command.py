@@ -1,18 +1,19 @@
 """Serve the fault memory, events and live values over HTTP, for tools on this machine."""
 
 import argparse
-import sys
 import threading
 import webbrowser
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from faultline.options import Parser, add_senders, senders_of
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
+from faultline.service.systemd import log_as
 
 LISTEN = "127.0.0.1:8080"
+
+_say = log_as("serve")
 
 EXAMPLE = """example:
   faultline serve --config /etc/faultline/serve.toml
@@ -48,7 +49,7 @@ def main(argv: list[str]) -> int:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    """Serves until it is told to end."""
+    """Serve until the end is requested."""
     from faultline.service.web.listen import listen, remove, url
     from faultline.service.web.server import serve
     from faultline.service.web.settings import Settings, load_settings
@@ -73,15 +74,13 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _open(where: str) -> None:
-    """In the machine's browser, which may take its time, and may be waiting for us."""
+    """Open the page in the machine's browser, which may take its time, and may be waiting for us."""
     if not where.startswith("http") or not webbrowser.open(where):
         _say(f"no browser is opened: open {where} yourself")
 
 
 def _asked(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser(
-        "faultline serve", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser("faultline serve", description=__doc__, epilog=EXAMPLE)
     add = parser.add_argument
     add("--config", type=Path, help="the settings (docs/http.md)")
     add("--control", help="without them: the daemon's control socket")
@@ -95,9 +94,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)
     if options.recording is not None:
-        names = ("config", "control", "events", "token_file")
-        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
-            parser.error(f"--recording needs no service: leave out {', '.join(given)}")
+        parser.refuse(options, ("config", "control", "events", "token_file"), "--recording needs no service")
         if options.bundle is None:
             parser.error("--recording needs --bundle too")
         options.listen = options.listen or LISTEN
@@ -105,14 +102,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     if options.bundle is not None:
         parser.error("--bundle goes with --recording")
     if options.config is not None:
-        names = ("control", "events", "listen", "token_file")
-        if given := [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None]:
-            parser.error(f"--config says that already: leave out {', '.join(given)}")
-    elif missing := [f"--{name}" for name in ("control", "events", "listen") if getattr(options, name) is None]:
-        parser.error(f"give --config or --recording, or {', '.join(missing)} too")
+        parser.refuse(options, ("control", "events", "listen", "token_file"), "--config says that already")
+    else:
+        parser.require(options, ("control", "events", "listen"), "--config or --recording")
     return options
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # nobody reads it, or its disk is full: that ends no service
-        print(f"faultline serve: {text}", file=sys.stderr, flush=True)

@@ -48,7 +48,7 @@ class Connection(H11Protocol):
         self.answered = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Takes it, if need be in the place of another."""
+        """Accept it, if need be in the place of another."""
         super().connection_made(transport)
         self.app_state = {**self.app_state, "abort": self.abort}
         if len(self.connections) > self.limits.connections:
@@ -58,33 +58,33 @@ class Connection(H11Protocol):
         self.counts.connections = len(self.connections)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It is gone."""
+        """Count the connections that are left."""
         super().connection_lost(exc)
         self.counts.connections = len(self.connections)
 
     def data_received(self, data: bytes) -> None:
-        """Takes bytes; a whole request ends the silence."""
+        """Receive bytes; a whole request ends the silence."""
         super().data_received(data)
         self._note()
 
     def on_response_complete(self) -> None:
-        """An answer is out: it is silent again, unless the next request is there."""
+        """Note that an answer is complete: it is silent again, unless the next request is there."""
         self.answered = True
         super().on_response_complete()
         self._note()
 
     def pause_writing(self) -> None:
-        """It takes nothing."""
+        """Note that the client reads nothing."""
         super().pause_writing()
         self.stalled_since = time.monotonic()
 
     def resume_writing(self) -> None:
-        """It takes what it is sent."""
+        """Note that the client reads again."""
         super().resume_writing()
         self.stalled_since = None
 
     def send_400_response(self, msg: str) -> None:
-        """Answers what is no HTTP, called where h11 has raised; nothing where another answer is under way."""
+        """Answer invalid HTTP, called where h11 has raised; nothing where another answer is under way."""
         if self.conn.our_state is not h11.IDLE:
             self.abort(NO_HTTP)
             return
@@ -100,7 +100,7 @@ class Connection(H11Protocol):
         self.stalled_since = time.monotonic()
 
     def look(self, now: float) -> None:
-        """Ends the connection if it is overdue at `now` [s, monotonic]."""
+        """End the connection if it is overdue at `now` [s, monotonic]."""
         if self.transport.is_closing() and self.stalled_since is None:
             self.stalled_since = now
         if self.silent_since is not None and now - self.silent_since > self.limits.header_s:
@@ -109,7 +109,7 @@ class Connection(H11Protocol):
             self.abort(STALLED)
 
     def abort(self, reason: str) -> None:
-        """Ends it at once, whatever is still to be sent."""
+        """End it at once, whatever is still to be sent."""
         if self in self.connections:
             self.counts.turned_away[reason] += 1
         self.connections.discard(self)  # its place is free now, and `connection_lost` comes later
@@ -128,12 +128,12 @@ class Connection(H11Protocol):
 
 
 def look(state: ServerState, now: float) -> None:
-    """Looks at all connections of a server."""
+    """End the overdue connections of a server."""
     for each in list(state.connections):
         if isinstance(each, Connection):
             each.look(now)
 
 
 def protocol(limits: Limits, counts: Counts) -> type[Connection]:
-    """The protocol with these limits."""
+    """Return the protocol class with these limits."""
     return type("LimitedConnection", (Connection,), {"limits": limits, "counts": counts})

@@ -40,10 +40,12 @@ PROBLEMS = {
 }
 ALWAYS = (400, 403, 408, 413, 414, 421, 431, 500)
 DAEMON = (502, 503)
+NUMBER = {"type": "integer", "minimum": 0, "maximum": queries.LARGEST}
+ANY = {"type": "object"}
 
 
 def document(*, guarded: bool = False) -> Json:
-    """The document; `guarded`: every request needs a token."""
+    """Return the document; `guarded`: every request needs a token."""
     _, schemas = msgspec.json.schema_components([*RECORDS, *BODIES], ref_template="#/components/schemas/{name}")
     return {
         "openapi": "3.1.0",
@@ -87,23 +89,17 @@ def _paths(guarded: bool) -> Json:
             **get("fault", "One fault.", _body("Detail"), [system, code, *_parts()], (404, *DAEMON)),
             **delete("clear", "Erases it.", [system, code]),
         },
-        "/v1/systems/{system}": get(
-            "system", "What its names mean.", _json({"type": "object"}), [system], (404, *DAEMON)
-        ),
+        "/v1/systems/{system}": get("system", "What its names mean.", _json(ANY), [system], (404, *DAEMON)),
         "/v1/live/{system}": get("live", "Its ticks as they come.", _stream(), [system], (404, *DAEMON)),
         "/v1/history/{system}": get(
-            "history",
-            "The ticks of a finished recording.",
-            _json({"type": "object"}),
-            [system, *_ticks()],
-            (404, *DAEMON),
+            "history", "The ticks of a finished recording.", _json(ANY), [system, *_ticks()], (404, *DAEMON)
         ),
         "/v1/events": get("events", "All that is told, as it is told.", _stream(), _places(), (503,)),
         "/v1/records": get("records", "What was told.", _records(), _pages()),
         "/v1/health": health,
         "/v1/state": get("state", "The same, as 200 in any case.", _body("HealthBody"), more=()),
         "/v1/ready": get("ready", "Whether the daemon answers.", _body("Ready")),
-        "/v1/openapi.json": get("document", "This.", _json({"type": "object"}), more=()),
+        "/v1/openapi.json": get("document", "This.", _json(ANY), more=()),
         "/metrics": get(
             "metrics", "Figures for Prometheus.", _content(metrics.CONTENT_TYPE, {"type": "string"}), more=()
         ),
@@ -144,30 +140,27 @@ def _parts() -> list[Json]:
 
 
 def _places() -> list[Json]:
-    number = {"type": "integer", "minimum": 0, "maximum": queries.LARGEST}
     name = {"type": "string", "pattern": queries.ID}
     return [
-        _parameter("after", "query", {"anyOf": [number, name]}, "begin after this record: its number or id"),
+        _parameter("after", "query", {"anyOf": [NUMBER, name]}, "begin after this record: its number or id"),
         _parameter("Last-Event-ID", "header", name, "the same, as a browser says it; it counts before `after`"),
     ]
 
 
 def _pages() -> list[Json]:
-    number = {"type": "integer", "minimum": 0, "maximum": queries.LARGEST}
     count = {"type": "integer", "minimum": 1, "maximum": queries.MOST, "default": 100}
     return [
-        _parameter("after", "query", number, "the ones after this number, the oldest first"),
-        _parameter("before", "query", number, "the last before it; with `after`, the first between; else the latest"),
+        _parameter("after", "query", NUMBER, "the ones after this number, the oldest first"),
+        _parameter("before", "query", NUMBER, "the last before it; with `after`, the first between; else the latest"),
         _parameter("count", "query", count, "at most so many"),
     ]
 
 
 def _ticks() -> list[Json]:
-    number = {"type": "integer", "minimum": 0, "maximum": queries.LARGEST}
     count = {"type": "integer", "minimum": 1, "maximum": queries.MOST_TICKS, "default": 2000}
     return [
-        _parameter("after", "query", number, "the ticks after this one"),
-        _parameter("before", "query", number, "the ticks before this one"),
+        _parameter("after", "query", NUMBER, "the ticks after this one"),
+        _parameter("before", "query", NUMBER, "the ticks before this one"),
         _parameter("count", "query", count, "at most so many, the telling one of each few"),
     ]
 

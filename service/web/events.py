@@ -1,4 +1,4 @@
-"""One subscription to the daemon's events for all who listen here, and the stream each of them gets.
+"""Event stream: one subscription to the daemon's events, shared by all clients of this server.
 
 The daemon serves few clients; this one asks for the latest, and for what came after the last id when the connection is
 lost. Whoever connects here has a place in the ring; what is older than that is read a page at a time.
@@ -10,17 +10,17 @@ from contextlib import aclosing
 from itertools import takewhile
 from pathlib import Path
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import connected, line_of
-from faultline.service.protocol.answers import RecordPage, ServiceState
+from faultline.service.protocol.answers import RecordPage
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import encode
 from faultline.service.protocol.errors import AwayError, GarbledError, ProtocolError, RefusedError
 from faultline.service.protocol.questions import Question
 from faultline.service.protocol.records import Record, RecordError, Subscription, number_in
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import SIZE, Ring, told
-from faultline.service.web.waiting import News
+from faultline.service.web.vehicle import Vehicle
+from faultline.service.web.waiting import ChangeNotifier
 
 SETTLED_S = 0.5  # without a line for so long, the daemon has sent all that was asked for
 BATCH = 64  # records in one piece of a stream
@@ -30,20 +30,20 @@ RETRY_MS = 1000  # after which a client connects again
 
 
 class Hub:
-    """Holds the latest records. State: the ring, whether the daemon is `there`, and the place at which it `settled`.
+    """Latest records. State: the ring, whether the daemon is `there`, and the place at which it `settled`.
 
     It has settled once the daemon has sent the latest that it had when this process began: before that, nobody's place
     is known, and that place is None.
     """
 
-    def __init__(self, path: Path, control: SharedControl, counts: Counts, say: Callable[[str], None]) -> None:
-        self._path, self._control, self._counts, self._say = path, control, counts, say
-        self.ring, self.news = Ring(), News()
+    def __init__(self, path: Path, vehicle: Vehicle, counts: Counts, say: Callable[[str], None]) -> None:
+        self._path, self._vehicle, self._counts, self._say = path, vehicle, counts, say
+        self.ring, self.changes = Ring(), ChangeNotifier()
         self.there = False
         self.settled: int | None = None
 
     async def run(self) -> None:
-        """Listens for ever; connects again where the daemon went away."""
+        """Receive for ever; connect again if the daemon went away."""
         retry, said = Backoff(*RETRY_S), ""
         while True:
             try:
@@ -59,24 +59,24 @@ class Hub:
             await asyncio.sleep(retry.wait())
 
     async def page(self, seq: int, count: int = PAGE) -> Sequence[Record]:
-        """Records after that number, from the daemon's store; none where it has no store.
+        """Return records after that number from the daemon's store; none if it has no store.
 
         Raises:
             AwayError: they cannot be had now.
         """
         try:
-            found = await self._control.ask_alone(Question(ask="records", after=seq, count=count), RecordPage)
+            found = await self._vehicle.ask_alone(Question(ask="records", after=seq, count=count), RecordPage)
             return [told(bytes(line)) for line in found.records]
         except (RecordError, GarbledError) as error:
             raise AwayError(f"records cannot be read: {error}") from error
         except RefusedError as error:
-            store = (await self._control.ask(Question(ask="state"), ServiceState)).store
+            store = (await self._vehicle.state()).store
             if store is None or store.path is None:
                 return ()
             raise AwayError(error.message) from error
 
     async def _listen(self) -> None:
-        latest = (await self._control.ask(Question(ask="state"), ServiceState)).seq
+        latest = (await self._vehicle.state()).seq
         after = max(0, latest - SIZE) if self.ring.last is None else self.ring.last
         async with connected(self._path, encode(Subscription(after))) as reader:
             while True:
@@ -94,7 +94,7 @@ class Hub:
     def _settle(self) -> None:
         if self.settled is None:
             self.settled = self.ring.end
-            self.news.tell()
+            self.changes.notify()
 
     def _take(self, line: bytes) -> None:
         if line.startswith(b'{"error"'):
@@ -107,21 +107,21 @@ class Hub:
                 self._say(f"events: a line is no record: {error}: {line[:80]!r}")
             return
         if self.ring.add(record):
-            self._control.forget()  # who hears of it and asks must not get an answer from before
+            self._vehicle.forget()  # who hears of it and asks must not get an answer from before
         self._is_there(there=True)
 
     def _is_there(self, *, there: bool) -> None:
         self.there = there
-        self.news.tell()
+        self.changes.notify()
 
 
 def frame(record: Record) -> bytes:
-    """A record as an event of a stream."""
+    """Return a record as an event of a stream."""
     return b"id: %b\nevent: %b\ndata: %b\n\n" % (record.id.encode(), record.kind.encode(), record.line)
 
 
 async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes, None]:
-    """What a client is sent that has all records up to `after`; a comment every `alive_s` [s] where nothing comes.
+    """Yield all records after `after`; and a comment every `alive_s` [s] if nothing comes.
 
     It ends where the client fell out of the ring: it connects again, with the last id that it has.
     """
@@ -146,12 +146,12 @@ async def stream(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGene
         if hub.there != there:
             there = hub.there
             yield b": daemon back\n\n" if there else b": daemon away\n\n"
-        elif not await hub.news.wait(alive_s):
+        elif not await hub.changes.wait(alive_s):
             yield b": alive\n\n" if there else b": daemon away\n\n"
 
 
 async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> AsyncGenerator[bytes | int, None]:
-    """What is older than the ring, as pieces of the stream, and then the place in the ring that follows it."""
+    """Yield what is older than the ring, as pieces of the stream, and then the place in the ring that follows it."""
     ring, seq = hub.ring, None
     while True:
         place = hub.settled if after is None else _place(ring, after if seq is None else seq)
@@ -163,7 +163,7 @@ async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> Async
             page = await hub.page(seq)
         except AwayError:
             yield b": daemon away\n\n"
-            await hub.news.wait(alive_s)
+            await hub.changes.wait(alive_s)
             continue
         older = [*takewhile(lambda record: ring.where(record.id) is None, page)]
         if older:
@@ -177,23 +177,18 @@ async def _caught_up(hub: Hub, after: int | str | None, alive_s: float) -> Async
         elif seq <= ring.newest:
             yield ring.beyond(seq)
             return
-        elif not await hub.news.wait(alive_s):  # the store is ahead of what was heard, as nothing was yet
+        elif not await hub.changes.wait(alive_s):  # the store is ahead of what was heard, as nothing was yet
             yield b": alive\n\n"
 
 
 def _place(ring: Ring, after: int | str) -> int | None:
-    """The place that follows it, where the ring has that."""
-    if isinstance(after, int):
-        return ring.after(after)
-    where = ring.where(after)
-    return None if where is None else where + 1
+    """Return the place that follows a record by number or id; None if that is not in the ring."""
+    where = ring.after(after) if isinstance(after, int) else ring.where(after)
+    return where + 1 if isinstance(after, str) and where is not None else where
 
 
 async def _number(hub: Hub, after: int | str | None) -> int:
-    """The number of a record that is older than the ring; 0, before all there are, where it is not known.
-
-    An id ends with the number.
-    """
+    """Return the number of a record that is older than the ring; 0, before all there are, if it is not known."""
     if not isinstance(after, str):
         return after if after is not None and after <= hub.ring.newest else 0
     number = number_in(after)

@@ -1,4 +1,4 @@
-"""The fault memory as SOVD sees it: pure views of what the daemon remembers.
+"""The fault memory in the terms of SOVD: pure views of the daemon's answers.
 
 Source: field names and filters of ISO 17978-3 as the open implementations have them (Eclipse OpenSOVD's adapter and
 fault library, ros2_medkit): camelCase status with "0" and "1", filters by full match of which any is enough.
@@ -36,7 +36,7 @@ WARNED, NOT_WARNED = 2, 3  # of 1 fatal, 2 error, 3 warning, 4 information
 
 
 def status_of(status: Status) -> FaultStatus:
-    """The status byte in SOVD's words."""
+    """Return the status byte in SOVD's terms."""
     bit: dict[bool, Bit] = {False: "0", True: "1"}
     return FaultStatus(
         aggregated_status=aggregated(status),
@@ -53,14 +53,14 @@ def status_of(status: Status) -> FaultStatus:
 
 
 def aggregated(status: Status) -> Literal["active", "passive", "cleared"]:
-    """Active: it is there. Passive: it was. Cleared: nothing of it stands but that it failed once."""
+    """Return *active* if it is there, *passive* if it was, *cleared* if it only failed since the last clear."""
     if status.test_failed:
         return "active"
     return "passive" if status.pending or status.confirmed or status.warning else "cleared"
 
 
 def item_of(fault: Fault, meanings: Mapping[str, FaultMeaning]) -> Item:
-    """A fault as an entry of SOVD's list; `meanings` explain its candidates' names, and may lack some."""
+    """Return a fault as an entry of SOVD's list; `meanings` explain its candidates' names, and may lack some."""
     return Item(
         code=str(fault.number),
         scope=SCOPE,
@@ -81,7 +81,7 @@ def detail_of(
     extended: bool = True,
     snapshots: bool = True,
 ) -> Detail:
-    """A fault with its counts (`extended`) and freeze frames (`snapshots`)."""
+    """Return a fault with its counts (`extended`) and freeze frames (`snapshots`)."""
     environment = EnvironmentData()
     if snapshots:
         first, latest = Snapshot(record="first", data=frames.first), Snapshot(record="latest", data=frames.latest)
@@ -94,7 +94,7 @@ def detail_of(
 def selected(
     items: Iterable[Item], status: Mapping[str, frozenset[str]], severity: int | None, scope: str | None
 ) -> list[Item]:
-    """Those whose status has any of the wanted values (by key; all where none is wanted), that severity and scope."""
+    """Return those with any of the wanted status values (by key; all if none is wanted), that severity and scope."""
     return [
         item
         for item in items
@@ -105,7 +105,7 @@ def selected(
 
 
 def value_of(status: FaultStatus, key: str) -> str:
-    """The value of a status key: a bit, or `aggregatedStatus`."""
+    """Return the value of a status key: a bit, or `aggregatedStatus`."""
     if key == "aggregatedStatus":
         return status.aggregated_status
     return str(int(status.mask, 16) >> STATUS_KEYS.index(key) & 1)
@@ -123,13 +123,13 @@ def _candidate(diagnosis: Diagnosis, meanings: Mapping[str, FaultMeaning]) -> Ca
 
 
 def _component(fault: str, meanings: Mapping[str, FaultMeaning]) -> str:
-    """The component that a fault's name stands for; the name where nothing explains it."""
+    """Return the component that a fault's name stands for; the name if nothing explains it."""
     known = meanings.get(fault)
     return (known.component if known else "") or fault
 
 
 def _name(diagnoses: Sequence[Diagnosis], meanings: Mapping[str, FaultMeaning]) -> str:
-    """The best explanations in words; those of one rank are equally good."""
+    """Return the best explanations in words; those of one rank are equally good."""
     best = min((each.rank for each in diagnoses), default=0)
     said = (_explanation(each, meanings) for each in diagnoses if each.rank == best)
     return " or ".join(dict.fromkeys(said)) or "unknown"
@@ -149,7 +149,7 @@ def _said(fault: str, meanings: Mapping[str, FaultMeaning]) -> str:
 
 
 def _symptom(fault: Fault) -> str:
-    """What showed it."""
+    """Return the tests and modes that showed the fault."""
     if not fault.tests:
         return "no test fired: what was seen is unlike any day without a fault"
     modes = f" in mode {', '.join(fault.modes)}" if fault.modes else ""
@@ -157,18 +157,5 @@ def _symptom(fault: Fault) -> str:
 
 
 def _extended(fault: Fault) -> ExtendedData:
-    return ExtendedData(
-        occurrences=fault.occurrences,
-        trips=fault.trips,
-        healing=fault.healing,
-        aging=fault.aging,
-        fdc=fault.fdc,
-        first=fault.first,
-        latest=fault.latest,
-        candidates=fault.diagnoses,
-        components=fault.components,
-        dtcs=fault.dtcs,
-        tests=fault.tests,
-        modes=fault.modes,
-        bundle=fault.bundle,
-    )
+    known = {name: getattr(fault, name) for name in ExtendedData.__struct_fields__ if name != "candidates"}
+    return ExtendedData(candidates=fault.diagnoses, **known)

@@ -1,4 +1,4 @@
-"""How the daemon is, in one word, from its state: pure."""
+"""Health of the daemon in one word, from its state: pure."""
 
 from faultline.service.core.records.health import Standing, meaning
 from faultline.service.protocol.answers import ServiceState
@@ -9,7 +9,7 @@ BLINDING = frozenset(("bus-down", "bus-removed", "bus-off", "no-traffic", "bundl
 
 
 def health_of(state: ServiceState) -> HealthBody:
-    """The body for a daemon that answers."""
+    """Return the body for a daemon that answers."""
     blind = [each for each in state.conditions if each.kind in BLINDING]
     stands = blind or state.conditions
     return HealthBody(
@@ -29,12 +29,12 @@ def health_of(state: ServiceState) -> HealthBody:
 
 
 def away(reason: str) -> HealthBody:
-    """The body for one that does not."""
+    """Return the body for a daemon that does not answer."""
     return HealthBody(status="away", detail=reason)
 
 
 def is_well(body: HealthBody) -> bool:
-    """Whether silence means "no fault" as far as the daemon goes."""
+    """Return True if silence means "no fault" as far as the daemon goes."""
     return body.status in ("well", "degraded")
 
 

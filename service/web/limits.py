@@ -1,4 +1,4 @@
-"""What a request may be before anything looks at it: ASGI middleware.
+"""Limits of a request, checked before anything else: ASGI middleware.
 
 Source: DNS rebinding is refused by the Host header, and a page elsewhere by Fetch Metadata (W3C).
 """
@@ -23,7 +23,7 @@ LOOPBACK = frozenset(("localhost", "127.0.0.1", "[::1]"))
 
 
 class Limits(NamedTuple):
-    """How much and how long [s]; those of connections are kept by `service.web.connections`."""
+    """Sizes and times [s]; those of connections are checked by `service.web.connections`."""
 
     body: int = 64 * 1024  # bytes
     body_s: float = 10.0
@@ -43,7 +43,7 @@ class Limits(NamedTuple):
 
 
 class Gate:
-    """Lets requests pass that are within limits.
+    """Passes requests that are within limits.
 
     `hosts` are the names under which this server may be asked, None for any; `tokens` those that every request needs
     one of, None where it needs none.
@@ -57,7 +57,7 @@ class Gate:
         self._held = Held(limits.held)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers what may not pass; hands on what may, without its body: nothing here takes one."""
+        """Answer what may not pass; pass on what may, without its body: nothing here takes one."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -86,7 +86,7 @@ class Gate:
             require(self._tokens, headers)
 
     async def _drained(self, headers: Headers, receive: Receive) -> bool:
-        """Reads what body there is; False where the client went away meanwhile."""
+        """Read the body; False if the client went away meanwhile."""
         declared = int(headers.get("content-length", "0"))
         if declared == 0 and "transfer-encoding" not in headers:
             return True
@@ -105,7 +105,7 @@ class Gate:
 
 
 async def _read(receive: Receive, most: int) -> int | None:
-    """How many bytes of body there were, up to the first above `most`; None where the client went away."""
+    """Return the bytes of body, up to the first above `most`; None if the client went away."""
     read, more = 0, True
     while more and read <= most:
         message = await receive()
@@ -117,7 +117,7 @@ async def _read(receive: Receive, most: int) -> int | None:
 
 
 def require(tokens: Tokens, headers: Headers) -> None:
-    """Raises RequestError unless the request carries one of the tokens."""
+    """Raise RequestError unless the request carries one of the tokens."""
     token = bearer(headers.get("authorization", ""))
     if token is None:
         challenge = {"www-authenticate": 'Bearer realm="faultline"'}
@@ -127,11 +127,11 @@ def require(tokens: Tokens, headers: Headers) -> None:
 
 
 def host_of(header: str) -> str:
-    """The name in a Host header, without its port."""
+    """Return the name in a Host header, without its port."""
     match = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[^:\[\]]*)(:[0-9]{1,5})?", header.strip())
     return match[1].lower() if match else ""
 
 
 def hosts_of(addresses: Iterable[str]) -> frozenset[str]:
-    """The names of a server that listens on these addresses of this machine."""
+    """Return the names of a server that listens on these addresses of this machine."""
     return LOOPBACK | {f"[{each}]" if ":" in each else each for each in addresses}

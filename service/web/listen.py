@@ -1,30 +1,23 @@
-"""The listening socket: made before anything else, so that what cannot be listened on is said at once."""
+"""Listening socket, made before anything else, so that an unusable address is reported at once."""
 
-import os
 import socket
-import stat
-from pathlib import Path
 
 from faultline.service.core.errors import InputError
+from faultline.service.outputs import listening
 from faultline.service.web.settings import Tcp, Unix
 
 WAITING = 1024  # connections that the kernel holds until they are taken
-MODE = 0o660  # a Unix socket: this process's user and group
 UNSENT = 256 * 1024  # bytes that the kernel takes for a client that reads slowly; else megabytes, of our memory
 UNANSWERED_MS = 30_000  # after which a peer that acknowledges nothing is gone
 
 
 def listen(place: Tcp | Unix) -> socket.socket:
-    """A listening socket there.
-
-    Raises:
-        InputError: the address is taken, or cannot be used.
-    """
-    return _tcp(place) if isinstance(place, Tcp) else _unix(place.path)
+    """Return a listening socket; raises InputError if the address is taken, or cannot be used."""
+    return _tcp(place) if isinstance(place, Tcp) else listening.listen(place.path, "--listen", WAITING)
 
 
 def url(sock: socket.socket) -> str:
-    """Where it listens, for a person."""
+    """Return the URL for a person."""
     name = sock.getsockname()
     if sock.family == socket.AF_UNIX:
         return f"unix:{name}"
@@ -33,7 +26,7 @@ def url(sock: socket.socket) -> str:
 
 
 def remove(place: Tcp | Unix) -> None:
-    """Removes the file of a Unix socket."""
+    """Remove the file of a Unix socket."""
     if isinstance(place, Unix):
         place.path.unlink(missing_ok=True)
 
@@ -53,38 +46,3 @@ def _tcp(place: Tcp) -> socket.socket:
             f"listen: {place.host}:{place.port}: {error.strerror or error}; give another --listen"
         ) from error
     return sock
-
-
-def _unix(path: Path) -> socket.socket:
-    _clear(path)
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    mask = os.umask(~MODE & 0o777)
-    try:
-        sock.bind(str(path))
-        sock.listen(WAITING)
-    except OSError as error:
-        sock.close()
-        raise InputError(f"{path}: cannot listen there: {error.strerror or error}; give another --listen") from error
-    finally:
-        os.umask(mask)
-    return sock
-
-
-def _clear(path: Path) -> None:
-    """Removes the file that a dead process left there; raises InputError where it is anything else."""
-    try:
-        if not stat.S_ISSOCK(path.stat().st_mode):
-            raise InputError(f"{path}: is there already and is no socket; give another --listen")
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; give another --listen") from error
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; give another --listen") from error
-        else:
-            raise InputError(f"{path}: another process listens there; stop it or give another --listen")

@@ -1,30 +1,31 @@
-"""Live ticks of a system: one connection to the daemon for all who watch it, and to each the latest one only."""
+"""Live ticks: one connection to the daemon for all clients of a system, and to each the latest tick only."""
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable
 
+from faultline.service.core.records.line import encode
 from faultline.service.protocol.aio import connected, line_of
 from faultline.service.protocol.backoff import Backoff
-from faultline.service.protocol.client import decode, encode
+from faultline.service.protocol.client import decode
 from faultline.service.protocol.errors import ProtocolError
 from faultline.service.protocol.questions import Question
 from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import RETRY_MS, RETRY_S
-from faultline.service.web.waiting import Ending, News
+from faultline.service.web.waiting import ChangeNotifier, Shutdown
 
 
 class _Feed:
-    """The ticks of one system. State: the `latest` line, how many there were, and whether the daemon is `there`."""
+    """Ticks of one system. State: the `latest` line, their count, and whether the daemon is `there`."""
 
     def __init__(self) -> None:
-        self.news = News()
+        self.changes = ChangeNotifier()
         self.latest, self.count = b"", 0
         self.there = True
         self.watchers = 0
         self.task: asyncio.Task[None] | None = None
 
     async def run(self, control: SharedControl, system: str, say: Callable[[str], None]) -> None:
-        """Takes ticks for ever; asks again where the daemon went away."""
+        """Receive ticks for ever; connect again if the daemon went away."""
         question = encode(Question(ask="live", name=system))
         retry = Backoff(*RETRY_S)
         while True:
@@ -39,25 +40,25 @@ class _Feed:
                 if self.count > before:
                     retry.well()
             self.there = False
-            self.news.tell()
+            self.changes.notify()
             await asyncio.sleep(retry.wait())
 
     def take(self, line: bytes) -> None:
-        """A tick; raises RefusedError or GarbledError where it is none."""
+        """Take a tick; raises RefusedError or GarbledError if it is none."""
         decode(line, dict)
         self.latest, self.count, self.there = line.rstrip(b"\r\n"), self.count + 1, True
-        self.news.tell()
+        self.changes.notify()
 
 
 class Live:
-    """The systems that are watched now; this server ends if watching one fails."""
+    """Systems with clients; this server ends if the connection of one fails."""
 
-    def __init__(self, control: SharedControl, ending: Ending, say: Callable[[str], None]) -> None:
-        self._control, self._ending, self._say = control, ending, say
+    def __init__(self, control: SharedControl, shutdown: Shutdown, say: Callable[[str], None]) -> None:
+        self._control, self._shutdown, self._say = control, shutdown, say
         self._feeds: dict[str, _Feed] = {}
 
     async def stream(self, system: str, alive_s: float) -> AsyncGenerator[bytes, None]:
-        """What a client is sent: from now on the latest tick whenever it can take one; a comment where none comes."""
+        """Yield the latest tick whenever the client can take one; a comment if none comes."""
         feed = self._enter(system)
         try:
             yield b"retry: %d\n\n" % RETRY_MS
@@ -69,7 +70,7 @@ class Live:
                 elif feed.there != there:
                     there = feed.there
                     yield b": daemon back\n\n" if there else b": daemon away\n\n"
-                elif not await feed.news.wait(alive_s):
+                elif not await feed.changes.wait(alive_s):
                     yield b": alive\n\n" if there else b": daemon away\n\n"
         finally:
             self._leave(system, feed)
@@ -79,7 +80,7 @@ class Live:
         feed.watchers += 1
         if feed.task is None:
             feed.task = asyncio.create_task(feed.run(self._control, system, self._say))
-            self._ending.watch(feed.task)
+            self._shutdown.watch(feed.task)
         return feed
 
     def _leave(self, system: str, feed: _Feed) -> None:

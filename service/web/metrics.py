@@ -1,4 +1,4 @@
-r"""Figures for Prometheus, text format 0.0.4: pure.
+r"""Metrics for Prometheus, text format 0.0.4: pure.
 
 Source: the exposition format of Prometheus: `\`, `"` and newlines are escaped in label values, `\` and newlines in
 help texts; one HELP and one TYPE line a family, all its samples together.
@@ -34,7 +34,7 @@ class Family(NamedTuple):
 
 
 class Counts:
-    """What this server counts of itself.
+    """Counters of this server.
 
     `streams` are the open ones by kind (events, live), `requests` answered ones by method and code, `turned_away`
     connections that had to make room or were too slow, by reason, `unread` lines of the daemon that are no record.
@@ -49,7 +49,7 @@ class Counts:
 
 
 def render(families: Iterable[Family]) -> bytes:
-    """The text; families without a sample are left out."""
+    """Return the text; families without a sample are left out."""
     lines = []
     for family in families:
         if family.samples:
@@ -60,7 +60,7 @@ def render(families: Iterable[Family]) -> bytes:
 
 
 def of_daemon(state: ServiceState | None, faults: Sequence[Fault]) -> list[Family]:
-    """What the daemon says, None where it does not answer."""
+    """Return the metrics of the daemon, None for `state` if it does not answer."""
     up = _gauge("faultline_up", "whether the daemon answers", [({}, state is not None)])
     if state is None:
         return [up]
@@ -83,7 +83,7 @@ def of_daemon(state: ServiceState | None, faults: Sequence[Fault]) -> list[Famil
 
 
 def of_server(counts: Counts, *, subscribed: bool) -> list[Family]:
-    """What this server says of itself; `subscribed`: it hears the daemon's events."""
+    """Return the metrics of this server; `subscribed`: it receives the daemon's events."""
     requests = [
         ({"method": method, "code": str(code)}, count) for (method, code), count in sorted(counts.requests.items())
     ]

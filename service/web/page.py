@@ -33,7 +33,7 @@ class Asset(NamedTuple):
 
 
 def load_page(folder: Path = FOLDER) -> Mapping[str, Asset]:
-    """The files of the folder and those below it, by their path in it; hidden ones are left out."""
+    """Return the files of the folder and those below it, by their path in it; hidden ones are left out."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -47,7 +47,7 @@ def load_page(folder: Path = FOLDER) -> Mapping[str, Asset]:
 
 
 def serve(page: Mapping[str, Asset], name: str, request: Request) -> Response:
-    """The file of that name; raises RequestError where there is none."""
+    """Return the file of that name; raises RequestError if there is none."""
     asset = page.get(name)
     if asset is None:
         raise RequestError(404, "no-route", "there is no such file")

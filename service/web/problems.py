@@ -1,4 +1,4 @@
-"""What goes wrong, as the caller sees it: problem documents (RFC 9457)."""
+"""Errors for the caller: problem documents (RFC 9457)."""
 
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -27,7 +27,7 @@ class RequestError(Exception):
 
     @property
     def body(self) -> bytes:
-        """The problem document."""
+        """Return the problem document."""
         return msgspec.json.encode(
             Problem(
                 type=f"urn:faultline:problem:{self.code}",
@@ -40,12 +40,12 @@ class RequestError(Exception):
 
     @property
     def response(self) -> Response:
-        """The answer that says it."""
+        """Return the answer with the problem document."""
         return Response(self.body, self.status, {**self.headers, "content-type": MEDIA_TYPE})
 
 
 def error_of(error: Exception) -> RequestError:
-    """The failure that an error of the daemon, of the routes or of ourselves is."""
+    """Return the RequestError for an error of the daemon, of the routes or of this server."""
     if isinstance(error, RequestError):
         return error
     if isinstance(error, AwayError):
@@ -63,5 +63,5 @@ def error_of(error: Exception) -> RequestError:
 
 
 async def told(_: Request, error: Exception) -> Response:
-    """The answer to a request that raised."""
+    """Return the answer to a request that raised."""
     return error_of(error).response

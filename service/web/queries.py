@@ -1,4 +1,4 @@
-"""What a caller may say in a path and a query, checked: what is unknown or makes no sense is refused by name."""
+"""Checks of path and query: unknown or invalid parameters are refused by name."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ BOOLEANS = {"true": True, "false": False, "1": True, "0": False}
 
 
 class Filter(NamedTuple):
-    """Which faults are wanted: any of these values of the status, by key; severity and scope. None and empty: all."""
+    """Filter of faults: any of these values of the status, by key; severity and scope. None and empty: all."""
 
     status: Mapping[str, frozenset[str]]
     severity: int | None
@@ -46,17 +46,17 @@ class Part(NamedTuple):
 
 
 def system_of(request: Request) -> str:
-    """The system in the path."""
+    """Return the system in the path."""
     return _matching(SYSTEM, request.path_params["system"], "system")
 
 
 def number_of(request: Request) -> int:
-    """The fault's number in the path."""
+    """Return the fault's number in the path."""
     return int(_matching(CODE, request.path_params["code"], "code"))
 
 
 def filter_of(query: QueryParams) -> Filter:
-    """The filter in the query of a list of faults."""
+    """Return the filter in the query of a list of faults."""
     _known(query, ["severity", "scope", *(f"status[{key}]" for key in _KEYS.values())], folded=True)
     status: dict[str, set[str]] = {}
     for name, value in query.multi_items():
@@ -71,7 +71,7 @@ def filter_of(query: QueryParams) -> Filter:
 
 
 def parts_of(query: QueryParams) -> tuple[bool, bool]:
-    """Whether extended data, and snapshots, are wanted with a fault."""
+    """Return whether extended data, and snapshots, are requested with a fault."""
     names = ["include-extended-data", "include-snapshot-data"]
     _known(query, names)
     extended, snapshots = (_boolean(name, query.get(name, "true")) for name in names)
@@ -79,7 +79,7 @@ def parts_of(query: QueryParams) -> tuple[bool, bool]:
 
 
 def place_of(request: Request) -> int | str | None:
-    """After which record a stream begins: the id that a client had last, else what the query says; None for now."""
+    """Return the record after which a stream begins: the client's last id, else that of the query; None for now."""
     _known(request.query_params, ["after"])
     last = request.headers.get("last-event-id", "")
     if last:
@@ -91,7 +91,7 @@ def place_of(request: Request) -> int | str | None:
 
 
 def page_of(query: QueryParams) -> Page:
-    """Which records of the history are wanted."""
+    """Return the records that are requested."""
     _known(query, ["after", "before", "count"])
     count = _number(query, "count", 1, MOST)
     after, before = (_number(query, name, 0, LARGEST) for name in ("after", "before"))
@@ -99,14 +99,14 @@ def page_of(query: QueryParams) -> Page:
 
 
 def part_of(query: QueryParams) -> Part:
-    """Which ticks of a recording are wanted."""
+    """Return the ticks of a recording that are requested."""
     _known(query, ["after", "before", "count"])
     after, before = (_number(query, name, 0, LARGEST) for name in ("after", "before"))
     return Part(after, before, _number(query, "count", 1, MOST_TICKS))
 
 
 def nothing_in(query: QueryParams) -> None:
-    """Refuses any query."""
+    """Refuse any query."""
     _known(query, [])
 
 
@@ -127,7 +127,7 @@ def _status_value(name: str, key: str, value: str) -> str:
 
 
 def _known(query: QueryParams, names: Sequence[str], *, folded: bool = False) -> None:
-    """Refuses what is not among `names` (in any case where `folded`), and what is there twice but a status."""
+    """Refuse what is not among `names` (in any case if `folded`), and what is there twice but a status."""
     allowed = {name.lower() for name in names} if folded else set(names)
     given = [name for name, _ in query.multi_items()]
     for name in given:

@@ -1,4 +1,4 @@
-"""The latest records, and the place of every client among them: pure.
+"""Ring of the latest records, and the place of every client in it: pure.
 
 As in `service.outputs.socket`, memory is bounded by the ring and not by how slowly clients read.
 """
@@ -11,7 +11,6 @@ from itertools import islice
 from faultline.service.protocol.records import Record, RecordError, read
 
 SIZE = 4096  # as many as the daemon has at hand
-
 
 _SCHEMA = re.compile(r"faultline\.[a-z]+/[0-9]+")
 _ID = re.compile(r"[!-~]{1,200}")
@@ -31,7 +30,7 @@ def told(line: bytes) -> Record:
 
 
 class Ring:
-    """The latest `size` records. Places count all that ever were; `end` is the place of the next."""
+    """Latest `size` records. Places count all that ever were; `end` is the place of the next."""
 
     def __init__(self, size: int = SIZE) -> None:
         self._held: deque[Record] = deque()
@@ -41,16 +40,16 @@ class Ring:
 
     @property
     def last(self) -> str | None:
-        """The id of the latest, None before the first."""
+        """Return the id of the latest, None before the first."""
         return self._held[-1].id if self._held else None
 
     @property
     def newest(self) -> int:
-        """The number of the latest, 0 before the first."""
+        """Return the number of the latest, 0 before the first."""
         return self._held[-1].seq if self._held else 0
 
     def add(self, record: Record) -> bool:
-        """Puts it at the end; whether it is new: delivery is at least once, and what is here already stays."""
+        """Append it; return False if it is here already: delivery is at least once."""
         if record.id in self._places:
             return False
         self._held.append(record)
@@ -61,25 +60,25 @@ class Ring:
         return True
 
     def where(self, id_: str) -> int | None:
-        """The place of the record with that id; None where it is not here."""
+        """Return the place of the record with that id; None if it is not here."""
         return self._places.get(id_)
 
     def after(self, seq: int) -> int | None:
-        """The place after the record of that number; None where some that followed it are not here."""
+        """Return the place after the record of that number; None if some that followed it are not here."""
         if not self._held or not self._held[0].seq - 1 <= seq <= self._held[-1].seq:
             return None
         return self.beyond(seq)
 
     def beyond(self, seq: int) -> int:
-        """The place of the first that has a larger number."""
+        """Return the place of the first that has a larger number."""
         return self.end - sum(each.seq > seq for each in self._held)
 
     @property
     def oldest(self) -> int:
-        """The place of the oldest."""
+        """Return the place of the oldest."""
         return self.end - len(self._held)
 
     def since(self, place: int, count: int) -> Sequence[Record] | None:
-        """At most `count` records from that place on; None where some of them are gone."""
+        """Return at most `count` records from that place on; None if some of them are gone."""
         skipped = place - self.oldest
         return None if skipped < 0 else [*islice(self._held, skipped, skipped + count)]

@@ -1,4 +1,4 @@
-"""The routes: each asks the daemon, and says what it answers."""
+"""Routes of the API: each asks the daemon and converts its answer."""
 
 from collections.abc import Mapping
 from urllib.parse import quote
@@ -35,7 +35,7 @@ from faultline.service.web.vehicle import Vehicle
 
 
 class Routes:
-    """What is asked of this server. `vehicle` answers, `hub` hears events, `live` ticks; `tokens` may clear.
+    """Handlers of requests. `vehicle` answers, `hub` has the events, `live` the ticks; `tokens` may clear.
 
     `guarded`: every request needs a token.
     """
@@ -49,14 +49,14 @@ class Routes:
         self._document = msgspec.json.encode(document(guarded=guarded))
 
     async def components(self, request: Request) -> Response:
-        """The watched systems, and those of which something is remembered."""
+        """Return the watched systems, and those with remembered faults besides."""
         nothing_in(request.query_params)
         names = await self._vehicle.systems()
         items = [Component(id=name, name=name, href=f"/v1/components/{quote(name, safe='')}") for name in names]
         return _json(Components(items=items))
 
     async def component(self, request: Request) -> Response:
-        """One of them."""
+        """Return one of the systems."""
         nothing_in(request.query_params)
         name = await self._system(request)
         path = quote(name, safe="")
@@ -71,7 +71,7 @@ class Routes:
         return _json(body)
 
     async def faults(self, request: Request) -> Response:
-        """What is remembered of a system, filtered."""
+        """Return the remembered faults of a system, filtered."""
         wanted = filter_of(request.query_params)
         name = await self._system(request)
         meanings = await self._vehicle.meanings(name)
@@ -79,7 +79,7 @@ class Routes:
         return _json(Items(items=selected(items, wanted.status, wanted.severity, wanted.scope)))
 
     async def fault(self, request: Request) -> Response:
-        """One fault with its environment data."""
+        """Return one fault with its environment data."""
         extended, snapshots = parts_of(request.query_params)
         name = system_of(request)
         found = await self._vehicle.fault(name, number_of(request))
@@ -87,7 +87,7 @@ class Routes:
         return _json(detail_of(found.fault, meanings, found.frames, extended=extended, snapshots=snapshots))
 
     async def clear(self, request: Request) -> Response:
-        """Erases one fault; done is only what is on the disk."""
+        """Erase one fault; on return that is on the disk."""
         self._may_clear(request)
         nothing_in(request.query_params)
         found = await self._vehicle.fault(system_of(request), number_of(request))
@@ -95,43 +95,43 @@ class Routes:
         return Response(None, 204)
 
     async def clear_all(self, request: Request) -> Response:
-        """Erases all that is remembered of a system."""
+        """Erase all remembered faults of a system."""
         self._may_clear(request)
         nothing_in(request.query_params)
         await self._vehicle.erase_all(await self._system(request))
         return Response(None, 204)
 
     async def health(self, request: Request) -> Response:
-        """How the daemon is; 503 where silence does not mean "no fault"."""
+        """Return the daemon's health; 503 if silence does not mean "no fault"."""
         body = await self._how(request)
         return _json(body) if is_well(body) else _json(body, 503, RETRY)
 
     async def state(self, request: Request) -> Response:
-        """The same, as 200 in any case: for who asks again and again to show it."""
+        """Return the same as 200 in any case: for clients that poll it to show it."""
         return _json(await self._how(request))
 
     async def ready(self, request: Request) -> Response:
-        """Whether the daemon answers."""
+        """Return 200 if the daemon answers."""
         nothing_in(request.query_params)
         await self._vehicle.state()
         return _json(Ready())
 
     async def records(self, request: Request) -> Response:
-        """A page of what was told."""
+        """Return a page of records."""
         return _json(await self._vehicle.records(page_of(request.query_params)))
 
     async def system(self, request: Request) -> Response:
-        """What a system's names mean, as the daemon says it."""
+        """Return what a system's names mean, as the daemon answers."""
         nothing_in(request.query_params)
         return _json(await self._vehicle.description(system_of(request)))
 
     async def events(self, request: Request) -> Stream:
-        """All that is told, from a place on."""
+        """Stream the records from a place on."""
         place = place_of(request)
         return Stream("events", stream(self._hub, place, self._streams.limits.alive_s), self._streams)
 
     async def ticks(self, request: Request) -> Stream:
-        """Live values of a system."""
+        """Stream the live values of a system."""
         nothing_in(request.query_params)
         name = system_of(request)
         self._streams.seat()
@@ -140,12 +140,12 @@ class Routes:
         return Stream("live", self._live.stream(name, self._streams.limits.alive_s), self._streams)
 
     async def history(self, request: Request) -> Response:
-        """The ticks of a finished recording, any part of them."""
+        """Return the ticks of a finished recording, any part of them."""
         part = part_of(request.query_params)
         return _json(await self._vehicle.history(system_of(request), part))
 
     async def metrics(self, request: Request) -> Response:
-        """Figures, of this server too where the daemon does not answer."""
+        """Return the metrics, of this server too if the daemon does not answer."""
         nothing_in(request.query_params)
         counts = self._streams.counts
         try:
@@ -156,20 +156,20 @@ class Routes:
         return Response(metrics.render(families), headers={"content-type": metrics.CONTENT_TYPE})
 
     async def document(self, request: Request) -> Response:
-        """The API document."""
+        """Return the API document."""
         nothing_in(request.query_params)
         return Response(self._document, media_type="application/json")
 
     async def index(self, request: Request) -> Response:
-        """The page."""
+        """Return the page."""
         return serve(self._page, INDEX, request)
 
     async def static(self, request: Request) -> Response:
-        """A file of the page."""
+        """Return a file of the page."""
         return serve(self._page, request.path_params["name"], request)
 
     async def _how(self, request: Request) -> HealthBody:
-        """How the daemon is."""
+        """Return the daemon's health."""
         nothing_in(request.query_params)
         try:
             return health_of(await self._vehicle.state())
@@ -177,7 +177,7 @@ class Routes:
             return away(error_of(error).detail)
 
     async def _system(self, request: Request) -> str:
-        """The system in the path; raises RequestError where there is none of that name."""
+        """Return the system in the path; raises RequestError if there is none of that name."""
         name = system_of(request)
         if name not in await self._vehicle.systems():
             raise RequestError(404, "unknown", f"there is no system {name!r}")

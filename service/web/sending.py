@@ -1,4 +1,4 @@
-"""An answer on its way: what every answer says, counted, in pieces that the client takes one after the other.
+"""Sending of answers: common headers, counts, and pieces that the client takes one after the other.
 
 What clients have not taken yet is held in memory, so there is a limit to all of that together: who asks for something
 long while others take nothing of theirs is sent away.
@@ -25,17 +25,17 @@ EVERYWHERE = {
 
 
 class Held:
-    """Bytes of answers that are being sent, of `most` at once."""
+    """Bytes of answers that are being sent, `most` at once."""
 
     def __init__(self, most: int) -> None:
         self._most, self._now = most, 0
 
     def has_room(self, size: int) -> bool:
-        """Whether so many more may be taken; what is short always may."""
+        """Return True if so many more may be held; a short answer always may."""
         return size <= PIECE or self._now + size <= self._most
 
     def add(self, size: int) -> None:
-        """So many more are being sent; fewer where it is negative."""
+        """Add so many bytes that are being sent; fewer if negative."""
         self._now += size
 
 
@@ -48,7 +48,7 @@ class Answer:
         self._start: Message | None = None
 
     async def __call__(self, message: Message) -> None:
-        """Takes a message of the application's; its first waits for the second, which says how long the body is."""
+        """Take a message of the application's; its first waits for the second, which says how long the body is."""
         if message["type"] == "http.response.start":
             self._start = message
             return

@@ -1,4 +1,4 @@
-"""The server: uvicorn's, told to systemd, with a watch on its connections, ended by a signal within three seconds."""
+"""HTTP server: uvicorn's, with systemd's notifications and connection limits; a signal ends it within 3 s."""
 
 import asyncio
 import signal
@@ -17,7 +17,7 @@ from faultline.service.web.listen import WAITING, url
 from faultline.service.web.metrics import Counts
 from faultline.service.web.settings import Settings
 from faultline.service.web.tokens import Tokens
-from faultline.service.web.waiting import Ending
+from faultline.service.web.waiting import Shutdown
 
 TICKS = 5  # of uvicorn's, which are 0.1 s: how often connections are looked at
 TAKEN = 16  # connections taken in one turn: those of three turns must find room, or their first bytes are not read
@@ -25,38 +25,38 @@ GRACE_S = 1  # for answers under way, at the end
 
 
 class Server(uvicorn.Server):
-    """Serves until SIGTERM, SIGINT or a failure; `ending` says that it ends."""
+    """Serves until SIGTERM, SIGINT or a failure; `shutdown` requests the end."""
 
-    def __init__(self, config: uvicorn.Config, notifier: Notifier, ending: Ending) -> None:
+    def __init__(self, config: uvicorn.Config, notifier: Notifier, shutdown: Shutdown) -> None:
         super().__init__(config)
-        self._notifier, self._ending = notifier, ending
+        self._notifier, self._shutdown = notifier, shutdown
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begins to serve, and says so."""
+        """Begin to serve, and notify systemd."""
         await super().startup(sockets)
         for sock in sockets or []:
             sock.listen(WAITING)  # asyncio has set it to the number that it takes in one turn
         self._notifier.tell(READY=1, STATUS="serving")
 
     async def on_tick(self, counter: int) -> bool:
-        """Looks after connections and the watchdog; whether it is time to end."""
+        """Check connections and feed the watchdog; return True if the server is to end."""
         if counter % TICKS == 0:
             connections.look(self.server_state, time.monotonic())
             if self._notifier.watchdog_s is not None:
                 self._notifier.tell(WATCHDOG=1)
-        return await super().on_tick(counter) or self._ending.begun
+        return await super().on_tick(counter) or self._shutdown.requested
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Ends streams, then other answers once they are out."""
+        """End streams, then other answers once they are out."""
         self._notifier.tell(STOPPING=1)
         await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """As uvicorn's, but a signal is the end that it asks for and is not raised again after it."""
+        """Handle signals as uvicorn does, but end without raising the signal again afterwards."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._ending.begin)
+            loop.add_signal_handler(number, self._shutdown.request)
         try:
             yield
         finally:
@@ -72,7 +72,7 @@ def serve(
     limits: Limits | None = None,
     notifier: Notifier | None = None,
 ) -> None:
-    """Serves on a listening socket until it is told to end; raises what made it end otherwise."""
+    """Serve on a listening socket until the end is requested; raises what made it end otherwise."""
     asyncio.run(_serve(settings, tokens, sock, say, limits or Limits(), notifier or Notifier()))
 
 
@@ -84,9 +84,9 @@ async def _serve(
     limits: Limits,
     notifier: Notifier,
 ) -> None:
-    counts, ending = Counts(), Ending()
+    counts, shutdown = Counts(), Shutdown()
     config = uvicorn.Config(
-        application(settings, tokens, limits, counts, ending, say),
+        application(settings, tokens, limits, counts, shutdown, say),
         loop="asyncio",
         http=connections.protocol(limits, counts),
         ws="none",
@@ -102,8 +102,8 @@ async def _serve(
         timeout_graceful_shutdown=GRACE_S,
         h11_max_incomplete_event_size=limits.header_bytes,
     )
-    server = Server(config, notifier, ending)
+    server = Server(config, notifier, shutdown)
     say(f"listening on {url(sock)}, control {settings.control}, events {settings.events}")
     await server.serve(sockets=[sock])
-    if ending.failure is not None:
-        raise ending.failure
+    if shutdown.failure is not None:
+        raise shutdown.failure

@@ -56,11 +56,7 @@ class Settings(Part, frozen=True):
 
 
 def load_settings(path: Path) -> Settings:
-    """Return the settings in the file at `path`.
-
-    Raises:
-        ConfigError: it cannot be read, is no TOML, or says what makes no sense; the message names the line.
-    """
+    """Return the settings in the file at `path`; raises ConfigError, which names the line."""
     given = read(path, Settings)
     try:
         given.said.place  # noqa: B018 (it looks)
@@ -70,7 +66,7 @@ def load_settings(path: Path) -> Settings:
 
 
 def address(text: str) -> Tcp | Unix:
-    """Where to listen: `unix:PATH`, `HOST:PORT` or `[HOST]:PORT` with an IP address, or localhost."""
+    """Return where to listen: `unix:PATH`, `HOST:PORT` or `[HOST]:PORT` with an IP address, or localhost."""
     if text.startswith("unix:"):
         if not text.removeprefix("unix:").startswith("/"):
             raise InputError(f"listen: {text}: give the whole path, as unix:/run/faultline-web/http.sock")

@@ -1,4 +1,4 @@
-"""What is answered over HTTP, one struct a body; the API document is made from these.
+"""Bodies of HTTP answers, a struct each; the API document is made from these.
 
 Source of the names of faults: ISO 17978-3 (SOVD), as far as open implementations show them (docs/http.md).
 """
@@ -30,7 +30,7 @@ class Component(_Body, frozen=True):
 
 
 class Components(_Body, frozen=True):
-    """All of the vehicle's."""
+    """All components of the vehicle."""
 
     items: list[Component]
 
@@ -101,7 +101,7 @@ class Snapshot(_Body, frozen=True):
 
 
 class ExtendedData(_Body, frozen=True):
-    """What is counted of a fault, and what showed it (docs/events.md)."""
+    """Counters of a fault, and what showed it (docs/events.md)."""
 
     occurrences: int
     trips: int
@@ -119,21 +119,21 @@ class ExtendedData(_Body, frozen=True):
 
 
 class EnvironmentData(_Body, frozen=True, omit_defaults=True):
-    """What was seen with the fault; parts that were not asked for are left out."""
+    """Environment data of a fault; parts that were not requested are left out."""
 
     snapshots: list[Snapshot] | msgspec.UnsetType = msgspec.UNSET
     extended_data_records: ExtendedData | msgspec.UnsetType = msgspec.UNSET
 
 
 class Detail(_Body, frozen=True):
-    """One fault with all that is known of it."""
+    """One fault with its environment data."""
 
     item: Item
     environment_data: EnvironmentData
 
 
 class HealthBody(_Body, frozen=True):
-    """How the daemon is, for who must not take silence for "no fault".
+    """Health of the daemon, for clients that must not take silence for "no fault".
 
     `status`: *well*; *degraded*, something stands and it can tell; *blind*, something stands that keeps a system from
     telling at all; *away*, it does not answer. `cursor` is the number of the last record that was told.
@@ -154,13 +154,13 @@ class HealthBody(_Body, frozen=True):
 
 
 class Ready(_Body, frozen=True):
-    """This server listens and the daemon answers."""
+    """Readiness: this server listens and the daemon answers."""
 
     ready: Literal[True] = True
 
 
 class Problem(_Body, frozen=True):
-    """What went wrong (RFC 9457); `code` is the last part of `type`."""
+    """Problem document (RFC 9457); `code` is the last part of `type`."""
 
     type: str
     title: str

@@ -1,4 +1,4 @@
-"""An answer that goes on: Server-Sent Events, until the client is gone, takes nothing, or this server ends.
+"""Server-Sent Events: an answer without an end, until the client is gone, reads nothing, or this server ends.
 
 Source: the HTML standard, section Server-sent events.
 """
@@ -14,7 +14,7 @@ from faultline.service.web.connections import STALLED
 from faultline.service.web.limits import Limits
 from faultline.service.web.metrics import Counts
 from faultline.service.web.problems import RequestError
-from faultline.service.web.waiting import Ending
+from faultline.service.web.waiting import Shutdown
 
 HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
@@ -24,14 +24,14 @@ LAST_S = 0.5  # for the last words, where this server ends
 
 
 class Streams(NamedTuple):
-    """What all streams share."""
+    """Limits, counts and shutdown that all streams share."""
 
     limits: Limits
     counts: Counts
-    ending: Ending
+    shutdown: Shutdown
 
     def seat(self) -> None:
-        """Raises RequestError where as many streams are open as may be."""
+        """Raise RequestError if as many streams are open as may be."""
         if self.counts.streams.total() >= self.limits.streams:
             headers = {"retry-after": "5"}
             raise RequestError(503, "too-many-streams", f"{self.limits.streams} streams are open; try later", headers)
@@ -45,12 +45,12 @@ class Stream:
         self._kind, self._parts, self._streams = kind, parts, streams
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Sends it."""
+        """Send it."""
         counts = self._streams.counts
         counts.streams[self._kind] += 1
         try:
             await send({"type": "http.response.start", "status": 200, "headers": [*HEADERS]})
-            await _first_of(self._write(scope, send), _gone(receive), self._streams.ending.wait())
+            await _first_of(self._write(scope, send), _gone(receive), self._streams.shutdown.wait())
         finally:
             counts.streams[self._kind] -= 1
         try:
@@ -72,7 +72,7 @@ class Stream:
 
 
 async def _first_of(*ways: Coroutine[Any, Any, object]) -> None:
-    """Until one of them has ended, and with that the others; raises what it raised."""
+    """Wait until one of them has ended, and cancel the others; raises what it raised."""
     tasks = [asyncio.create_task(way) for way in ways]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -85,6 +85,6 @@ async def _first_of(*ways: Coroutine[Any, Any, object]) -> None:
 
 
 async def _gone(receive: Receive) -> None:
-    """Until the client is."""
+    """Wait until the client is gone."""
     while (await receive())["type"] != "http.disconnect":
         pass

@@ -30,20 +30,20 @@ class Tokens:
         return bool(self._digests)
 
     def known(self, token: str) -> bool:
-        """Whether it is one of them, in a time that says nothing of how near it is, nor to which."""
+        """Return True if it is one of them, in a time that does not depend on how near it is, nor to which."""
         digest = _digest(token)
         return sum(hmac.compare_digest(digest, each) for each in self._digests) > 0
 
 
 def bearer(header: str) -> str | None:
-    """The token in an Authorization header; None where there is none."""
+    """Return the token in an Authorization header; None if there is none."""
     scheme, _, token = header.partition(" ")
     token = token.strip()
     return token if scheme.lower() == "bearer" and _TOKEN.fullmatch(token) else None
 
 
 def find_tokens(path: str | None, environment: Mapping[str, str] = os.environ) -> Tokens:
-    """The tokens in the file at `path`, else in the credential that systemd hands over, else none.
+    """Return the tokens in the file at `path`, else in the credential that systemd hands over, else none.
 
     Raises:
         InputError: the file cannot be read, others may read it, or a token is too short or has other characters.
@@ -57,7 +57,7 @@ def find_tokens(path: str | None, environment: Mapping[str, str] = os.environ) -
 
 
 def load_tokens(path: Path) -> Tokens:
-    """As `find_tokens`, of a file: one token a line; empty lines and those that begin with # are left out."""
+    """Return the tokens of a file: one a line; empty lines and those that begin with # are left out."""
     try:
         with path.open("rb") as file:
             _check(path, os.fstat(file.fileno()))

@@ -1,4 +1,4 @@
-"""What the routes ask the daemon: the questions of docs/control.md, as they are needed."""
+"""Questions of the routes to the daemon (docs/control.md)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,37 +14,34 @@ from faultline.service.web.queries import Page, Part
 from faultline.service.web.ring import told
 
 
-class Vehicle:
-    """The daemon, asked over its control socket; every method raises what `SharedControl.ask` does."""
-
-    def __init__(self, control: SharedControl) -> None:
-        self._control = control
+class Vehicle(SharedControl):
+    """The daemon, asked over its control socket; every method raises what `ask` does."""
 
     async def state(self) -> ServiceState:
-        """How it is."""
-        return await self._control.ask(Question(ask="state"), ServiceState)
+        """Return the daemon's state."""
+        return await self.ask(Question(ask="state"), ServiceState)
 
     async def faults(self, system: str | None = None) -> Sequence[Fault]:
-        """What is remembered, of one system or of all."""
-        memory = await self._control.ask(Question(ask="faults"), FaultList)
+        """Return the remembered faults, of one system or of all."""
+        memory = await self.ask(Question(ask="faults"), FaultList)
         return [fault for fault in memory.faults if system in (None, fault.system)]
 
     async def systems(self) -> list[str]:
-        """The names of those that are watched, then of those of which something is remembered besides."""
+        """Return the names of watched systems, then of others with remembered faults."""
         state, faults = await self.state(), await self.faults()
         return [*dict.fromkeys([*(each.name for each in state.systems), *(each.system for each in faults)])]
 
     async def fault(self, system: str, number: int) -> FaultDetail:
-        """One of its faults; raises RequestError where it has none of that number."""
-        found = await self._control.ask(Question(ask="fault", number=number), FaultDetail)
+        """Return one of its faults; raises RequestError if it has none of that number."""
+        found = await self.ask(Question(ask="fault", number=number), FaultDetail)
         if found.fault.system != system:
             raise RequestError(404, "unknown", f"fault {number} is none of {system!r}")
         return found
 
     async def meanings(self, system: str) -> Mapping[str, FaultMeaning]:
-        """What its faults' names mean; nothing where it is not watched any more."""
+        """Return what its faults' names mean; nothing if it is not watched any more."""
         try:
-            names = await self._control.ask(Question(ask="system", name=system), SystemDescription)
+            names = await self.ask(Question(ask="system", name=system), SystemDescription)
         except RefusedError as error:
             if error.code != "unknown":
                 raise
@@ -52,14 +49,14 @@ class Vehicle:
         return {each.name: each for each in names.faults}
 
     async def description(self, system: str) -> Mapping[str, object]:
-        """All that its names mean, as the daemon says it."""
-        return await self._control.ask(Question(ask="system", name=system), dict[str, object])
+        """Return what all its names mean, as the daemon answers."""
+        return await self.ask(Question(ask="system", name=system), dict[str, object])
 
     async def records(self, page: Page) -> RecordPage:
-        """A page of what was told."""
+        """Return a page of records."""
         before = page.before if page.after is None else None
         question = Question(ask="records", count=page.most, after=page.after, before=before)
-        found = await self._control.ask_alone(question, RecordPage)
+        found = await self.ask_alone(question, RecordPage)
         if page.after is None or page.before is None:
             return found
         try:
@@ -68,20 +65,20 @@ class Vehicle:
             raise GarbledError(f"a record: {error}") from error
 
     async def history(self, system: str, part: Part) -> Mapping[str, object]:
-        """Ticks of a finished recording, as columns."""
+        """Return ticks of a finished recording, as columns."""
         question = Question(ask="history", name=system, after=part.after, before=part.before, count=part.most)
-        return await self._control.ask_alone(question, dict[str, object])
+        return await self.ask_alone(question, dict[str, object])
 
     async def erase(self, number: int) -> None:
-        """Erases a fault: on return that is on the disk."""
-        erased = await self._control.clear(Question(ask="clear", number=number), Erased)
+        """Erase a fault: on return that is on the disk."""
+        erased = await self.clear(Question(ask="clear", number=number), Erased)
         if number not in erased.cleared:
             raise GarbledError(f"fault {number} is not among those that were cleared")
 
     async def erase_all(self, system: str) -> None:
-        """Erases all that is remembered of a system; at once, with the overflow flag, where there is no other."""
+        """Erase all remembered faults of a system; at once, with the overflow flag, if there is no other."""
         if await self.systems() == [system]:
-            await self._control.clear(Question(ask="clear"), Erased)
+            await self.clear(Question(ask="clear"), Erased)
             return
         for fault in await self.faults(system):
             try:

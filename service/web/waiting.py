@@ -1,21 +1,21 @@
-"""Small things to wait for: a change, the end."""
+"""Synchronisation of tasks: a change that several wait for, and the shutdown of the server."""
 
 import asyncio
 
 
-class News:
+class ChangeNotifier:
     """Wakes all who wait for a change. Who looks and then waits, without an await between, misses none."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
 
-    def tell(self) -> None:
-        """Something has changed."""
+    def notify(self) -> None:
+        """Wake all who wait."""
         event, self._event = self._event, asyncio.Event()
         event.set()
 
     async def wait(self, within_s: float) -> bool:
-        """Whether something changes within that time [s]."""
+        """Return True once something changes, False after `within_s` [s] without a change."""
         try:
             async with asyncio.timeout(within_s):
                 return await self._event.wait()
@@ -23,32 +23,32 @@ class News:
             return False
 
 
-class Ending:
-    """That this server ends: `failure` is why, where nobody has asked for it."""
+class Shutdown:
+    """The end of this server, which a signal or a failed task requests; `failure` is the error of that task."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
         self.failure: BaseException | None = None
 
     @property
-    def begun(self) -> bool:
-        """Whether it does."""
+    def requested(self) -> bool:
+        """True if the server is to end."""
         return self._event.is_set()
 
-    def begin(self, failure: BaseException | None = None) -> None:
-        """It does from now on."""
+    def request(self, failure: BaseException | None = None) -> None:
+        """End the server, because of `failure` if one is given."""
         self.failure = self.failure or failure
         self._event.set()
 
     def watch(self, task: asyncio.Task[None]) -> None:
-        """It does if that fails: who serves on without it would be taken for well."""
+        """Request the end if the task fails: a server that goes on without it would be taken for well."""
 
         def look(done: asyncio.Task[None]) -> None:
             if not done.cancelled() and (error := done.exception()) is not None:
-                self.begin(error)
+                self.request(error)
 
         task.add_done_callback(look)
 
     async def wait(self) -> None:
-        """Until it does."""
+        """Wait until the end is requested."""
         await self._event.wait()

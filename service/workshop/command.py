@@ -17,6 +17,7 @@ import msgspec
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import meaning
+from faultline.service.core.records.line import encode
 from faultline.service.pages import NoEngineError, check_engine
 from faultline.service.protocol.answers import FaultList, ServiceState
 from faultline.service.protocol.client import ControlClient
@@ -25,7 +26,7 @@ from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.protocol.questions import Question
 from faultline.service.workshop.cycle import Cycle, End
 from faultline.service.workshop.hindrance import remedy
-from faultline.service.workshop.listening import Listening
+from faultline.service.workshop.listening import live_ticks
 from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
 from faultline.service.workshop.report import page
 from faultline.service.workshop.result import Frame, Result, result
@@ -47,7 +48,7 @@ CODES: dict[Kind, int] = {"no-fault": 0, "fault": 1, "cannot-tell": 2}
 
 
 class Begun(NamedTuple):
-    """What the service said before the test."""
+    """State of the service before the test."""
 
     state: ServiceState
     system: SystemDescription
@@ -77,7 +78,7 @@ def main(argv: list[str]) -> int:
     seen, end = _at_the_end(options.control, begun, end)
     found = msgspec.structs.replace(result(cycle, frame, end, _now(), seen), report=path and str(path))
     if options.json:  # first: a disk that is full takes no verdict away
-        sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
+        sys.stdout.buffer.write(encode(found))
         sys.stdout.flush()
     else:
         print("\n".join(printable(line) for line in [*_said(found), f"report: {report}"]), flush=True)
@@ -89,12 +90,7 @@ def main(argv: list[str]) -> int:
 
 
 def _options(argv: list[str]) -> argparse.Namespace:
-    parser = Parser(
-        "faultline workshop",
-        description=(__doc__ or "").partition("\n")[0],
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("faultline workshop", description=(__doc__ or "").partition("\n")[0], epilog=EXAMPLE)
     parser.add_argument("--control", type=Path, default=SOCKET, help=f"the service's control socket ({SOCKET})")
     parser.add_argument("--system", help="which one, where the service watches several")
     parser.add_argument(
@@ -169,10 +165,9 @@ def _screen(options: argparse.Namespace) -> Screen:
 
 
 def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
-    """Follows the cycle to its end."""
-    listening = Listening(path, cycle.system.name)
+    """Run the cycle to its end."""
     try:
-        for came in listening.ticks():
+        for came, is_behind in live_ticks(path, cycle.system.name):
             if isinstance(came, LiveTick):
                 if not came.fits(cycle.system):
                     return "begun-anew"
@@ -180,7 +175,7 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
             else:
                 cycle.silent(came)
             ended = cycle.ended
-            if ended is not None or not listening.is_behind:
+            if ended is not None or not is_behind:
                 screen.show(cycle)
             if ended is not None:
                 return ended
@@ -192,20 +187,19 @@ def _observe(cycle: Cycle, path: Path, screen: Screen) -> End:
 
 
 def _at_the_end(path: Path, begun: Begun, end: End) -> tuple[Seen, End]:
-    """What is remembered and stands now; what was before the test where the service does not answer any more."""
+    """Return the remembered faults and conditions now; those before the test if the service is gone."""
     try:
         with ControlClient(path) as control:
             state, memory = control.ask(STATE, ServiceState), control.ask(FAULTS, FaultList)
     except ProtocolError:
-        return Seen(
-            begun.memory.faults, begun.state.conditions
-        ), "interrupted" if end == "interrupted" else "service-ended"
+        seen = Seen(begun.memory.faults, begun.state.conditions)
+        return seen, "interrupted" if end == "interrupted" else "service-ended"
     same = any(each.name == begun.system.name and each.bundle == begun.system.bundle for each in state.systems)
     return Seen(memory.faults, state.conditions), end if same or end == "interrupted" else "begun-anew"
 
 
 def _said(found: Result) -> list[str]:
-    """The verdict for a terminal."""
+    """Return the verdict for a terminal."""
     verdict = found.verdict
     there = "" if verdict.kind != "fault" else ", it is there now" if verdict.present else ", not there any more"
     history = [each for each in found.remembered if not each.during_test]
@@ -225,7 +219,7 @@ def _default(begun: Begun, now: str) -> Path:
 
 
 def _check(path: Path, *, replace: bool) -> None:
-    """Raises InputError or OSError where the report could not be written after a test of ten minutes."""
+    """Raise InputError or OSError if the report could not be written after a test of ten minutes."""
     if not path.parent.is_dir():  # a typing error shall make no folder
         raise InputError(f"{path}: cannot be written there; give --report a file in a folder that is there")
     check_file(path)

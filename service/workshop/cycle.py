@@ -1,4 +1,4 @@
-"""The active test cycle as it is observed: live ticks in; progress, coverage and what was told out. Pure.
+"""Observation of the active test cycle: live ticks in; progress, coverage and diagnoses out. Pure.
 
 Time is log time, ticks times their period, so that a replay at any speed counts as a drive does; only silence is timed
 by who listens.
@@ -67,7 +67,7 @@ class Cycle:
         self._stood_s = 0.0
 
     def take(self, tick: LiveTick) -> None:
-        """Takes a live tick. One that is older than the last is of a service that began anew: so does the cycle."""
+        """Take a live tick. One that is older than the last is of a service that began anew: so does the cycle."""
         before, self.silent_s = self.latest, 0.0
         if before is not None and tick.tick == before.tick:
             return
@@ -91,36 +91,36 @@ class Cycle:
         self.latest = tick
 
     def silent(self, seconds: float) -> None:
-        """So long [s] nothing came."""
+        """Note that nothing came for so long [s]."""
         self.silent_s += seconds
         self.waited_s += seconds
 
     @property
     def elapsed_s(self) -> float:
-        """Log time since the first tick."""
+        """Return the log time since the first tick."""
         return self._elapsed
 
     @property
     def suspected(self) -> bool:
-        """Whether something alarms or is unlike this day now, confirmed or not."""
+        """Return True if a test alarms or the baseline deviates now, confirmed or not."""
         return self.latest is not None and (self.latest.anomaly or bool(self.latest.alarm))
 
     @property
     def settled(self) -> bool:
-        """Whether what is told now has stood for long enough to end with."""
+        """Return True if the diagnosis has been stable for long enough to end with."""
         if self.latest is not None and self.latest.diagnoses:
             return self._stood_s >= STOOD_S - NEAR
         return self._quiet_s >= QUIET_S - NEAR
 
     @property
     def ended(self) -> End | None:
-        """Why it is over, None while it is not."""
+        """Return why it is over, None while it is not."""
         if self.progress.complete and self.settled and self.silent_s == 0.0:
             return "complete"
         return "patience" if self.waited_s >= self.patience_s else None
 
     def _counts(self, tick: LiveTick) -> bool:
-        """Whether a step comes further: all tests can tell; of a confirmed fault, which may blind some, any can."""
+        """Return True if the tick counts: all tests can tell, or any while a confirmed fault may blind some."""
         return any(tick.usable) if tick.diagnoses else all(tick.usable)
 
     def _cover(self, tick: LiveTick, span: float) -> None:
@@ -133,7 +133,7 @@ class Cycle:
         self.alarmed |= {*tick.alarm}
 
     def _note(self, tick: LiveTick, *, first: bool) -> None:
-        """Confirmed faults as they come and go."""
+        """Record confirmed faults as they come and go."""
         open_now = bool(self.episodes) and self.episodes[-1].until_s is None
         if tick.diagnoses:
             since, before = self._elapsed, first

@@ -1,4 +1,4 @@
-"""What keeps tests from telling just now, in words: signals that cannot be used, or that are where no model holds."""
+"""Causes why tests cannot tell: signals that cannot be used, or are outside the operating region."""
 
 from typing import NamedTuple
 
@@ -71,7 +71,7 @@ class Hindrance(NamedTuple):
 
 
 def hindrances(system: SystemDescription, tick: LiveTick) -> list[Hindrance]:
-    """Of each signal that cannot be used, or lies outside the operating region."""
+    """Return each signal that cannot be used, or lies outside the operating region."""
     found = []
     for channel, value, quality in zip(system.inputs, tick.z, tick.quality, strict=True):
         region = f"{shown(channel.lower, channel.unit)} to {shown(channel.upper, channel.unit)}"
@@ -83,7 +83,7 @@ def hindrances(system: SystemDescription, tick: LiveTick) -> list[Hindrance]:
 
 
 def instead(hindrance: Hindrance) -> str:
-    """What to do about it."""
+    """Return what to do about it."""
     if hindrance.quality is None:
         return "bring the system there: build up pressure with the pump"
     if hindrance.quality in ("missing", "late"):

@@ -8,38 +8,26 @@ from faultline.service.protocol.errors import AwayError, RefusedError
 from faultline.service.protocol.live import LiveTick
 
 SILENT_S = 0.5
-"""So long nothing has to come until that is said."""
+"""The time without a tick after which silence is reported [s]."""
 
 
-class Listening:
-    """The ticks of a system, as they come.
+def live_ticks(path: Path, system: str) -> Iterator[tuple[LiveTick | float, bool]]:
+    """Yield each tick of a system, or the seconds [s] without one; and True if more has come already.
 
-    A connection on which nothing comes for long is made anew: the service may be waiting for the bus.
+    It ends where the service does, or has no place. A connection on which nothing comes for long is made anew: the
+    service may be waiting for the bus.
+
+    Raises:
+        ProtocolError: the service refuses, or answers what cannot be understood.
     """
-
-    def __init__(self, path: Path, system: str) -> None:
-        self._path, self._system = path, system
-        self._client: ControlClient | None = None
-
-    def ticks(self) -> Iterator[LiveTick | float]:
-        """Ticks, and between them seconds [s] in which none came; ends where the service does, or has no place.
-
-        Raises:
-            ProtocolError: the service refuses, or answers what cannot be understood.
-        """
-        while True:
-            try:
-                with ControlClient(self._path) as self._client:
-                    yield from self._client.live_or_silent(self._system, SILENT_S)
-            except RefusedError as error:
-                if error.code != "busy":
-                    raise
+    while True:
+        try:
+            with ControlClient(path) as client:
+                yield from ((came, client.is_behind) for came in client.live_or_silent(system, SILENT_S))
+        except RefusedError as error:
+            if error.code != "busy":
+                raise
+            return
+        except AwayError as error:
+            if not isinstance(error.__cause__, TimeoutError):
                 return
-            except AwayError as error:
-                if not isinstance(error.__cause__, TimeoutError):
-                    return
-
-    @property
-    def is_behind(self) -> bool:
-        """True if more has come than was taken."""
-        return self._client is not None and self._client.is_behind

@@ -39,7 +39,7 @@ class Step(NamedTuple):
 
 
 def plan(hold_s: float = HOLD_S, visits: int = VISITS) -> tuple[Step, ...]:
-    """The steps in the order in which they are asked for; any order counts.
+    """Return the steps in the order in which they are asked for; any order counts.
 
     >>> [f"{step.mode} {step.visit}" for step in plan()]
     ['idle 1', 'partial 1', 'maximum 1', 'idle 2', 'partial 2', 'maximum 2']

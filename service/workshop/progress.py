@@ -1,4 +1,4 @@
-"""How far the steps are: seconds in which tests could tell, counted by visits of a mode."""
+"""Progress of the steps: seconds in which tests could tell, counted by visits of a mode."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ class Progress:
         self._filling: int | None = None  # the step that this visit fills, or has filled
 
     def add(self, mode: str, seconds: float) -> bool:
-        """Takes time [s] that counts in `mode`, 0 where none does; whether a step came further."""
+        """Add time [s] that counts in `mode`, 0 if none does; return True if a step progressed."""
         if mode not in {step.mode for step in self.steps}:
             return False
         if mode != self._visited:
@@ -32,28 +32,28 @@ class Progress:
         return True
 
     def is_done(self, k: int) -> bool:
-        """Whether step `k` was held for long enough."""
+        """Return True if step `k` was held for long enough."""
         return self.left(k) <= NEAR
 
     def left(self, k: int) -> float:
-        """Seconds that step `k` still needs."""
+        """Return the seconds that step `k` still needs."""
         return self.steps[k].hold_s - self.seconds[k]
 
     @property
     def complete(self) -> bool:
-        """Whether all steps are done."""
+        """Return True if all steps are done."""
         return all(self.is_done(k) for k in range(len(self.steps)))
 
     @property
     def next(self) -> int | None:
-        """The step to ask for: the one that is being done, else the first that is not; None where all are."""
+        """Return the step to ask for: the one under way, else the first that is not done; None if all are."""
         if self._filling is not None and not self.is_done(self._filling):
             return self._filling
         return next((k for k in range(len(self.steps)) if not self.is_done(k)), None)
 
     @property
     def must_leave(self) -> bool:
-        """Whether the step to ask for is a second visit of the mode that is being visited: another comes first."""
+        """Return True if the step to ask for is a second visit of the present mode: another comes first."""
         k = self.next
         return k is not None and k != self._filling and self.steps[k].mode == self._visited
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from faultline.service.core.records.fault import Fault as Remembered
 from faultline.service.core.records.health import Standing, meaning
 from faultline.service.pages import Table, render
 from faultline.service.protocol.live import SystemDescription
@@ -17,11 +16,7 @@ from faultline.service.workshop.words import HEADLINES, separation_line
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 
-SAID = {
-    "fault": "A fault was found",
-    "no-fault": "No fault found",
-    "cannot-tell": "Cannot tell: this is no all-clear",
-}
+SAID = {"fault": "A fault was found", "no-fault": "No fault found", "cannot-tell": "Cannot tell: this is no all-clear"}
 
 
 def page(result: Result, system: SystemDescription, samples: Sequence[Sample]) -> str:
@@ -126,16 +121,10 @@ def _remembered(remembered: Sequence[RememberedSeen]) -> Table:
         (
             str(each.fault.number),
             " or ".join(each.fault.components) or "unknown",
-            _status(each.fault),
+            f"{each.fault.status.words}, 0x{each.fault.mask:02X}",
             f"{each.fault.occurrences}x, last {each.fault.latest.wall or 'at an unknown time'}",
             "in this test" if each.during_test else "before this test",
         )
         for each in remembered
     ]
     return _words(("number", "component", "status", "seen", "told"), rows)
-
-
-def _status(fault: Remembered) -> str:
-    status = fault.status
-    kind = "confirmed" if status.confirmed else "pending" if status.pending else "was pending"
-    return f"{'is there' if status.test_failed else 'is not there any more'}, {kind}, 0x{fault.mask:02X}"

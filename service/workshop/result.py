@@ -41,14 +41,14 @@ class TestSeen(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RememberedSeen(msgspec.Struct, frozen=True, kw_only=True):
-    """A remembered fault; `during_test`: it was told, or told again, in the test."""
+    """Remembered fault; `during_test`: it occurred, or occurred again, in the test."""
 
     fault: Remembered
     during_test: bool
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """All of it; `begun` and `ended` are wall clock times (RFC 3339), `seconds` [s] is log time."""
+    """The whole result; `begun` and `ended` are wall clock times (RFC 3339), `seconds` [s] is log time."""
 
     schema: str
     source: str
@@ -75,7 +75,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known around the cycle: the service before it, what was remembered then, the person's note, the times."""
+    """Circumstances of the cycle: the service before it, faults remembered then, the person's note, the times."""
 
     state: ServiceState
     before: Sequence[Remembered]
@@ -84,7 +84,7 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def result(cycle: Cycle, frame: Frame, end: End, ended: str, seen: Seen) -> Result:
-    """The document of a cycle that has ended at the wall clock time `ended`."""
+    """Return the document of a cycle that has ended at the wall clock time `ended`."""
     system, progress = cycle.system, cycle.progress
     return Result(
         schema=SCHEMA,

@@ -15,24 +15,24 @@ BAR = 24  # characters
 
 
 class Screen(Protocol):
-    """Where progress is shown."""
+    """Output for progress."""
 
     def show(self, cycle: Cycle) -> None:
-        """What is so now."""
+        """Show the present state."""
 
     def close(self) -> None:
         """Leaves the terminal as it was."""
 
 
 class Plain:
-    """A line for each change: of the order, of what is told, of what cannot tell, and every step that is done."""
+    """Output of a line for each change: of the order, of the diagnosis, of blind tests, and of finished steps."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._told: dict[str, str] = {}
 
     def show(self, cycle: Cycle) -> None:
-        """Says what has changed."""
+        """Print what has changed."""
         progress, tick = cycle.progress, cycle.latest
         done = [f"{each.mode} {each.visit}" for k, each in enumerate(progress.steps) if progress.is_done(k)]
         self._say(cycle, "done", f"done: {', '.join(done)}" if done else "", "")
@@ -46,7 +46,7 @@ class Plain:
             self._say(cycle, "blind", f"cannot tell: {blind}" if blind else "all tests can tell", blind)
 
     def close(self) -> None:
-        """Nothing is to be undone."""
+        """Do nothing."""
 
     def _say(self, cycle: Cycle, what: str, text: str, key: str) -> None:
         key = key or text
@@ -63,7 +63,7 @@ class Live:
         out.write(f"{HIDE}{CLEAR}")
 
     def show(self, cycle: Cycle) -> None:
-        """Draws what is so now, as much of it as the terminal has room for."""
+        """Draw the present state, as much of it as the terminal has room for."""
         size = shutil.get_terminal_size()
         rows = [printable(row)[: size.columns - 1] for row in drawn(cycle)][: size.lines - 1]
         self._out.write(HOME + "".join(f"{row}{LINE}\n" for row in rows) + BELOW)
@@ -76,7 +76,7 @@ class Live:
 
 
 def drawn(cycle: Cycle) -> list[str]:
-    """The screen's lines, the most important first."""
+    """Return the screen's lines, the most important first."""
     tick, progress = cycle.latest, cycle.progress
     rows = [
         f"faultline workshop  {cycle.system.name}  {cycle.elapsed_s:.0f} s",
@@ -106,7 +106,7 @@ def drawn(cycle: Cycle) -> list[str]:
 
 
 def printable(text: str) -> str:
-    r"""The text without what a terminal would obey: names come from elsewhere.
+    r"""Return the text without control characters of a terminal: names come from elsewhere.
 
     >>> printable("pump\x1b[2J")
     'pump?[2J'

@@ -1,4 +1,4 @@
-"""What was seen over the cycle, for pictures: as many samples as can be drawn, however long it takes."""
+"""Samples of the cycle for pictures: as many as can be drawn, however long it takes."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ MOST = 1200
 
 
 class Sample(NamedTuple):
-    """At `t_s` [s] of the cycle: the mode, the signals and predictions in their units, and the sums.
+    """Sample at `t_s` [s] of the cycle: the mode, the signals and predictions in their units, and the sums.
 
     A prediction or sum is None where its test could not tell, a signal where its value could not be used. Of several
     ticks a sample has the last values and the largest sums.
@@ -31,7 +31,7 @@ class Trace:
         self._waiting: list[Sample] = []
 
     def add(self, t_s: float, tick: LiveTick) -> None:
-        """Takes a tick at `t_s` [s] of the cycle."""
+        """Add a tick at `t_s` [s] of the cycle."""
         self._waiting.append(
             Sample(
                 t_s,

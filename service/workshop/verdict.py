@@ -1,4 +1,4 @@
-"""What the test says in the end: a fault, no fault found, or cannot tell. Never forced. Pure."""
+"""Verdict of the test: a fault, no fault found, or cannot tell. Never forced. Pure."""
 
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -46,14 +46,14 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Seen(NamedTuple):
-    """What is known besides the cycle at its end: the remembered faults, and what keeps the service from telling."""
+    """State of the service at the end: the remembered faults, and the standing conditions."""
 
     remembered: Sequence[Remembered]
     conditions: Sequence[Standing]
 
 
 def judge(cycle: Cycle, end: End, seen: Seen) -> Verdict:
-    """The verdict of a cycle that has ended."""
+    """Return the verdict of a cycle that has ended."""
     if cycle.episodes:
         return _fault(cycle, end)
     missing = _missing(cycle, end, seen)
@@ -63,7 +63,7 @@ def judge(cycle: Cycle, end: End, seen: Seen) -> Verdict:
 
 
 def named(system: SystemDescription, diagnosis: Diagnosis) -> Candidate:
-    """The diagnosis with what its names mean."""
+    """Return the diagnosis with what its names mean."""
     faults = {each.name: each for each in system.faults}
     disturbed = {each.equation: f": {each.description}?" for each in system.disturbances}
     equations = {each.name: f" ({each.description}{disturbed.get(each.name, '')})" for each in system.equations}
@@ -76,7 +76,7 @@ def named(system: SystemDescription, diagnosis: Diagnosis) -> Candidate:
 
 
 def _fault(cycle: Cycle, end: End) -> Verdict:
-    """The fault that is there, else the last that was: one that has gone is no all-clear."""
+    """Return the verdict for the fault that is there, else the last that was: one that has gone is no all-clear."""
     episode = cycle.episodes[-1]
     ordered = sorted(episode.diagnoses, key=lambda each: (each.rank, -(each.p or 0.0)))
     return Verdict(
@@ -108,7 +108,7 @@ def _history(cycle: Cycle, episode: Episode) -> list[str]:
 
 
 def _unfinished(cycle: Cycle, end: End) -> list[str]:
-    """Why the candidates may be more than need be."""
+    """Return why the candidates may be more than necessary."""
     if end == "complete":
         return []
     return [f"{ENDS[end]}: what was not seen may have told candidates apart", *_steps_left(cycle)]
@@ -123,7 +123,7 @@ def _to_know(cycle: Cycle) -> list[str]:
 
 
 def _missing(cycle: Cycle, end: End, seen: Seen) -> list[str]:
-    """Everything that stands in the way of "no fault found"."""
+    """Return everything that stands in the way of "no fault found"."""
     reasons = [] if end == "complete" else [ENDS[end]]
     if cycle.latest is None:
         reasons.append("not one sample came: is the ignition on, and does the service hear the bus?")
@@ -152,7 +152,7 @@ def _steps_left(cycle: Cycle) -> list[str]:
 
 
 def _blind(cycle: Cycle) -> list[str]:
-    """Tests that could not tell for as long as is required; where it is all alike, in one line."""
+    """Return tests that could not tell for as long as is required; equal ones in one line."""
     required = required_s(cycle)
     short: dict[str, list[str]] = {}
     for test, seconds in cycle.seconds.items():
@@ -174,5 +174,5 @@ def _undecided(cycle: Cycle) -> list[str]:
 
 
 def required_s(cycle: Cycle) -> dict[str, float]:
-    """Seconds in which every test has to be able to tell, by mode."""
+    """Return the seconds in which every test has to be able to tell, by mode."""
     return {mode: sum(step.hold_s for step in cycle.progress.steps if step.mode == mode) for mode in REQUIRED}

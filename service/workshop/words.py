@@ -1,4 +1,4 @@
-"""What the technician reads: what to do next, how far it is, what is told so far, and the verdict."""
+"""Text for the technician: what to do next, progress, the diagnosis so far, and the verdict."""
 
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis
@@ -10,15 +10,11 @@ from faultline.service.workshop.verdict import Candidate, Kind, named
 
 SILENCE_S = 2.0
 
-HEADLINES: dict[Kind, str] = {
-    "fault": "FAULT",
-    "no-fault": "NO FAULT FOUND",
-    "cannot-tell": "CANNOT TELL",
-}
+HEADLINES: dict[Kind, str] = {"fault": "FAULT", "no-fault": "NO FAULT FOUND", "cannot-tell": "CANNOT TELL"}
 
 
 def order(cycle: Cycle) -> str:
-    """What to do next."""
+    """Return what to do next."""
     tick, progress = cycle.latest, cycle.progress
     if tick is None or cycle.silent_s >= SILENCE_S:
         return "nothing comes from the service: turn the ignition on, and check that the service hears the bus"
@@ -45,7 +41,7 @@ def _waiting(cycle: Cycle) -> str:
 
 
 def _why(cycle: Cycle) -> str:
-    """Why tests cannot tell, and what to do about it."""
+    """Return why tests cannot tell, and what to do about it."""
     assert cycle.latest is not None
     found = hindrances(cycle.system, cycle.latest)
     if found:
@@ -55,7 +51,7 @@ def _why(cycle: Cycle) -> str:
 
 
 def so_far(cycle: Cycle) -> str:
-    """What is told until now; nothing is a verdict before the end."""
+    """Return the diagnosis so far; nothing is a verdict before the end."""
     tick = cycle.latest
     if tick is None:
         return "nothing yet"
@@ -76,7 +72,7 @@ def _short(system: SystemDescription, diagnosis: Diagnosis) -> str:
 
 
 def candidate_line(candidate: Candidate) -> str:
-    """An explanation in one line."""
+    """Return an explanation in one line."""
     names = " and ".join(
         each.name
         + (f" ({each.component}: {each.description})" if each.component else "")
@@ -90,7 +86,7 @@ def candidate_line(candidate: Candidate) -> str:
 
 
 def separation_line(separation: Separation) -> str:
-    """What would tell two explanations apart."""
+    """Return the tests that discriminate two explanations."""
     one, other = (" and ".join(names) for names in separation.between)
     tests = [*separation.telling, *(f"{test} (cannot tell now)" for test in separation.waiting)]
     if not tests:

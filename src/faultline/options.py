@@ -8,12 +8,15 @@ from typing import Any, NoReturn
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that suggests the nearest option for each one it does not know.
+    """An argument parser that suggests the nearest option for each one it does not know, and keeps lines as written.
 
     A misspelt option that is required is reported by argparse as missing: the suggestion is added to any error.
     """
 
     _given: Sequence[str] = ()
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **{"formatter_class": argparse.RawDescriptionHelpFormatter, **named})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse as argparse does, and keep the arguments for the error message."""
@@ -27,6 +30,16 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with 2 and one line on standard error, after the usage."""
         super().error("; ".join([message, *self._suggestions()]))
+
+    def refuse(self, options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+        """End with an error that says why, where any of these options was given."""
+        if given := [name for name in names if getattr(options, name) is not None]:
+            self.error(f"{why}: leave out {_listed(given)}")
+
+    def require(self, options: argparse.Namespace, names: Iterable[str], instead: str) -> None:
+        """End with an error, where any of these options is missing that are needed where none is given `instead`."""
+        if missing := [name for name in names if getattr(options, name) is None]:
+            self.error(f"give {instead}, or {_listed(missing)} too")
 
     def _suggestions(self) -> list[str]:
         known = self._options()
@@ -82,3 +95,7 @@ def _sender(text: str) -> tuple[str, int]:
     if not message or not 0 <= number <= 253:
         raise argparse.ArgumentTypeError(f"{text}: give MESSAGE=ADDRESS, an address from 0x00 to 0xFD, as EEC1=0x3D")
     return message, number
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"--{name.replace('_', '-')}" for name in names)

@@ -8,13 +8,16 @@ removes it. Every OSError names the target.
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors of a disk, a quota or a file size that is used up."""
+
+ASIDE = 3
+"""Damaged files of one name that are left."""
 
 PROBE = bytes(4096)
 """A block: a full disk often has room for an empty file."""
@@ -173,6 +176,24 @@ def _exchange(partial: Path, target: Path) -> None:
         old.rename(target)
         raise
     shutil.rmtree(old)
+
+
+def put_aside(path: Path, suffixes: Sequence[str] = ("",)) -> Path:
+    """Rename a damaged file, and those of its name with `suffixes`, to `NAME.damaged-N`; return the new path.
+
+    Of earlier ones the latest are left. Raises OSError.
+    """
+    stem = f"{path.name}.damaged-"
+    tails = [each.name.removeprefix(stem) for each in path.parent.glob(f"{stem}*")]
+    numbers = sorted(int(tail) for tail in tails if tail.isdecimal())
+    for number in numbers[: -(ASIDE - 1)]:
+        for suffix in suffixes:
+            path.with_name(f"{stem}{number}{suffix}").unlink(missing_ok=True)
+    aside = path.with_name(f"{stem}{numbers[-1] + 1 if numbers else 1}")
+    for suffix in suffixes:
+        with suppress(FileNotFoundError):
+            path.with_name(f"{path.name}{suffix}").rename(f"{aside}{suffix}")
+    return aside
 
 
 def sync(path: Path) -> None:

@@ -106,8 +106,8 @@ def soak(hours: float) -> None:
     ):
         bus = Playback(hours)
         line = BusChannel("bus", bus, [watched(bundle, "truck", 1.0)], lambda _: None)
-        scribe = Sequencer("truck", journal.last)
-        loop = Loop(scribe, [line], journal, subscribers, Notifier({}), lambda _: None, lambda: bus.now)
+        sequencer = Sequencer("truck", journal.last)
+        loop = Loop(sequencer, [line], journal, subscribers, Notifier({}), lambda _: None, lambda: bus.now)
         threading.Thread(target=subscriber, args=(Path(folder) / "s",), daemon=True).start()
         loop.serve()
         bus.close()

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from faultline.service.bundle.command import main as bundle_command
 from faultline.service.bundle.files import SEAL, seal
 
 HERE = Path(__file__).resolve().parent
@@ -47,8 +48,8 @@ class Guest:
     environment: Path
     disk: Path
 
-    def run(self, script: Path, *arguments: str, limit_s: float = 400.0) -> int:
-        """Boots, runs the script with the guest's Python, and powers off; the script's exit code."""
+    def run(self, script: Path, *arguments: str, limit_s: float = 1200.0) -> int:
+        """Boots, runs the script with the guest's Python, and powers off; the script's exit code, -1 where it hangs."""
         process = self.start(script, *arguments)
         try:
             process.wait(limit_s)
@@ -125,18 +126,17 @@ def prepared(folder: Path) -> Guest:
     done = subprocess.run([str(HERE / "install.sh")], capture_output=True, text=True, check=False)
     if done.returncode:
         raise NoGuestError(done.stderr.strip())
-    faultline = str(Path(sys.executable).with_name("faultline"))
     share, key = folder / "share", folder / "fleet.pem"
     share.mkdir()
     _must(["openssl", "genpkey", "-algorithm", "ed25519", "-out", str(key)])
-    _must([faultline, "bundle", "public", str(key), "--out", str(share / "fleet.pub")])
+    _bundle("public", key, "--out", share / "fleet.pub")
     for version in range(VERSIONS):
         bundle = Path(shutil.copytree(GOLDEN / "bundle", share / f"version-{version}"))
         manifest = json.loads((bundle / "manifest.json").read_bytes())
         raw = json.dumps({**manifest, "version": version}).encode()
         (bundle / "manifest.json").write_bytes(raw)
         (bundle / SEAL).write_bytes(seal(raw))
-        _must([faultline, "bundle", "sign", str(bundle), "--key", str(key)])
+        _bundle("sign", bundle, "--key", key)
     lines = (GOLDEN / "log" / "can.log").read_text().splitlines()
     first = float(lines[0].split()[0].strip("()"))
     inside = [line for line in lines if FROM_S <= float(line.split()[0].strip("()")) - first <= UNTIL_S]
@@ -192,6 +192,12 @@ def _home(settings: Path, base: Path) -> None:
     """Where the environment finds the Python that it was made of: another place here than in the guest."""
     lines = settings.read_text().splitlines()
     settings.write_text("".join(f"{f'home = {base}/bin' if line.startswith('home') else line}\n" for line in lines))
+
+
+def _bundle(*arguments: str | Path) -> None:
+    """The command in this process: a process of its own takes most of a second to start."""
+    if code := bundle_command([*map(str, arguments)]):
+        raise RuntimeError(f"faultline bundle {arguments[0]}: {code}")
 
 
 def _must(command: list[str]) -> None:

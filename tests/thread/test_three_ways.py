@@ -13,13 +13,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+import msgspec
 import pytest
 from ports import multicast
 
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.records.event import Event, decode, is_other, schema_of
 from faultline.service.core.records.fault import SCHEMA as FAULT
-from faultline.service.core.records.fault import decode_record
+from faultline.service.core.records.fault import FaultRecord
 from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
@@ -87,7 +88,7 @@ def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> N
     run = ids[0].removesuffix("-1")
     assert re.fullmatch("golden-[0-9a-f]{8}", run)
     assert ids == [f"{run}-{k}" for k in range(1, len(ids) + 1)]
-    remembered = [decode_record(line) for line in everything if schema_of(line) == FAULT]
+    remembered = [msgspec.json.decode(line, type=FaultRecord) for line in everything if schema_of(line) == FAULT]
     assert [record.change for record in remembered] == ["confirmed", "refined"]
     assert remembered[-1].fault.diagnoses == during[-1].diagnoses
     assert all(event.wall is not None for event in live)

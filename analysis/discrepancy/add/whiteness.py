@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 Array = npt.NDArray[np.float64]
 
@@ -54,4 +54,4 @@ def whiteness(e: Array, run: npt.NDArray[np.int64]) -> Whiteness | None:
         q += (n + 2) / n * count * r[-1] ** 2
     if not r:
         return None
-    return Whiteness(n, r[0], q, len(r), float(chi2.sf(q, len(r))))
+    return Whiteness(n, r[0], q, len(r), float(chdtrc(len(r), q)))

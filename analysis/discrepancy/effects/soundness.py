@@ -8,7 +8,7 @@ import sympy as sp
 from faultline.analysis.discrepancy.effects.effect import Effect
 from faultline.analysis.model import Model, ModelError
 from faultline.analysis.model.check import check_model
-from faultline.analysis.simulation import system_of
+from faultline.analysis.simulation import check_free_run
 from faultline.analysis.structure.lint import unit_findings
 from faultline.service.core.errors import InputError
 
@@ -41,7 +41,7 @@ def check_rewritten(before: Model, after: Model, effect: Effect) -> None:
 def _check_runs(before: Model, after: Model, effect: Effect) -> None:
     """A model that could be run freely still can."""
     try:
-        system_of(after, list(effect.strengths))
+        check_free_run(after)
     except InputError as error:
         if _runs(before):
             remedy = "let a sensor show one unknown, and give every new unknown an equation"
@@ -50,7 +50,7 @@ def _check_runs(before: Model, after: Model, effect: Effect) -> None:
 
 def _runs(model: Model) -> bool:
     try:
-        system_of(model, [])
+        check_free_run(model)
     except InputError:
         return False
     return True

@@ -5,7 +5,6 @@ The score is that of `blocks`, so the curve is the residual's own and no thresho
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import rankdata
 
 Array = npt.NDArray[np.float64]
 
@@ -21,7 +20,8 @@ def area(free: Array, faulty: Array) -> float | None:
     free, faulty = free[np.isfinite(free)], faulty[np.isfinite(faulty)]
     if not free.size or not faulty.size:
         return None
-    ranks = rankdata(np.concatenate([free, faulty]))[free.size :]
+    _, value, count = np.unique(np.concatenate([free, faulty]), return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(count) - (count - 1) / 2)[value[free.size :]]  # equal scores share the mean of theirs
     return float((ranks.sum() - faulty.size * (faulty.size + 1) / 2) / (free.size * faulty.size))
 
 

@@ -67,7 +67,7 @@ class DetectorBank:
 
     @property
     def suspicious(self) -> bool:
-        """Whether any detector alarms."""
+        """Return True if any detector alarms."""
         return bool(self.firing)
 
     @property
@@ -93,7 +93,7 @@ class DetectorBank:
 
     @property
     def sums(self) -> FloatArray:
-        """For each generator (T,) the largest value of its level detectors, in parts of the threshold, signed."""
+        """Return for each generator (T,) its largest level detector, in parts of the threshold, signed."""
         sums = np.zeros(self._count)
         for each, row, level in zip(self._detectors, self._rows, self._level, strict=True):
             if level and each.value > abs(sums[row]):

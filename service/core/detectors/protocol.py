@@ -1,4 +1,4 @@
-"""What every detector is: the rest of the core asks nothing else of one."""
+"""Common interface of all detectors."""
 
 from typing import Protocol
 
@@ -12,7 +12,7 @@ class Detector(Protocol):
 
     @property
     def alarm(self) -> bool:
-        """Whether it alarms."""
+        """Return True if it alarms."""
 
     @property
     def since(self) -> int | None:
@@ -20,7 +20,7 @@ class Detector(Protocol):
 
     @property
     def value(self) -> float:
-        """What it compares, in parts of its threshold, at most 2: from 1 on it alarms, and until later it may."""
+        """Return the statistic in parts of its threshold, at most 2: from 1 on it alarms, and until later it may."""
 
     @property
     def sign(self) -> int:

@@ -56,7 +56,7 @@ class Diagnostics(NamedTuple):
 
 
 def encode(codes: Sequence[Code], amber: bool) -> bytes:
-    """The payload, of 8 bytes at least; of more than `MOST` codes the first ones.
+    """Return the payload, of 8 bytes at least, with the first `MOST` codes.
 
     Raises:
         ValueError: a code whose numbers do not fit.
@@ -72,7 +72,7 @@ def encode(codes: Sequence[Code], amber: bool) -> bytes:
 
 
 def decode(payload: bytes) -> Diagnostics:
-    """Lamps and codes; SPN 0 and SPN 524287 say that there is none and are left out.
+    """Decode lamps and codes; SPN 0 and SPN 524287 mean no code and are left out.
 
     Raises:
         ValueError: no length that such a message has.

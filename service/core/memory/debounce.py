@@ -32,7 +32,7 @@ class Debounce:
         return "passed" if self.counter == -self._passed else None
 
     def disable(self, how: Disabled) -> None:
-        """The tests cannot tell."""
+        """Handle a tick at which the tests cannot tell."""
         if how == "reset":
             self.counter = 0
 

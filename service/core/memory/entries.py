@@ -12,7 +12,7 @@ from faultline.service.core.records.fault import Fault, Seen, Status
 
 
 class Episode:
-    """What is told of a system now. `number` is its entry once it counts, `before` what that was until then."""
+    """Diagnosis of a system now. `number` is its entry once it counts, `before` the entry until then."""
 
     def __init__(self, system: System, rules: Rules) -> None:
         self.system = system
@@ -68,7 +68,7 @@ def fresh(number: int, episode: Episode, cycle: int) -> Fault:
 
 
 def with_told(fault: Fault, episode: Episode, cycle: int) -> Fault:
-    """The entry with what is told now."""
+    """Return the entry with the present diagnosis."""
     told, system = episode.told, episode.system
     assert told is not None
     components = (system.components.get(name, name) for one in told.diagnoses for name in one.faults)

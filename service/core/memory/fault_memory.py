@@ -26,15 +26,15 @@ from faultline.service.core.signals.values import Mask
 LOOK_TICKS = 25  # 5 s at the usual period
 
 
-class News(NamedTuple):
-    """What has become of a fault. `change` None: to be kept, and not worth telling."""
+class FaultChange(NamedTuple):
+    """Change of a fault. `change` None: to be stored, without a record."""
 
     change: Change | None
     fault: Fault
 
 
 class Remembered(msgspec.Struct, frozen=True, kw_only=True):
-    """All that outlives a run but the faults themselves: whether one was ever displaced, and the next number."""
+    """State that outlives a run besides the faults: whether one was ever displaced, and the next number."""
 
     overflow: bool = False
     number: Number = 1
@@ -63,8 +63,8 @@ class FaultMemory:
         else:
             episode.system = system
 
-    def event(self, name: str, event: Event, modes: Sequence[str]) -> list[News]:
-        """Takes what is told of the system `name`; `modes` are those that show it now."""
+    def event(self, name: str, event: Event, modes: Sequence[str]) -> list[FaultChange]:
+        """Take an event of the system `name`; `modes` are those that show it now."""
         episode = self._episodes[name]
         if event.transition in ("occurred", "refined"):
             episode.told, episode.modes = event, [*modes]
@@ -80,7 +80,7 @@ class FaultMemory:
             episode.debounce.counter = 0
         return []
 
-    def tick(self, name: str, mode: int, usable: Mask, suspicious: bool) -> list[News]:
+    def tick(self, name: str, mode: int, usable: Mask, suspicious: bool) -> list[FaultChange]:
         """Takes a look at the system: the mode, which generators (T,) can tell, whether anything is suspected."""
         episode = self._episodes[name]
         if suspicious:
@@ -93,7 +93,7 @@ class FaultMemory:
             news += self._look(episode)
         return news
 
-    def begin_cycle(self, cycle: int) -> list[News]:
+    def begin_cycle(self, cycle: int) -> list[FaultChange]:
         """An operation cycle begins: nothing has failed or passed in it yet."""
         self.cycle = cycle
         for episode in self._episodes.values():
@@ -103,8 +103,8 @@ class FaultMemory:
                 episode.before = in_new_cycle(episode.before)
         return [self._put(in_new_cycle(fault), None) for fault in [*self.faults.values()]]
 
-    def end_cycle(self) -> list[News]:
-        """An operation cycle ends: what could have failed in it and did not heals, then ages."""
+    def end_cycle(self) -> list[FaultChange]:
+        """End an operation cycle: what could have failed in it and did not heals, then ages."""
         return [
             self._settle(fault)
             for fault in [*self.faults.values()]
@@ -112,7 +112,7 @@ class FaultMemory:
         ]
 
     def clear(self, number: int | None) -> list[int]:
-        """Erases one, or all; the numbers of those. What is still told fails anew, under a number of its own."""
+        """Erase one, or all; return their numbers. A present fault fails anew, under a number of its own."""
         erased = [*self.faults] if number is None else [number] if number in self.faults else []
         for each in erased:
             self._erase(each)
@@ -121,11 +121,11 @@ class FaultMemory:
         return erased
 
     def told(self, name: str) -> Event | None:
-        """The event that tells what is wrong with the system now; None where nothing is told."""
+        """Return the event of the system's present diagnosis; None if there is none."""
         return self._episodes[name].told
 
-    def _count(self, episode: Episode, usable: Mask, suspicious: bool) -> list[News]:
-        """One look more at what is told, or has healed, and does not count as that yet."""
+    def _count(self, episode: Episode, usable: Mask, suspicious: bool) -> list[FaultChange]:
+        """Count one more observation of a fault that is present, or healed, and does not count as that yet."""
         told, counter = episode.told, episode.debounce
         if told is None:
             if episode.number is not None:
@@ -137,7 +137,7 @@ class FaultMemory:
             counter.disable(self._rules.disabled)
         return []
 
-    def _seen(self, episode: Episode, *, is_there: bool) -> list[News]:
+    def _seen(self, episode: Episode, *, is_there: bool) -> list[FaultChange]:
         found = episode.debounce.seen(is_there)
         if not is_there:
             episode.told = None
@@ -148,8 +148,8 @@ class FaultMemory:
             return [self._pass(self.faults[number])]
         return []
 
-    def _occur(self, episode: Episode) -> list[News]:
-        """What is told anew, where what was told before may not count as passed yet: it is that again, or another."""
+    def _occur(self, episode: Episode) -> list[FaultChange]:
+        """Handle a new diagnosis while the previous may not count as passed yet: it is that again, or another."""
         assert episode.told is not None
         if episode.number is None:
             return self._seen(episode, is_there=True)
@@ -161,11 +161,11 @@ class FaultMemory:
         return [self._pass(before), *self._seen(episode, is_there=True)]
 
     def _has_failed(self, episode: Episode) -> bool:
-        """Whether what is told counts as failed in this cycle."""
+        """Return True if the diagnosis counts as failed in this cycle."""
         return episode.number is not None and self.faults[episode.number].status.test_failed_this_cycle
 
-    def _fail(self, episode: Episode) -> Iterator[News]:
-        """What is told now counts as failed, in this cycle: it is an entry's still or again, or a new one's."""
+    def _fail(self, episode: Episode) -> Iterator[FaultChange]:
+        """Count the diagnosis as failed in this cycle: as the same entry, an earlier one again, or a new one."""
         assert episode.told is not None
         episode.quiet[:] = 0
         if episode.number is None:
@@ -210,7 +210,7 @@ class FaultMemory:
             warning=confirmed,
         )
 
-    def _refine(self, episode: Episode) -> Iterator[News]:
+    def _refine(self, episode: Episode) -> Iterator[FaultChange]:
         """Other candidates: where they share none with what the entry was before, it was not that again.
 
         And a new entry all of whose candidates are a remembered one's now is that one again, and was no new one.
@@ -223,7 +223,7 @@ class FaultMemory:
             own, counter = self.faults[episode.number], episode.debounce.counter
             self._erase(own.number)
             episode.debounce.counter = counter
-            yield News("revoked", own)
+            yield FaultChange("revoked", own)
             yield from self._fail(episode)
             return
         if before is None or names(before.diagnoses) & names(episode.told.diagnoses):
@@ -232,28 +232,28 @@ class FaultMemory:
             yield self._put(with_told(entry, episode, self.cycle), "refined" if is_news else None)
             return
         self.faults[before.number] = before
-        yield News("withdrawn", before)
+        yield FaultChange("withdrawn", before)
         episode.number = None
         yield from self._fail(episode)
 
-    def _withdraw(self, episode: Episode) -> Iterator[News]:
-        """What was told rests on samples that came to be doubted: the entry is as it was before, or there is none."""
+    def _withdraw(self, episode: Episode) -> Iterator[FaultChange]:
+        """Withdraw a diagnosis that rests on doubted samples: the entry is as it was before, or there is none."""
         number, before = episode.number, episode.before
         episode.told = episode.number = episode.before = None
         episode.debounce.counter = 0
         if before is not None:
             self.faults[before.number] = before
-            yield News("withdrawn", before)
+            yield FaultChange("withdrawn", before)
         elif number is not None:
             fault = self.faults[number]
             self._erase(number)
-            yield News("revoked", fault)
+            yield FaultChange("revoked", fault)
 
-    def _pass(self, fault: Fault) -> News:
+    def _pass(self, fault: Fault) -> FaultChange:
         return self._put(structs.replace(fault, fdc=-128), "passed", test_failed=False, not_completed_this_cycle=False)
 
-    def _look(self, episode: Episode) -> list[News]:
-        """What failed in earlier runs or cycles, and was quiet since where it could be seen."""
+    def _look(self, episode: Episode) -> list[FaultChange]:
+        """Pass faults of earlier runs or cycles that were quiet since where they could be seen."""
         least = self._rules.quiet_s / episode.system.period_s
         news = []
         for fault in [*self.faults.values()]:
@@ -269,7 +269,7 @@ class FaultMemory:
                 news.append(self._pass(fault) if was_failed else self._put(fault, None, not_completed_this_cycle=False))
         return news
 
-    def _settle(self, fault: Fault) -> News:
+    def _settle(self, fault: Fault) -> FaultChange:
         """A cycle in which it could have failed and did not."""
         status = fault.status
         warned = status.warning and fault.healing + 1 < self._rules.heal_cycles
@@ -279,7 +279,7 @@ class FaultMemory:
             fault = structs.replace(fault, trips=0, aging=fault.aging + 1)
         if fault.aging >= self._rules.age_cycles:
             self._erase(fault.number)
-            return News("aged", fault)
+            return FaultChange("aged", fault)
         changed = status.pending or status.warning != warned
         return self._put(fault, "settled" if changed else None, pending=False, warning=warned)
 
@@ -294,7 +294,7 @@ class FaultMemory:
         ]
         return max(alike, key=lambda each: (each.status.test_failed, each.latest.cycle, each.number), default=None)
 
-    def _make_room(self) -> Iterator[News]:
+    def _make_room(self) -> Iterator[FaultChange]:
         """Displaces what matters least where all places are taken: passed before failed, pending before confirmed."""
         if len(self.faults) < self._rules.entries:
             return
@@ -307,7 +307,7 @@ class FaultMemory:
         if least is not None:
             self._erase(least.number)
             self.remembered = structs.replace(self.remembered, overflow=True)
-            yield News("displaced", least)
+            yield FaultChange("displaced", least)
 
     def _erase(self, number: int) -> None:
         del self.faults[number]
@@ -316,8 +316,8 @@ class FaultMemory:
                 episode.number = episode.before = None
                 episode.debounce.counter = 0
 
-    def _put(self, fault: Fault, change: Change | None, **bits: bool) -> News:
+    def _put(self, fault: Fault, change: Change | None, **bits: bool) -> FaultChange:
         status = structs.replace(fault.status, **bits)
         fault = structs.replace(fault, status=status, mask=status.mask)
         self.faults[fault.number] = fault
-        return News(change, fault)
+        return FaultChange(change, fault)

@@ -16,7 +16,7 @@ from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Q
 
 
 class Sample(NamedTuple):
-    """A tick as it was seen and decided: signals (nz,), what each generator (T,) made of them, and what that comes to.
+    """Tick with signals (nz,), results of each generator (T,), and the decision.
 
     `sums` are the generators' detectors in parts of their thresholds, with the residual's sign; `showing` are the modes
     that have shown what is wrong; `suspicious` is true while anything alarms, confirmed or not. The rest as in
@@ -41,7 +41,7 @@ class Sample(NamedTuple):
 
     @classmethod
     def of(cls, tick: Tick, decision: Decision) -> "Sample":
-        """What was seen and decided at a tick."""
+        """Return the sample of a tick and its decision."""
         seen = tick.residuals
         return cls(
             *(tick.number, tick.mode, tick.z, tick.quality, seen.r, seen.y_hat, seen.sigma, seen.usable),
@@ -78,7 +78,7 @@ class Recorder:
         return self._samples[-1] if self._samples else None
 
     def frame(self, event: Event, conditions: Sequence[str], counters: Mapping[str, int]) -> FreezeFrame:
-        """The freeze frame of what was just told; the excerpt ends with it."""
+        """Return the freeze frame of an event; the excerpt ends with it."""
         last = self._samples[-1]
         manifest, period = self._manifest, self._manifest.period_s
         return FreezeFrame(

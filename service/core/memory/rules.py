@@ -1,4 +1,4 @@
-"""How faults are remembered: what is configured of the fault memory."""
+"""Configuration of the fault memory."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ Seconds = Annotated[float, Meta(ge=0, le=3600)]
 
 
 class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How faults are remembered.
+    """Rules of the fault memory.
 
     A fault is confirmed once it has failed in `confirm_trips` operation cycles in a row that could tell. After
     `heal_cycles` in a row that could tell and in which it did not fail it is no longer warned of, and after

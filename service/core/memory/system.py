@@ -1,4 +1,4 @@
-"""A watched system as the fault memory knows it: what its faults are called, and their codes on a J1939 network."""
+"""Watched system in the fault memory: the meaning of its faults' names, and their J1939 codes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,7 +13,7 @@ condition exists (it is no component that the model knows)."""
 
 
 class System(NamedTuple):
-    """What a bundle watches: its name, the manifest's SHA-256 and period [s], and what its names mean."""
+    """Watched system: its name, the manifest's SHA-256 and period [s], and what its names mean."""
 
     name: str
     bundle: str
@@ -39,7 +39,7 @@ class System(NamedTuple):
         )
 
     def codes(self, diagnoses: Sequence[Diagnosis]) -> list[Dtc]:
-        """Those of its faults where one explanation is left; the system's where several are, or no known one is."""
+        """Return the codes of its faults if one explanation is left; the system's if several or none are."""
         if not any(one.faults for one in diagnoses):
             return [UNKNOWN]
         if len(diagnoses) > 1:

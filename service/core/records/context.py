@@ -73,11 +73,6 @@ class Context(msgspec.Struct, frozen=True, kw_only=True):
     codes: Annotated[list[TroubleCode], Meta(description="none: no trouble code; or it is silent")]
 
 
-def encode_context(context: Context) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(context) + b"\n"
-
-
 def decode_context(line: bytes) -> Context:
-    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
+    """Return the record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
     return msgspec.json.decode(line, type=Context)

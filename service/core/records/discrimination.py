@@ -1,4 +1,4 @@
-"""What would tell the explanations apart: the tests that are sensitive to one of two faults and not to the other.
+"""Tests that discriminate explanations: they are sensitive to one of two faults and not to the other.
 
 Structural isolability (thesis 2.3): a test separates two faults where its row of the fault signature matrix has exactly
 one of them. Where none does, only size and sign of the residuals in the operating modes can.
@@ -18,7 +18,7 @@ MOST = 4  # explanations that are compared, the best ones: six pairs
 
 
 class Separation(msgspec.Struct, frozen=True, kw_only=True):
-    """Two explanations, and the tests that tell them apart."""
+    """Pair of explanations, and the tests that discriminate them."""
 
     between: Annotated[list[list[str]], Meta(description="the faults of one explanation, and of the other")]
     telling: Annotated[list[str], Meta(description="tests that tell them apart, and can now")]
@@ -28,7 +28,7 @@ class Separation(msgspec.Struct, frozen=True, kw_only=True):
 def separations(
     generators: Iterable[Generator], diagnoses: Sequence[Diagnosis], cannot_tell: Collection[str]
 ) -> list[Separation]:
-    """Of each pair of the best explanations with known faults, what would tell them apart.
+    """Return for each pair of the best explanations with known faults the tests that discriminate them.
 
     >>> class Row:
     ...     def __init__(self, test, faults): self.test, self.faults = test, faults

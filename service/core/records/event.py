@@ -1,4 +1,4 @@
-"""The event: the one thing a subscriber hears, in one schema, `faultline.event/1`.
+"""Event: a transition of the diagnosis, in one schema, `faultline.event/1`.
 
 Source: the CloudEvents idea of (source, id) as identity; the transitions are named after the status life cycle of
 AUTOSAR diagnostic management.
@@ -113,42 +113,36 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def candidates(diagnoses: Sequence[Diagnosis]) -> list[tuple[tuple[str, ...], int, tuple[str, ...]]]:
-    """What is new when it changes: names, ranks and places; a probability creeps."""
+    """Return what makes diagnoses new when it changes: names, ranks and places; a probability creeps."""
     return [(tuple(one.faults), one.rank, tuple(one.near)) for one in diagnoses]
 
 
 def is_about(event: Event, source: str) -> bool:
-    """Whether the event is of this vehicle (`<source>-<run>-<seq>`) or recording (`<source>-<seq>`)."""
+    """Return True if the event is of this vehicle (`<source>-<run>-<seq>`) or recording (`<source>-<seq>`)."""
     return re.fullmatch(rf"{re.escape(source)}(-[0-9a-f]{{8}})?-\d+", event.id) is not None
 
 
 class _Header(msgspec.Struct):
-    """What every record begins with."""
+    """Header of every record."""
 
     schema: str
 
 
-_ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(Event)
 _HEADER = msgspec.json.Decoder(_Header)
 
 
-def encode(event: Event) -> bytes:
-    """The event as one line of JSON, newline included."""
-    return _ENCODER.encode(event) + b"\n"
-
-
 def schema_of(line: bytes) -> str:
-    """What kind of record a line of JSON is; raises as `decode`."""
+    """Return the schema of a record in a line of JSON; raises as `decode`."""
     return _HEADER.decode(line).schema
 
 
 def is_other(line: bytes) -> bool:
-    """Whether a line is a record of faultline's and no event: of health, of remembered faults; raises as `decode`."""
+    """Return True if a line is a record of faultline's and no event: health, remembered faults; raises as `decode`."""
     schema = schema_of(line)
     return schema.startswith("faultline.") and not schema.startswith("faultline.event/")
 
 
 def decode(line: bytes) -> Event:
-    """The event in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
+    """Return the event in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
     return _DECODER.decode(line)

@@ -1,4 +1,4 @@
-"""What is remembered of a fault, and the record that tells of it, schema `faultline.fault/1`.
+"""Remembered fault, and the record of its changes, schema `faultline.fault/1`.
 
 Source: the status byte of ISO 14229-1 as a view (bits as in AUTOSAR SWS Diagnostics R22-11); SPN and FMI of SAE
 J1939-73.
@@ -16,16 +16,7 @@ from faultline.service.core.records.event import Diagnosis
 SCHEMA = "faultline.fault/1"
 
 Change = Literal[
-    "pending",
-    "confirmed",
-    "failed",
-    "refined",
-    "withdrawn",
-    "revoked",
-    "passed",
-    "settled",
-    "aged",
-    "displaced",
+    "pending", "confirmed", "failed", "refined", "withdrawn", "revoked", "passed", "settled", "aged", "displaced"
 ]
 """pending: failed, in fewer operation cycles than confirm it. confirmed: failed in as many. failed: one that was
 confirmed before, and had passed, is there again. refined: its candidates changed. withdrawn: what looked like it again
@@ -61,13 +52,19 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     warning: Annotated[bool, Meta(description="it is warned of")]
 
     @property
+    def words(self) -> str:
+        """Return the status for a person."""
+        kind = "confirmed" if self.confirmed else "pending" if self.pending else "was pending"
+        return f"{'is there' if self.test_failed else 'is not there any more'}, {kind}"
+
+    @property
     def mask(self) -> int:
-        """The byte."""
+        """Return the byte."""
         return sum(bit << k for k, bit in enumerate(msgspec.structs.astuple(self)))
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True):
-    """When: the event that told it, the wall clock (RFC 3339), and the operation cycle."""
+    """Time of an occurrence: the event, the wall clock (RFC 3339), and the operation cycle."""
 
     id: Annotated[str, Meta(description="of the event")]
     wall: Annotated[str | None, Meta(description="wall clock (RFC 3339)")]
@@ -109,7 +106,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FaultRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What has become of a fault."""
+    """Record of a change of a fault."""
 
     schema: Annotated[str, Meta(description="`faultline.fault/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -120,7 +117,7 @@ class FaultRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cleared(msgspec.Struct, frozen=True, kw_only=True):
-    """A person has erased faults."""
+    """Record that a person has erased faults."""
 
     schema: Annotated[str, Meta(description="`faultline.cleared/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -133,21 +130,6 @@ class Cleared(msgspec.Struct, frozen=True, kw_only=True):
 CLEARED = "faultline.cleared/1"
 
 
-def encode_record(record: FaultRecord | Cleared) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(record) + b"\n"
-
-
-def decode_record(line: bytes) -> FaultRecord:
-    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
-    return msgspec.json.decode(line, type=FaultRecord)
-
-
-def decode_cleared(line: bytes) -> Cleared:
-    """As `decode_record`, of faults that were erased."""
-    return msgspec.json.decode(line, type=Cleared)
-
-
 def check(fault: Fault, name: str) -> None:
     """Raise ValueError where the fault memory cannot go on with what was kept under `name`, by another version say."""
     if name != f"fault/{fault.number}":
@@ -157,6 +139,6 @@ def check(fault: Fault, name: str) -> None:
 
 
 def names(diagnoses: Sequence[Diagnosis]) -> frozenset[str]:
-    """What they have in common with others if it is the same fault: faults, and places of what is unknown."""
+    """Return the names by which diagnoses are of the same fault: faults, and places of what is unknown."""
     unknown = (f"unknown near {place}" for one in diagnoses if not one.faults for place in one.near or ["nothing"])
     return frozenset(name for one in diagnoses for name in one.faults).union(unknown)

@@ -1,4 +1,4 @@
-"""The freeze frame: what was seen when a fault was told, schema `faultline.frame/1`.
+"""Freeze frame: the state when an event was published, schema `faultline.frame/1`.
 
 Source: snapshot and extended data of AUTOSAR diagnostic management; the excerpt around the event is what a diagnosis
 engineer would have wanted to record.
@@ -15,7 +15,7 @@ SCHEMA = "faultline.frame/1"
 
 
 class Input(msgspec.Struct, frozen=True, kw_only=True):
-    """A signal."""
+    """Value of a signal."""
 
     signal: Annotated[str, Meta(description="its name")]
     unit: Annotated[str, Meta(description="its unit")]
@@ -25,7 +25,7 @@ class Input(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """A residual generator."""
+    """Result of a residual generator."""
 
     generator: Annotated[str, Meta(description="its name")]
     test: Annotated[str, Meta(description="the test it belongs to")]
@@ -49,7 +49,7 @@ class Excerpt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FreezeFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """All that was known when an event was told."""
+    """Freeze frame: all that was known at an event."""
 
     schema: Annotated[str, Meta(description="`faultline.frame/1`")]
     event: Annotated[str, Meta(description="id of the event")]

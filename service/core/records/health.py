@@ -1,4 +1,4 @@
-"""What keeps the service from telling, apart from faults of the system it watches: the bus, its frames, its sensors.
+"""Conditions that impair the diagnosis, apart from faults of the system: the bus, its frames, its sensors.
 
 A condition is told once it has lasted, and again once it has been gone for a while, so that a loose plug is no storm of
 messages. What is told is always everything that stands, not what has changed: whoever comes late knows as much.
@@ -12,33 +12,12 @@ from msgspec import Meta
 
 SCHEMA = "faultline.health/1"
 
-Kind = Literal[
-    "bus-down",
-    "bus-removed",
-    "bus-off",
-    "error-passive",
-    "frames-lost",
-    "no-traffic",
-    "missing",
-    "not-available",
-    "error",
-    "out-of-range",
-    "frozen",
-    "jump",
-    "second-sender",
-    "address-claim",
-    "short-frames",
-    "unknown-selector",
-    "incomplete",
-    "bundle-failed",
-    "bundle-refused",
-    "store-failed",
-    "store-reset",
-    "clients-refused",
-    "store-removed",
-    "rows-set-aside",
-    "memory-failed",
-]
+BusKind = Literal["bus-down", "bus-removed", "bus-off", "error-passive", "frames-lost"]
+MessageKind = Literal["no-traffic", "second-sender", "address-claim", "short-frames", "unknown-selector", "incomplete"]
+SignalKind = Literal["missing", "not-available", "error", "out-of-range", "frozen", "jump"]
+ServiceKind = Literal["bundle-failed", "bundle-refused", "clients-refused", "memory-failed"]
+StoreKind = Literal["store-failed", "store-reset", "store-removed", "rows-set-aside"]
+Kind = Literal[BusKind, MessageKind, SignalKind, ServiceKind, StoreKind]
 
 MEANINGS: dict[str, str] = {
     "bus-down": "the interface is down",
@@ -69,12 +48,7 @@ MEANINGS: dict[str, str] = {
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""
 
-OF_FRAMES: frozenset[Kind] = frozenset(
-    (
-        *("no-traffic", "missing", "not-available", "error", "out-of-range", "frozen", "jump"),
-        *("second-sender", "address-claim", "short-frames", "unknown-selector", "incomplete"),
-    )
-)
+OF_FRAMES: frozenset[Kind] = frozenset((*get_args(MessageKind), *get_args(SignalKind)))
 """What only frames, or their absence for a while, can show."""
 
 KINDS: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
@@ -98,14 +72,14 @@ REFUTED: frozenset[Kind] = frozenset(("no-traffic",))
 
 
 class Condition(msgspec.Struct, frozen=True, order=True):
-    """Something that is wrong with `of`: a bus, a message, a signal, a bundle or the store."""
+    """Condition of `of`: a bus, a message, a signal, a bundle or the store."""
 
     kind: Kind
     of: str
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """A condition that is told."""
+    """Standing condition."""
 
     kind: Annotated[str, Meta(description="as below; leave no kind out that you do not know")]  # a newer one's, too
     of: Annotated[str, Meta(description="the bus, message, signal, bundle or file that it is of")]
@@ -113,7 +87,7 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Health(msgspec.Struct, frozen=True, kw_only=True):
-    """All conditions that stand."""
+    """Record of all conditions that stand."""
 
     schema: Annotated[str, Meta(description="`faultline.health/1`")]
     id: Annotated[str, Meta(description="as of an event")]
@@ -122,18 +96,8 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
     conditions: Annotated[list[Standing], Meta(description="all that stand; empty where all is well")]
 
 
-def encode_health(health: Health) -> bytes:
-    """One line of JSON."""
-    return msgspec.json.encode(health) + b"\n"
-
-
-def decode_health(line: bytes) -> Health:
-    """The record in one line of JSON; raises `msgspec.DecodeError` or `msgspec.ValidationError`."""
-    return msgspec.json.decode(line, type=Health)
-
-
 class Conditions:
-    """Conditions with their patience. State: those that are, or were lately.
+    """Debounced conditions. State: those that are, or were lately.
 
     `told` are those that stood when an earlier run ended, at time `t` [s] of this one: if they are gone, that is news.
     """
@@ -144,11 +108,11 @@ class Conditions:
 
     @property
     def standing(self) -> Sequence[Condition]:
-        """Those that are told."""
+        """Return the standing conditions."""
         return sorted(self._seen)
 
     def update(self, t: float, present: Iterable[Condition]) -> bool:
-        """Takes what is wrong at time `t` [s]; whether what stands has changed."""
+        """Take the present conditions at time `t` [s]; return True if the standing ones have changed."""
         now, before = set(present), set(self._seen)
         for condition in now & before:
             self._seen[condition] = t

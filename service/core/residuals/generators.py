@@ -64,7 +64,7 @@ class Graph:
 
 
 class Generators(Protocol):
-    """What is asked once a tick."""
+    """Interface of the generators, called once a tick."""
 
     def step(self, z: FloatArray, usable: Mask) -> Residuals:
         """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
@@ -141,7 +141,7 @@ class GeneratorBank:
         return [np.concatenate([outputs[k][0] for outputs in found]) for k in range(len(Graph.OUTPUTS))]
 
     def _outside(self) -> FloatArray:
-        """How far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
+        """Return how far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
         beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
         return np.asarray(self._needs @ np.maximum(beyond, 0.0))
 

@@ -1,4 +1,4 @@
-"""What may be in an ONNX file of a bundle, looked at before any runtime sees it, and without the onnx package.
+"""Whitelist of an ONNX file's content, checked before any runtime sees it, and without the onnx package.
 
 The file is a Protocol Buffers message (onnx.proto, IR version 10), walked by field numbers. Only what the exporter
 writes is allowed: plain nodes of operators from a list, tensors whose bytes are in the file, no functions, no graphs in
@@ -31,7 +31,7 @@ class GraphError(InputError):
 
 
 def check_graph_file(raw: bytes, where: str) -> None:
-    """Whether the file holds nothing but what is allowed.
+    """Check that the file holds nothing but what is allowed.
 
     Raises:
         GraphError: it does not; the message says what.
@@ -43,7 +43,7 @@ def check_graph_file(raw: bytes, where: str) -> None:
 
 
 class _NotAllowedError(Exception):
-    """What is wrong, without the place."""
+    """Content that is not allowed, without the place."""
 
 
 def _model(raw: bytes) -> None:

@@ -1,4 +1,4 @@
-"""What is seen at every tick: samples, operating mode, residuals; the front half of the monitor.
+"""Observation of every tick: samples, operating mode, residuals; the front half of the monitor.
 
 Tick k is at t_k = k Ts of log time after tick 0, which is `PHASE_S` after the first frame with which all signals are
 known, or `start_within_s` after the first frame where a signal never appears. Calibration and tuning look through this
@@ -32,12 +32,12 @@ class Tick(NamedTuple):
 
     @property
     def usable(self) -> Mask:
-        """Whether each sample may be used (nz,)."""
+        """Return True for each sample that may be used (nz,)."""
         return np.asarray(self.quality == Quality.GOOD)
 
 
 class Decoder(Protocol):
-    """What frames mean."""
+    """Interface of a decoder of frames."""
 
     def decode(
         self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
@@ -85,7 +85,7 @@ class Observer:
         return ticks
 
     def advance(self, t_s: float) -> list[Tick]:
-        """The clock says `t_s` [s]: gives every tick up to and at it, frames or no frames."""
+        """Advance to time `t_s` [s]; return every tick up to and at it, frames or no frames."""
         self._now = max(self._now, t_s)
         return self._run(self._now, including=True)
 

@@ -40,7 +40,7 @@ STARTING_S = 10.0
 
 
 class Arrival(Enum):
-    """How a frame came."""
+    """Result of judging a frame's arrival."""
 
     DUE = auto()
     REPEATED = auto()

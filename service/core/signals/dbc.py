@@ -1,4 +1,4 @@
-"""A DBC's text to the table that decodes frames; cantools reads the DBC, and is not asked again afterwards.
+"""Compilation of a DBC's text to the decode table; cantools reads the DBC, and is not used again afterwards.
 
 Only messages that carry wanted signals need to make sense: in real files others overlap, are too short or are there
 twice.
@@ -40,7 +40,7 @@ NOBODY: Mapping[str, int] = MappingProxyType({})
 
 
 def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mapping[str, int] = NOBODY) -> DecodeTable:
-    """The table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
+    """Return the table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
 
     `senders` are the source addresses that are chosen for some messages of J1939, whatever the DBC has there. A message
     without one to which the DBC gives the null address (0xFE) is taken from any sender, as long as there is but one.
@@ -215,7 +215,7 @@ def _cut(message: Message, signal: DbcSignal) -> Cut:
 
 
 def _only(message: Message, signal: DbcSignal) -> Only:
-    """The selectors that the signal stands behind, the outermost first, with their values."""
+    """Return the selectors that the signal stands behind, the outermost first, with their values."""
     if signal.multiplexer_signal is None or signal.multiplexer_ids is None:
         return ()
     selector = message.get_signal_by_name(signal.multiplexer_signal)
@@ -223,7 +223,7 @@ def _only(message: Message, signal: DbcSignal) -> Only:
 
 
 def _selected(message: Message, selector: str) -> frozenset[int]:
-    """All values of a selector that some signal stands behind."""
+    """Return all values of a selector that some signal stands behind."""
     behind = [signal.multiplexer_ids or () for signal in message.signals if signal.multiplexer_signal == selector]
     return frozenset(value for values in behind for value in values)
 

@@ -63,7 +63,7 @@ class Rejected:
 
     @property
     def total(self) -> int:
-        """Of all reasons and messages."""
+        """Return the count over all reasons and messages."""
         kinds = (self.short, self.other_source, self.unknown_selector, self.claimed, self.early, self.unclear)
         return sum(sum(counts.values()) for counts in kinds)
 
@@ -95,12 +95,12 @@ class DecodeTable:
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
-        """Of every message that carries wanted signals."""
+        """Return the layouts of the messages that carry wanted signals."""
         return self._layouts
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
+        """Return the filters of a bus: of a J1939 group the frames of all senders, so that a second one is seen."""
         found = {Wanted(n, STANDARD, False) for n in self._standard} | {Wanted(n, EXTENDED, True) for n in self._other}
         found |= {whole_group(pgn) for pgn in self._senders.groups}
         claim = identifier_of(ADDRESS_CLAIMED, 0)

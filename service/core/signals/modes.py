@@ -26,7 +26,7 @@ class ModeTracker:
         self._since_edge = 0
 
     def update(self, z: FloatArray, usable: Mask) -> int:
-        """The mode's index in `MODES` at this tick, from the samples `z` (nz,) and whether each is usable (nz,).
+        """Return the mode's index in `MODES` at this tick, from the samples `z` (nz,) and whether each is usable (nz,).
 
         Without a usable mode signal the mode is *edge*: nothing is known of what the residuals should be.
         """

@@ -38,7 +38,7 @@ class Sampler:
 
     @property
     def complete(self) -> bool:
-        """Whether every input has been received with a usable value at least once."""
+        """Return True if every input has been received with a usable value at least once."""
         return not np.isnan(self._value).any()
 
     def doubt(self, since: Mapping[str, float]) -> None:
@@ -54,7 +54,7 @@ class Sampler:
         return found
 
     def receive(self, signal: str, t: float, value: float, quality: Quality) -> None:
-        """Takes a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
+        """Take a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
         column = self._column[signal]
         if quality is Quality.DOUBTED:  # and so is the sample before it: one of the two is another sender's
             if t >= self._doubted_until[column]:
@@ -70,7 +70,7 @@ class Sampler:
             self._value[column] = value
 
     def sample(self, t: float) -> tuple[FloatArray, Qualities]:
-        """Values (nz,) [bundle units] and what each is worth (nz,) at log time `t` [s].
+        """Return values (nz,) [bundle units] and their quality (nz,) at log time `t` [s].
 
         A value that is not good is the last good one, or NaN where there never was one.
         """
@@ -80,7 +80,7 @@ class Sampler:
         return self._value.copy(), np.where(doubted, np.int8(Quality.DOUBTED), quality)
 
     def _plausible(self, column: int, t: float, value: float) -> Quality:
-        """Whether a sensor gives such a number after those before it.
+        """Return the quality of a number after those before it.
 
         One that jumps is not believed until a second one is near it: a spike is none of the sensor's values, a step is.
         """

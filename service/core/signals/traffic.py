@@ -1,4 +1,4 @@
-"""How the frames of one table come: which do not, which come from more than one, which are not as the DBC says."""
+"""Traffic check of one table: frames that are absent, of several senders, or not as in the DBC."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -67,7 +67,7 @@ class Traffic:
         self._looked = begin_s
 
     def note(self, t: float) -> None:
-        """All frames up to time `t` [s] have been decoded, if there were any."""
+        """Note that all frames up to time `t` [s] have been decoded, if there were any."""
         if (total := self._expected()) > self._total:
             self._total, self._heard = total, t
         if t - self._counts[-1].t >= self._stretch * COUNTED_S:
@@ -76,7 +76,7 @@ class Traffic:
                 self._counts.popleft()
 
     def look(self, t: float, quality: Qualities | None) -> set[Condition]:
-        """What is wrong at time `t` [s], with what the signals (nz,) were worth at the last tick, if there was one."""
+        """Return the conditions at time `t` [s]; `quality` is that of the signals (nz,) at the last tick, if any."""
         silent = t - (self._begin if self._heard is None else self._heard)
         crowded, claimed, others = dict(self._crowded()), {*self._more("claimed")}, {*self._more("other_source")}
         doubts = dict.fromkeys(claimed, self._stretch * COUNTED_S) | crowded
@@ -99,11 +99,11 @@ class Traffic:
 
     @property
     def doubted(self) -> Mapping[str, float]:
-        """The signals of messages that are not surely their sender's, and for how long [s] before the last look."""
+        """Return the signals of messages with doubted senders, and for how long [s] before the last look."""
         return {signal: self._looked - since for signal, since in self._doubted.items()}
 
     def _expected(self) -> int:
-        """Frames that came of those that should, whole or not."""
+        """Return the number of expected frames that came, complete or not."""
         table, rejected = self._table, self._table.rejected
         counts = table.taken, table.repeated, rejected.short, rejected.early, rejected.unclear
         return sum(sum(each.values()) for each in counts)
@@ -121,12 +121,12 @@ class Traffic:
                     yield name, self._stretch * window
 
     def _more(self, what: str) -> Iterator[str]:
-        """Messages of which such frames came lately."""
+        """Yield messages of which such frames came lately."""
         before, counts = self._before(WINDOW_S).by[what], self._counted()[what]
         return (name for name in self._messages if counts.get(name, 0) > before.get(name, 0))
 
     def _before(self, seconds: float) -> _Count:
-        """The counts so long ago, or the first there are."""
+        """Return the counts so long ago, or the first there are."""
         until = self._counts[-1].t - seconds
         return next((each for each in reversed(self._counts) if each.t <= until), self._counts[0])
 
@@ -146,5 +146,5 @@ class Traffic:
 
 
 def _is_proprietary(layout: Layout) -> bool:
-    """Whether the group is its senders' own (PF 239 or 255, SAE J1939-21): each may mean something else by it."""
+    """Return True if the group is proprietary (PF 239 or 255, SAE J1939-21): each sender may mean something else."""
     return layout.identifier >> 16 & 0xFF in (0xEF, 0xFF)

@@ -1,4 +1,4 @@
-"""What a received signal is worth: a value with its quality, never a number alone."""
+"""Quality of a received signal: a value with its quality, never a number alone."""
 
 from enum import IntEnum
 
@@ -12,7 +12,7 @@ Indices = npt.NDArray[np.intp]
 
 
 class Quality(IntEnum):
-    """Why a value may or may not be used. Only `GOOD` is a number to compute with.
+    """Quality of a value: only `GOOD` is a number to compute with.
 
     `NOT_AVAILABLE`, `ERROR` and `RESERVED` are the sender's own words (SAE J1939-71 value ranges), `ERROR` also for a
     floating-point number that is none; `OUT_OF_RANGE` is beyond what the DBC allows. `MISSING` has never been received,
@@ -34,7 +34,7 @@ class Quality(IntEnum):
 
 
 def j1939_quality(raw: int, length: int) -> Quality:
-    """The quality that a J1939 raw value of `length` bits states (SAE J1939-71, table of transmitted signal ranges).
+    """Return the quality that a J1939 raw value of `length` bits states (SAE J1939-71, transmitted signal ranges).
 
     From 8 bits on the most significant byte decides: FF not available, FE error, FB to FD reserved. Shorter fields use
     all ones for not available and all ones less one for error; a single bit has room for neither.

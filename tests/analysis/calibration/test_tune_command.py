@@ -343,9 +343,9 @@ def test_a_model_that_was_never_calibrated_is_tuned_and_that_is_said(
 ) -> None:
     raw = tmp_path / "raw.toml"
     raw.write_text(dump_model(dataclasses.replace(freed(UDS4, ()), provenance=())))
-    fleet.tune(fleet.a, fleet.drives["a1"], fleet.drives["a2"])
+    fleet.tune(fleet.a, fleet.drives["a1"])
     assert "calibrated on no recording" not in capsys.readouterr().err
-    fleet.tune(raw, fleet.drives["a1"], fleet.drives["a2"])
+    fleet.tune(raw, fleet.drives["a1"])
     assert f"{raw}: calibrated on no recording: its residuals are off by as much as its" in capsys.readouterr().err
 
 

@@ -19,7 +19,7 @@ from faultline.service.bundle.files import SEAL, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.event import encode
+from faultline.service.core.records.line import encode
 from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

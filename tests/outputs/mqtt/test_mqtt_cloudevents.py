@@ -12,9 +12,10 @@ from cloudevents.core.v1.event import CloudEvent
 from hypothesis import given
 from hypothesis import strategies as some
 
-from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, encode
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event
 from faultline.service.core.records.health import SCHEMA as HEALTH
-from faultline.service.core.records.health import Health, Standing, encode_health
+from faultline.service.core.records.health import Health, Standing
+from faultline.service.core.records.line import encode
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, structured
 from faultline.service.protocol.records import RecordError, read
 
@@ -60,8 +61,8 @@ def test_an_event_is_one() -> None:
 def test_health_is_one() -> None:
     standing = Standing(kind="missing", of="p_du", since="2026-03-01T10:00:00Z")
     health = Health(schema=HEALTH, id="truck-17-5e0c72b1-18", seq=18, wall=None, conditions=[standing])
-    assert taken(encode_health(health)).get_type() == "io.faultline.health"
-    assert "time" not in json.loads(structured(read(encode_health(health)), "truck-17"))  # the SDK would make one up
+    assert taken(encode(health)).get_type() == "io.faultline.health"
+    assert "time" not in json.loads(structured(read(encode(health)), "truck-17"))  # the SDK would make one up
 
 
 @pytest.mark.parametrize("number", range(1, len(GOLDEN.read_bytes().splitlines()) + 1))

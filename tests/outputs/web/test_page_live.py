@@ -23,11 +23,12 @@ def test_a_live_alarm_its_history_and_its_end(chromium: Browser, tmp_path: Path)
     tokens = tmp_path / "tokens"
     tokens.write_text(TOKEN)
     tokens.chmod(0o600)
+    refused: list[int] = []
     with Vehicle(tmp_path, multicast(), SPEED) as vehicle:
         places = ("--control", str(vehicle.control), "--events", str(vehicle.events), "--token-file", str(tokens))
         with (
             serving(*places, "--listen", "127.0.0.1:0", log=tmp_path / "serve.log", orderly=True) as running,
-            page(chromium, running.url) as opened,
+            page(chromium, running.url, refused) as opened,
         ):
             verdict, more = opened.locator("#verdict"), opened.locator("#verdict-more")
             expect(verdict).to_have_attribute("data-kind", "cannot-tell")  # silence is not "no fault"
@@ -53,6 +54,7 @@ def test_a_live_alarm_its_history_and_its_end(chromium: Browser, tmp_path: Path)
             fault.locator("summary").press("Enter")
             expect(fault.locator("table").first.locator("tbody tr")).to_have_count(5)
 
+            refused.append(503)  # what the server answers from now on, and rightly
             vehicle.daemon.kill()
             expect(opened.locator("#connection")).to_have_text(re.compile("does not answer|no live values"))
             expect(verdict).to_have_attribute("data-kind", "cannot-tell")  # what stood last is not what is

@@ -11,17 +11,17 @@ from web_daemon import record
 
 from faultline.service.protocol.errors import AwayError
 from faultline.service.protocol.records import Record
-from faultline.service.web.asking import SharedControl
 from faultline.service.web.events import Hub, stream
 from faultline.service.web.metrics import Counts
 from faultline.service.web.ring import Ring, told
+from faultline.service.web.vehicle import Vehicle
 
 
 class Heard(Hub):
     """A hub whose store and ring are filled by hand; `away` fails so many looks into the store."""
 
     def __init__(self, stored: Sequence[int], heard: Sequence[int], size: int = 5) -> None:
-        super().__init__(Path("/e"), SharedControl(Path("/c"), 1, 1), Counts(), lambda _: None)
+        super().__init__(Path("/e"), Vehicle(Path("/c"), 1, 1), Counts(), lambda _: None)
         self.ring = Ring(size)
         self.stored = [*stored]
         self.there, self.settled, self.away = True, 0, 0
@@ -30,12 +30,12 @@ class Heard(Hub):
 
     def hear(self, seq: int) -> None:
         self.ring.add(told(record(seq)))
-        self.news.tell()
+        self.changes.notify()
 
     async def page(self, seq: int, count: int = 3) -> Sequence[Record]:
         if self.away:
             self.away -= 1
-            self.news.tell()
+            self.changes.notify()
             raise AwayError("of the test")
         return [told(record(each)) for each in self.stored if each > seq][: min(count, 3)]
 
@@ -128,8 +128,8 @@ def test_a_store_that_cannot_be_read_now_is_waited_for() -> None:
         parts = begun(hub, 3)
         first = [await anext(parts) for _ in range(2)]
         hub.away, hub.there = 0, True
-        hub.news.tell()
-        asyncio.get_running_loop().call_later(0.01, hub.news.tell)
+        hub.changes.notify()
+        asyncio.get_running_loop().call_later(0.01, hub.changes.notify)
         return first, await seqs(parts, 17)
 
     first, rest = asyncio.run(run())

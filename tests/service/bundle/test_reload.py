@@ -12,7 +12,7 @@ from ports import multicast
 from faultline.service.bundle.files import Trust
 from faultline.service.bundle.load import load_bundle
 from faultline.service.bus import Bus, open_bus
-from faultline.service.core.compatibility import decide_alike
+from faultline.service.core.compatibility import are_compatible
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
@@ -177,14 +177,14 @@ def test_what_needs_a_restart_is_said(service: Service) -> None:
 )
 def test_what_makes_bundles_decide_alike(change: dict[str, object], alike: bool) -> None:
     manifest: Manifest = load_bundle(GOLDEN).manifest
-    assert decide_alike(manifest, msgspec.structs.replace(manifest, **change)) is alike
+    assert are_compatible(manifest, msgspec.structs.replace(manifest, **change)) is alike
 
 
 def test_another_graph_decides_otherwise() -> None:
     manifest = load_bundle(GOLDEN).manifest
     name = manifest.graphs[0].file
     files = {**manifest.files, name: msgspec.structs.replace(manifest.files[name], sha256="0" * 64)}
-    assert not decide_alike(manifest, msgspec.structs.replace(manifest, files=files))
+    assert not are_compatible(manifest, msgspec.structs.replace(manifest, files=files))
 
 
 def test_refused_bundles_are_tried_with_the_trust_of_the_reloaded_configuration(service: Service) -> None:

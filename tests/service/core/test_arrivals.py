@@ -100,3 +100,40 @@ def test_what_waited_for_the_beginning_is_not_early_nor_is_a_log_that_begins_ane
 def test_the_same_bytes_after_a_quarter_of_the_period_are_a_second_sender() -> None:
     came = judged([*on_time(200), 199 * T + 1.01 * REPEATED * T], [bytes(8)] * 201)
     assert came[-1] == "EARLY"
+
+
+def after(period_s: float, frames: Iterable[tuple[float, bytes]], speed: float = 1.0) -> list[str]:
+    """How frames come after a long time of one frame a period, the last of them at time 0."""
+    arrivals = Arrivals(period_s)
+    arrivals.speed = speed
+    for k in range(-1000, 1):
+        assert arrivals.judge(k * period_s, b"own") is not Arrival.EARLY
+    return [arrivals.judge(t, data).name for t, data in frames]
+
+
+def test_other_bytes_at_the_same_time_are_a_second_senders_and_no_new_log() -> None:
+    assert after(0.25, [(0.0, b"forged")]) == ["EARLY"]
+
+
+def test_a_repetition_comes_within_a_quarter_of_the_period_or_the_jitter_but_never_after_half_of_it() -> None:
+    assert after(0.25, [(0.0624, b"own")]) == ["REPEATED"]
+    assert after(0.25, [(0.0625, b"own")]) == ["EARLY"]
+    assert after(1.0 / 64.0, [(0.0078, b"own")]) == ["REPEATED"]
+    assert after(1.0 / 64.0, [(1.0 / 128.0, b"own")]) == ["DUE"]
+
+
+def test_a_delay_of_a_quarter_of_the_period_excuses_an_early_frame_and_a_shorter_one_does_not() -> None:
+    assert after(0.25, [(0.3125, b"a"), (0.4125, b"b")]) == ["DUE", "DUE"]
+    assert after(0.25, [(0.3124, b"a"), (0.4124, b"b")]) == ["DUE", "EARLY"]
+
+
+@pytest.mark.parametrize(("speed", "quiet_s", "came"), [(5.0, 5.0, "DUE"), (5.0, 50.0, "EARLY"), (1.0, 5.0, "EARLY")])
+def test_a_delay_is_forgotten_within_seconds_of_real_time(speed: float, quiet_s: float, came: str) -> None:
+    """20 s of log time late; what catches up `quiet_s` later is excused by what is left of it."""
+    late = [(21.0 + k, b"own") for k in range(round(quiet_s) + 1)]
+    assert after(1.0, [*late, *((late[-1][0] + 0.001 * k, b"%d" % k) for k in (1, 2, 3))], speed)[-1] == came
+
+
+@pytest.mark.parametrize(("speed", "early"), [(1.0, True), (5.0, False)])
+def test_a_queue_that_is_emptied_at_the_beginning_may_hold_ten_seconds_of_real_time(speed: float, early: bool) -> None:
+    assert ("EARLY" in judged([0.001 * k for k in range(200)], speed=speed)) is early

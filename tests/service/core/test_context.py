@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from faultline.service.core.j1939.context import GAP_S, SILENT_S, Change, CodeTracker
 from faultline.service.core.j1939.dm1 import Code, encode
 from faultline.service.core.j1939.log_context import LogContext
-from faultline.service.core.records.context import LampStates, TroubleCode, decode_context, encode_context
+from faultline.service.core.records import line
+from faultline.service.core.records.context import LampStates, TroubleCode, decode_context
 from faultline.service.watching.records import describe_context
 
 DM1, DM2, TP_CM, TP_DT = 0x18FECA00, 0x18FECB00, 0x1CECFF00, 0x1CEBFF00
@@ -39,7 +40,7 @@ def test_what_real_trucks_sent() -> None:
     [change] = said(tracker, 1.1, (DM1 | 0x3D, NO_FAULT))
     record = change.record(("golden-2", 2, None), 1.1)
     assert (record.sender, record.codes) == (0x3D, [])
-    assert decode_context(encode_context(record)) == record
+    assert decode_context(line.encode(record)) == record
     assert describe_context(record) == "      1.1 s  another device, 0x3D, has no trouble code (DM1)"
 
 
@@ -125,7 +126,7 @@ def test_no_frames_break_it(frames: list[tuple[float, int, bool, bytes]]) -> Non
         t += gap_s
         for change in tracker.frame(t, can_id, is_extended, data):
             record = change.record(("x-1", 1, None), t)
-            assert decode_context(encode_context(record)) == record
+            assert decode_context(line.encode(record)) == record
             assert describe_context(record)
 
 

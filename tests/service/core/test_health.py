@@ -2,6 +2,7 @@
 
 from importlib import resources
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,9 +16,8 @@ from faultline.service.core.records.health import (
     Health,
     Kind,
     Standing,
-    decode_health,
-    encode_health,
 )
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.traffic import EXPECTED_S, WINDOW_S, Traffic
@@ -59,10 +59,10 @@ def test_no_traffic_ends_with_the_frames_that_refute_it() -> None:
 def test_a_record_is_a_line_and_reads_back() -> None:
     standing = [Standing(kind="bus-down", of="can0", since="2026-01-01T00:00:00.000+00:00")]
     health = Health(schema=SCHEMA, id="truck-3", seq=3, wall=None, conditions=standing)
-    line = encode_health(health)
+    line = encode(health)
     assert line.endswith(b"}\n")
     assert line.count(b"\n") == 1
-    assert decode_health(line) == health
+    assert msgspec.json.decode(line, type=Health) == health
 
 
 DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from faultline.service.core.memory.fault_memory import FaultMemory, News
+from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import AMBIGUOUS, UNKNOWN, System
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
@@ -45,7 +45,7 @@ class Vehicle:
         *diagnoses: Diagnosis,
         alarm: Sequence[str] = ("t02",),
         modes: Sequence[str] = ("idle",),
-    ) -> list[News]:
+    ) -> list[FaultChange]:
         self.seq += 1
         event = Event(
             schema=SCHEMA,
@@ -63,10 +63,12 @@ class Vehicle:
         )
         return self.memory.event("uds4", event, modes)
 
-    def drive(self, seconds: float, mode: int = IDLE, usable: np.ndarray = ALL, suspicious: bool = False) -> list[News]:
+    def drive(
+        self, seconds: float, mode: int = IDLE, usable: np.ndarray = ALL, suspicious: bool = False
+    ) -> list[FaultChange]:
         return [n for _ in range(round(seconds / 0.2)) for n in self.memory.tick("uds4", mode, usable, suspicious)]
 
-    def cycle(self) -> list[News]:
+    def cycle(self) -> list[FaultChange]:
         """The key off and on."""
         return [*self.memory.end_cycle(), *self.memory.begin_cycle(self.memory.cycle + 1)]
 
@@ -79,11 +81,11 @@ class Vehicle:
         return [*self.memory.faults.values()]
 
 
-def changes(news: Sequence[News]) -> list[tuple[str | None, int]]:
+def changes(news: Sequence[FaultChange]) -> list[tuple[str | None, int]]:
     return [(each.change, each.fault.number) for each in news]
 
 
-def told(news: Sequence[News]) -> list[tuple[str, int]]:
+def told(news: Sequence[FaultChange]) -> list[tuple[str, int]]:
     return [(change, number) for change, number in changes(news) if change is not None]
 
 

@@ -163,5 +163,5 @@ def test_doubts_of_a_signal_begin_with_the_earliest_and_end_after_ten_seconds_of
     assert sampler.new_doubts() == {"b": 4.0}, "the earlier of the two"
     sampler.receive("a", 40.0, 1.0, Quality.GOOD)
     sampler.receive("a", 41.0, np.nan, Quality.DOUBTED)
-    sampler.doubt({"a": 39.0})
-    assert sampler.new_doubts() == {"a": 39.0}
+    sampler.doubt({"a": 40.5})
+    assert sampler.new_doubts() == {"a": 40.0}, "the sample before the doubted frame"

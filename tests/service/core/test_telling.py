@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from faultline.service.core.decision.telling import SETTLE_TICKS, Teller
-from faultline.service.core.records.event import Diagnosis, Event, decode, encode
+from faultline.service.core.records.event import Diagnosis, Event, decode
+from faultline.service.core.records.line import encode
 
 
 @dataclass

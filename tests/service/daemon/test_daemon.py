@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import msgspec
 import pytest
 
 from faultline.service.bundle.load import Bundle, load_bundle
@@ -19,7 +20,8 @@ from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.context import decode_context
 from faultline.service.core.records.event import Event
-from faultline.service.core.records.health import SCHEMA, Condition, Health, Standing, decode_health, encode_health
+from faultline.service.core.records.health import SCHEMA, Condition, Health, Standing
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.decode import DecodeTable, Rejected
 from faultline.service.core.signals.traffic import Traffic
 from faultline.service.daemon.clocks import Clocks
@@ -280,8 +282,10 @@ class Told:
         lines = [BusChannel(f"can{k}", self.wires[k], [self.watched(k)], self.said.append) for k in range(buses)]
         kernel = Clocks(lambda: clock.now, lambda: clock.now + self.sleeps, lambda: clock.now + self.sleeps)
         self.journal = Journal(store, self.said.append)
-        scribe = Sequencer(name, self.journal.last, "")
-        self.loop = Loop(scribe, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel)
+        sequencer = Sequencer(name, self.journal.last, "")
+        self.loop = Loop(
+            sequencer, lines, self.journal, self.subscribers, Notifier({}), self.said.append, clock, kernel
+        )
 
     def watched(self, k: int) -> Pipeline:
         def make(_: Bundle) -> tuple[Monitor, Traffic]:
@@ -336,7 +340,7 @@ def test_a_bus_that_goes_and_comes_is_told_and_heard_again(
         *[nothing] * 12,
     )
     assert [t for what, t in made.heard[0].told if what == "frame"] == [0.0, 7.0]
-    lines = [decode_health(line) for line in capfdbinary.readouterr().out.splitlines()]
+    lines = [msgspec.json.decode(line, type=Health) for line in capfdbinary.readouterr().out.splitlines()]
     assert [[(each.kind, each.of) for each in line.conditions] for line in lines] == [[("bus-removed", "can0")], []]
     assert [(line.seq, line.id) for line in lines] == [(1, "truck-1"), (2, "truck-2")]
     assert made.said[:2] == ["can0 the interface is not there", "all is well with buses and signals"]
@@ -401,7 +405,7 @@ def test_what_an_earlier_run_said_stands_until_this_one_says_otherwise(
     first.run(lambda: first.wires[0].put(frame(101.0)), first.wires[0].pull, *[nothing] * 5)
     second = Told(tmp_path, clock, store=store, name="truck-b")
     second.run(*[nothing] * 12)
-    lines = [decode_health(line) for line in capfdbinary.readouterr().out.splitlines()]
+    lines = [msgspec.json.decode(line, type=Health) for line in capfdbinary.readouterr().out.splitlines()]
     assert [[(each.kind, each.of) for each in line.conditions] for line in lines] == [[("bus-removed", "can0")], []]
     assert [(line.seq, line.id) for line in lines] == [(1, "truck-a-1"), (2, "truck-b-2")]
     second.wires[0].close()
@@ -468,7 +472,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
     """What only frames can show is not known to be gone because this process has just begun."""
     store = tmp_path / "events.sqlite"
     silent = Condition("no-traffic", "ALL")
-    line = encode_health(
+    line = encode(
         Health(
             schema=SCHEMA,
             id="truck-a-1",
@@ -485,7 +489,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
     traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted={})
     watched = Pipeline(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
     made.loop._lines[0].bundles[:] = [watched]
-    made.loop._remembering.observed["uds4"].watched = watched
+    made.loop._fault_recorder.systems["uds4"].watched = watched
     made.run(*[nothing] * 29, lambda: found.append(silent), *[nothing] * 20)
     assert capfdbinary.readouterr().out == b"", "it stands, as before: nothing is news"
     made.wires[0].close()

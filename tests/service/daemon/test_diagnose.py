@@ -14,7 +14,8 @@ from faultline.service.bundle.load import load_bundle
 from faultline.service.cli import main
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.event import Event, decode, encode
+from faultline.service.core.records.event import Event, decode
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Frame, open_log
 

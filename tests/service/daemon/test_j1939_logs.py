@@ -17,7 +17,8 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.context import SCHEMA, decode_context
-from faultline.service.core.records.event import encode, schema_of
+from faultline.service.core.records.event import schema_of
+from faultline.service.core.records.line import encode
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import Wanted

@@ -20,9 +20,9 @@ from faultline.service.bus import Bus
 from faultline.service.bus.base import Counts
 from faultline.service.cli import main
 from faultline.service.core.errors import InputError
-from faultline.service.core.memory.fault_memory import FaultMemory, News
+from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory
 from faultline.service.core.memory.rules import Rules
-from faultline.service.core.records.fault import Fault, decode_cleared, decode_record
+from faultline.service.core.records.fault import Cleared, Fault, FaultRecord
 from faultline.service.core.records.freeze_frame import FreezeFrame
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.control_server import ControlServer
@@ -64,7 +64,7 @@ class Vehicle:
         self.watched = watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)
         self.bus = SimpleNamespace(counts=Counts(), dropped=3, trouble=None)
         self.line = BusChannel("powertrain", cast(Bus, self.bus), [self.watched], self.said.append, "socketcan:can0")
-        self.remembering = self.made(run)
+        self.fault_recorder = self.made(run)
         self.told: list[Record] = []
 
     def made(self, run: str) -> FaultRecorder:
@@ -85,17 +85,21 @@ class Vehicle:
     def hear(self, until_s: float = 1e9) -> "Vehicle":
         """Drives through the golden recording."""
         self.bus.counts.frames += 1
-        self.remembering.look(0.0)
+        self.fault_recorder.look(0.0)
         for k, frame in enumerate(FRAMES):
             if frame.t <= until_s:
-                self.remembering.take(self.watched, list(self.watched.hear([frame])))
+                self.fault_recorder.take(self.watched, list(self.watched.hear([frame])))
             if k % 100 == 0:
-                self.remembering.look(1.0)
+                self.fault_recorder.look(1.0)
         return self
 
     def of(self, about: str) -> list[bytes]:
         self.told += self.journal.finish(10.0)
         return [each.line for each in self.told if each.about == about]
+
+
+def _changes(vehicle: Vehicle) -> list[str]:
+    return [msgspec.json.decode(line, type=FaultRecord).change for line in vehicle.of("fault")]
 
 
 @pytest.fixture(scope="module")
@@ -119,17 +123,17 @@ def test_a_fault_is_told_with_the_event_that_it_is_of() -> None:
     records = [json.loads(each.line) for each in vehicle.told]
     assert [record["seq"] for record in records] == list(range(1, len(records) + 1))
     occurred = next(k for k, record in enumerate(records) if record.get("transition") == "occurred")
-    confirmed = decode_record(vehicle.told[occurred + 1].line)
+    confirmed = msgspec.json.decode(vehicle.told[occurred + 1].line, type=FaultRecord)
     assert confirmed.change == "confirmed"
     assert confirmed.fault.first.id == records[occurred]["id"]
     assert confirmed.fault.first.cycle == 1
     assert confirmed.fault.system == "uds4"
-    assert [decode_record(line).change for line in vehicle.of("fault")] == ["confirmed", "refined"]
+    assert _changes(vehicle) == ["confirmed", "refined"]
 
 
 def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
     vehicle = Vehicle(None).hear()
-    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=FreezeFrame)
+    frame = msgspec.json.decode(vehicle.fault_recorder.frames(1)["first"], type=FreezeFrame)
     assert frame.complete
     assert (frame.tick, frame.mode, frame.alarm) == (415, "idle", ["t02", "t06", "t09"])
     assert frame.conditions == ["error-passive: powertrain"]
@@ -145,21 +149,22 @@ def test_the_freeze_frame_shows_what_was_seen_before_and_after() -> None:
 
 def test_a_frame_whose_drive_ends_early_says_so() -> None:
     vehicle = Vehicle(None).hear(until_s=90.0)
-    frame = msgspec.json.decode(vehicle.remembering.frames(1)["first"], type=FreezeFrame)
+    frame = msgspec.json.decode(vehicle.fault_recorder.frames(1)["first"], type=FreezeFrame)
     assert not frame.complete
     assert frame.excerpt.first_tick + len(frame.excerpt.mode) - 1 == frame.tick
 
 
 def test_everything_is_there_after_a_restart(driven: Path, tmp_path: Path) -> None:
     again = Vehicle(copied(driven, tmp_path), run="2")
-    (fault,) = again.remembering.memory.faults.values()
+    (fault,) = again.fault_recorder.memory.faults.values()
     assert fault.status.test_failed
-    assert again.remembering.cycle == 1
-    assert again.journal.last == decode_record(again.journal.earlier[-1].line).seq if again.journal.earlier else True
+    assert again.fault_recorder.cycle == 1
+    if again.journal.earlier:
+        assert again.journal.last == msgspec.json.decode(again.journal.earlier[-1].line, type=FaultRecord).seq
     again.hear()
-    (fault,) = again.remembering.memory.faults.values()
+    (fault,) = again.fault_recorder.memory.faults.values()
     assert (fault.number, fault.occurrences) == (1, 1), "the same one, that nobody has repaired"
-    assert [decode_record(line).change for line in again.of("fault")] == ["refined", "refined"]
+    assert _changes(again) == ["refined", "refined"]
     assert "frame/1/latest" not in again.journal.kept
 
 
@@ -169,7 +174,7 @@ def test_what_cannot_be_read_is_kept_apart(driven: Path, tmp_path: Path) -> None
     store.append([], {"fault/2": b'{"number":"two"}', "cycle": b"\xff", "memory": b"[]"})
     store.close()
     vehicle = Vehicle(path)
-    assert [*vehicle.remembering.memory.faults] == [1]
+    assert [*vehicle.fault_recorder.memory.faults] == [1]
     vehicle.journal.finish(10.0)
     left = StoreFile(path).kept
     assert {"unreadable/fault/2", "unreadable/cycle", "unreadable/memory"} < {*left}
@@ -219,17 +224,17 @@ def test_rows_that_make_no_sense_are_set_aside_and_reported(
     """A fault of a mode that this version does not know ended the loop at its 25th tick, at every start."""
     path = changed(driven, tmp_path, row, change)
     vehicle = Vehicle(path, run="2")
-    vehicle.remembering.look(0.0)
-    assert vehicle.remembering.conditions == {Condition("rows-set-aside", str(path))}
+    vehicle.fault_recorder.look(0.0)
+    assert vehicle.fault_recorder.conditions == {Condition("rows-set-aside", str(path))}
     vehicle.hear()
-    assert [*vehicle.remembering.memory.faults] == [2 if row == "fault/1" else 1], "no number is used twice"
+    assert [*vehicle.fault_recorder.memory.faults] == [2 if row == "fault/1" else 1], "no number is used twice"
     vehicle.journal.finish(10.0)
     kept = StoreFile(path).kept
     assert {name.removeprefix("unreadable/") for name in kept if name.startswith("unreadable/")} == aside
     assert {text.split()[2] for text in vehicle.said} == aside
     again = Vehicle(path, run="3")
-    again.remembering.look(0.0)
-    assert again.remembering.conditions == set(), "it has been set aside"
+    again.fault_recorder.look(0.0)
+    assert again.fault_recorder.conditions == set(), "it has been set aside"
 
 
 def test_what_is_set_aside_twice_is_there_twice(driven: Path, tmp_path: Path) -> None:
@@ -251,7 +256,7 @@ def test_whatever_fails_in_the_memory_events_are_told(method: str, monkeypatch: 
         json.loads(each.line)["transition"] for each in Vehicle(None).hear().journal.take() if each.about == "event"
     ]
 
-    def fails(*_: object) -> list[News]:
+    def fails(*_: object) -> list[FaultChange]:
         raise KeyError("nobody thought of it")
 
     vehicle = Vehicle(None)
@@ -260,30 +265,30 @@ def test_whatever_fails_in_the_memory_events_are_told(method: str, monkeypatch: 
         vehicle.hear()
     records = vehicle.journal.take()
     assert [json.loads(each.line)["transition"] for each in records if each.about == "event"] == told
-    assert Condition("memory-failed", "the fault memory") in vehicle.remembering.conditions
+    assert Condition("memory-failed", "the fault memory") in vehicle.fault_recorder.conditions
     assert [text for text in vehicle.said if "the fault memory failed" in text] == vehicle.said
     assert len(vehicle.said) == 1, "it fills no log"
     assert "KeyError: 'nobody thought of it' (test_remembering.py:" in vehicle.said[0]
-    vehicle.remembering.look(FAILED_S + 10.0)
-    assert vehicle.remembering.conditions == set()
+    vehicle.fault_recorder.look(FAILED_S + 10.0)
+    assert vehicle.fault_recorder.conditions == set()
 
 
 def test_after_a_failure_the_memory_goes_on_with_what_is_kept(
     driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     vehicle = Vehicle(copied(driven, tmp_path), run="2")
-    before = dict(vehicle.remembering.memory.faults)
+    before = dict(vehicle.fault_recorder.memory.faults)
 
-    def half(memory: FaultMemory, *_: object) -> list[News]:
+    def half(memory: FaultMemory, *_: object) -> list[FaultChange]:
         memory.faults.clear()
         raise ValueError("half done")
 
     with monkeypatch.context() as patch:
         patch.setattr(FaultMemory, "clear", half)
-        assert vehicle.remembering.clear(1, "anna") is None
-    assert vehicle.remembering.memory.faults == before
+        assert vehicle.fault_recorder.clear(1, "anna") is None
+    assert vehicle.fault_recorder.memory.faults == before
     vehicle.hear()
-    assert [*vehicle.remembering.memory.faults] == [1]
+    assert [*vehicle.fault_recorder.memory.faults] == [1]
 
 
 @pytest.mark.parametrize("frame_s", [10.0, 1.0], ids=["recent", "older than what is recorded"])
@@ -294,7 +299,7 @@ def test_a_fault_that_was_told_before_the_store_opened_enters_it(
     """The wound: "no fault is remembered" beside one that stands; and a system under another name than before."""
     path = tmp_path / "mounted" / "late" / "store.sqlite"
     vehicle = Vehicle(path, frame_s=frame_s).hear()
-    assert [*vehicle.remembering.memory.faults] == [1]
+    assert [*vehicle.fault_recorder.memory.faults] == [1]
     told = vehicle.journal.take()
     (tmp_path / "elsewhere").mkdir()
     if has_before:
@@ -310,17 +315,17 @@ def test_a_fault_that_was_told_before_the_store_opened_enters_it(
     while not vehicle.journal.take_up():
         assert time.monotonic() < end
         time.sleep(0.05)
-    vehicle.remembering.take_up()
-    assert vehicle.remembering.conditions == set()
-    [fault] = vehicle.remembering.memory.faults.values()
+    vehicle.fault_recorder.take_up()
+    assert vehicle.fault_recorder.conditions == set()
+    [fault] = vehicle.fault_recorder.memory.faults.values()
     assert (fault.number, fault.occurrences, fault.status.test_failed) == (1, 1, True)  # the same, which had not passed
-    assert [*vehicle.remembering.observed] == ["uds4@powertrain" if has_before else "uds4"]
+    assert [*vehicle.fault_recorder.systems] == ["uds4@powertrain" if has_before else "uds4"]
     changes = [json.loads(line)["change"] for line in vehicle.of("fault")]
     assert changes[0] == ("refined" if has_before else "confirmed")
     assert min(each.seq for each in vehicle.told) > 0
     assert len(told) > 0
     again = Vehicle(path, run="2")
-    assert again.remembering.memory.faults == vehicle.remembering.memory.faults
+    assert again.fault_recorder.memory.faults == vehicle.fault_recorder.memory.faults
 
 
 def test_erasing_that_fails_is_said(served: "Served", monkeypatch: pytest.MonkeyPatch) -> None:
@@ -334,9 +339,9 @@ def test_a_bundle_that_is_taken_up_goes_on_with_its_faults(driven: Path, tmp_pat
     vehicle = Vehicle(copied(driven, tmp_path))
     bundle = load_bundle(GOLDEN / "bundle")
     vehicle.watched.take_up(bundle._replace(id="f" * 64))
-    vehicle.remembering.take(vehicle.watched, [])
-    assert vehicle.remembering.observed["uds4"].system.bundle == "f" * 64
-    assert [*vehicle.remembering.memory.faults] == [1]
+    vehicle.fault_recorder.take(vehicle.watched, [])
+    assert vehicle.fault_recorder.systems["uds4"].system.bundle == "f" * 64
+    assert [*vehicle.fault_recorder.memory.faults] == [1]
 
 
 def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
@@ -349,12 +354,12 @@ def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
     both = FaultRecorder(
         *(Sequencer("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
     )
-    assert [*both.observed] == ["uds4@powertrain", "uds4@trailer"]
+    assert [*both.systems] == ["uds4@powertrain", "uds4@trailer"]
     alone = vehicle.made("2")
-    assert [*alone.observed] == ["uds4@powertrain"], "the other was refused: its faults are remembered under this name"
+    assert [*alone.systems] == ["uds4@powertrain"], "the other was refused: its faults are remembered under this name"
     alone.lines = [vehicle.line, other]
     alone.add(other, other.bundles[0])
-    assert [*alone.observed] == ["uds4@powertrain", "uds4@trailer"]
+    assert [*alone.systems] == ["uds4@powertrain", "uds4@trailer"]
 
 
 def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another() -> None:
@@ -366,7 +371,7 @@ def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another()
     alone = FaultRecorder(
         *(Sequencer("truck", 0, "1"), vehicle.journal, [trailer], Rules(), 10.0, "boot", 0.0, print, list, absent),
     )
-    assert [*alone.observed] == ["uds4@trailer"]
+    assert [*alone.systems] == ["uds4@trailer"]
 
 
 class Served:
@@ -376,7 +381,7 @@ class Served:
         self.vehicle, self.path = vehicle, path
         self.socket = ControlSocket(path, clear)
         self.answers = ControlServer(
-            vehicle.remembering, vehicle.journal, lambda: ("truck", "2026-11-23T12:00:00Z", vehicle.journal.last, [])
+            vehicle.fault_recorder, vehicle.journal, lambda: ("truck", "2026-11-23T12:00:00Z", vehicle.journal.last, [])
         )
         self.socket.answers = self.answers
         self._stop = threading.Event()
@@ -468,7 +473,7 @@ def test_erasing_is_answered_once_it_is_on_the_disk(served: Served) -> None:
         assert control.ask_json("faults")["faults"] == []
         last = control.ask_json("records", count=1)["records"][0]
         assert (last["schema"], last["numbers"], last["id"]) == ("faultline.cleared/1", [1], answer["id"])
-        assert decode_cleared(json.dumps(last).encode()).by
+        assert msgspec.json.decode(json.dumps(last).encode(), type=Cleared).by
         assert control.ask_json("clear")["cleared"] == []
     served.vehicle.journal.finish(5.0)
     kept = StoreFile(cast(Path, served.vehicle.journal.path)).kept
@@ -499,7 +504,7 @@ def test_only_who_may_can_erase(served: Served, monkeypatch: pytest.MonkeyPatch)
     ):
         control.ask_json("clear", number=1)
     assert refused.value.code == "not-allowed"
-    assert [*served.vehicle.remembering.memory.faults] == [1]
+    assert [*served.vehicle.fault_recorder.memory.faults] == [1]
 
 
 @pytest.mark.parametrize(
@@ -532,7 +537,7 @@ def test_live_values_are_the_newest(served: Served) -> None:
         while listener.is_alive():
             served.vehicle.hear(until_s=0.0)
             listener.join(0.05)
-            served.vehicle.remembering.take(served.vehicle.watched, list(served.vehicle.watched.hear(_later(20.0))))
+            served.vehicle.fault_recorder.take(served.vehicle.watched, list(served.vehicle.watched.hear(_later(20.0))))
     assert first[1].tick > first[0].tick
     assert len(first[0].z) == len(first[0].quality) == 5
     assert len(first[0].r) == len(first[0].sums) == 10
@@ -649,7 +654,7 @@ def test_bundles_of_one_name_on_one_bus_are_told_apart() -> None:
     vehicle.journal.remember({"names": None})
     for run in ("2", "3"):
         both = vehicle.made(run)
-        assert [*both.observed] == ["uds4@powertrain", "uds4@powertrain-2"]
+        assert [*both.systems] == ["uds4@powertrain", "uds4@powertrain-2"]
     for each in vehicle.line.bundles:
         both.take(each, [])
 
@@ -659,24 +664,24 @@ def test_no_number_is_used_twice_whatever_was_lost(driven: Path, tmp_path: Path)
     store = StoreFile(path)
     store.append([], {"memory": None})
     store.close()
-    assert Vehicle(path).remembering.memory.remembered.number == 2
+    assert Vehicle(path).fault_recorder.memory.remembered.number == 2
 
 
 def test_what_is_erased_and_still_there_has_a_freeze_frame_again() -> None:
     vehicle = Vehicle(None).hear(until_s=95.0)
-    vehicle.remembering.clear(1, "root")
+    vehicle.fault_recorder.clear(1, "root")
     for frame in FRAMES:
         if 95.0 < frame.t <= 100.0:
-            vehicle.remembering.take(vehicle.watched, list(vehicle.watched.hear([frame])))
-    assert [*vehicle.remembering.memory.faults] == [2]
-    assert vehicle.remembering.frames(2)["first"]
+            vehicle.fault_recorder.take(vehicle.watched, list(vehicle.watched.hear([frame])))
+    assert [*vehicle.fault_recorder.memory.faults] == [2]
+    assert vehicle.fault_recorder.frames(2)["first"]
 
 
 def test_the_frame_of_what_it_was_not_is_gone_with_it(tmp_path: Path) -> None:
     vehicle = Vehicle(tmp_path / "store.sqlite").hear()
-    [fault] = vehicle.remembering.memory.faults.values()
+    [fault] = vehicle.fault_recorder.memory.faults.values()
     latest = f"frame/{fault.number}/latest"
     vehicle.journal.remember({latest: b"{}"})
-    vehicle.remembering._tell([], [News("withdrawn", fault)])
+    vehicle.fault_recorder._tell([], [FaultChange("withdrawn", fault)])
     assert latest not in vehicle.journal.kept
     assert {f"fault/{fault.number}", f"frame/{fault.number}/first"} <= set(vehicle.journal.kept)

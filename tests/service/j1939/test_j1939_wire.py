@@ -90,9 +90,9 @@ def test_what_was_sent_is_asked_back_of_the_kernel_and_given() -> None:
     assert kernel.options == [(101, 4, 1)]
     assert wire.send(CLAIM)
     assert kernel.sent == [struct.pack("=IB3x8s", 0x98EEFF90, 8, bytes(range(8)))]
-    assert [frame[1:] for frame in wire.receive()] == [CLAIM[1:]]
-    assert (wire.fileno(), wire.trouble, wire.why) == (7, None, "")
-    wire.close()
+    assert [frame[1:] for frame in wire.bus.receive()] == [CLAIM[1:]]
+    assert (wire.bus.fileno(), wire.bus.trouble, wire.bus.why) == (7, None, "")
+    wire.bus.close()
     assert kernel.closed
 
 
@@ -110,8 +110,8 @@ def test_an_interface_that_is_gone_takes_nothing() -> None:
     kernel = Kernel()
     wire = opened(kernel)
     kernel.failure = errno.ENODEV
-    assert wire.receive() == []
-    assert (wire.trouble, kernel.closed) == ("removed", True)
+    assert wire.bus.receive() == []
+    assert (wire.bus.trouble, kernel.closed) == ("removed", True)
     kernel.failure = None
     assert not wire.send(CLAIM)
     assert kernel.sent == []
@@ -119,7 +119,7 @@ def test_an_interface_that_is_gone_takes_nothing() -> None:
 
 def test_an_interface_that_is_not_there_yet_takes_nothing() -> None:
     wire = opened(Kernel(), None)
-    assert (wire.trouble, wire.why) == ("removed", "socketcan:can0: No such device")
+    assert (wire.bus.trouble, wire.bus.why) == ("removed", "socketcan:can0: No such device")
     assert not wire.send(CLAIM)
 
 
@@ -127,7 +127,7 @@ def test_a_driver_that_does_not_say_what_was_transmitted_is_not_used() -> None:
     """The kernel would hand frames back in its place, before anything is transmitted."""
     kernel = Kernel()
     wire = opened(kernel, echoes=False)
-    assert wire.why == (
+    assert wire.bus.why == (
         "socketcan:can0: its driver does not say what was transmitted, so nobody can tell whether it listens only; "
         "use another adapter"
     )
@@ -220,8 +220,8 @@ def test_an_interface_that_goes_and_comes_is_claimed_on_at_once(
         echoes=lambda _: True,
     )
     clock = [0.0]
-    monkeypatch.setattr(wire._bus, "_clock", lambda: clock[0])
-    wire._bus._due = 0.0  # type: ignore[attr-defined]
+    monkeypatch.setattr(wire.bus, "_clock", lambda: clock[0])
+    wire.bus._due = 0.0  # type: ignore[attr-defined]
     bench = Bench(wire, memory, monkeypatch)
 
     def follow() -> bool:
@@ -296,7 +296,7 @@ def test_over_multicast_what_is_sent_comes_back_too() -> None:
     assert wire.send(CLAIM)
     heard: list[Frame] = []
     while not heard:
-        heard += wire.receive()
+        heard += wire.bus.receive()
     assert [frame[1:] for frame in heard] == [CLAIM[1:]]
-    wire.close()
+    wire.bus.close()
     assert not wire.send(CLAIM)

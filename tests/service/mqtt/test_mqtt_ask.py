@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from faultline.service.core.errors import InputError
+from faultline.service.core.records.line import encode
 from faultline.service.mqtt import ask
 from faultline.service.mqtt.ask import ask_faults, ask_state
 from faultline.service.mqtt.broker_words import failed, lost
 from faultline.service.mqtt.daemon import LONGEST
-from faultline.service.protocol.client import encode
 from faultline.service.protocol.connection import Connection
 from faultline.service.protocol.errors import AwayError, ProtocolError
 from faultline.service.protocol.records import Subscription

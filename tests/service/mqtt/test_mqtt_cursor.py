@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from faultline.service.core.errors import InputError
-from faultline.service.mqtt.cursor import ASIDE, Cursor, CursorFile
+from faultline.service.mqtt.cursor import Cursor, CursorFile
 from faultline.service.mqtt.outbox import Passed
 from faultline.service.mqtt.progress import KEPT_S, RETRY_S, Progress
 from faultline.service.protocol.records import Record
+from faultline.writing import ASIDE
 
 SOME = Cursor(id="truck-17-5e0c72b1-12", seq=12, lost=3, vehicle="truck-17", faults=[1, 4])
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.mqtt import answers, broker, cursor, outbox, progress, throttled
+from faultline import writing
+from faultline.service.mqtt import broker, outbox, progress, puback_policy, throttled
 from faultline.service.mqtt.cloudevent import CONTENT_TYPE, DIGITS
 from faultline.service.mqtt.daemon import RETRY_S
 from faultline.service.mqtt.topics import LEVEL
@@ -21,7 +22,8 @@ def row(begin: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("begin", "codes"), [("0x00", answers.TAKEN), ("0x90", answers.OF_THE_MESSAGE), ("0x80", answers.OF_THE_MOMENT)]
+    ("begin", "codes"),
+    [("0x00", puback_policy.TAKEN), ("0x90", puback_policy.OF_THE_MESSAGE), ("0x80", puback_policy.OF_THE_MOMENT)],
 )
 def test_every_reason_code_is_in_its_row(begin: str, codes: dict[int, str]) -> None:
     assert {int(code, 16) for code in re.findall(r"0x[0-9A-Fa-f]{2}", row(begin))} == set(codes)
@@ -30,13 +32,13 @@ def test_every_reason_code_is_in_its_row(begin: str, codes: dict[int, str]) -> N
 def test_the_names_of_codes_are_those_that_are_said() -> None:
     named = re.findall(r"(0x[0-9a-f]{2}) ([a-z][a-z ]+[a-z])", PAGE.partition("| code |")[2])
     assert len(named) > 4
-    assert [answers.name_of(int(code, 16)) for code, _ in named] == [name for _, name in named]
+    assert [puback_policy.name_of(int(code, 16)) for code, _ in named] == [name for _, name in named]
 
 
 def test_numbers_are_those_of_the_code() -> None:
     page = PAGE.replace("\n", " ")
     said = {
-        "for five minutes": answers.PATIENCE_S == 300,
+        "for five minutes": puback_policy.PATIENCE_S == 300,
         "a hundred are read ahead": outbox.WINDOW == 100,
         "| 20 in flight": outbox.IN_FLIGHT == 20,
         "the next twenty one by one": outbox.IN_FLIGHT == 20,
@@ -44,7 +46,7 @@ def test_numbers_are_those_of_the_code() -> None:
         f"looked for every {RETRY_S[0]:g} to {RETRY_S[1]:g} s": True,
         "the same once a minute at most": throttled.SAID_S == 60,
         f"in {DIGITS} digits": True,
-        "three are left": cursor.ASIDE == 3,
+        "three are left": writing.ASIDE == 3,
         "half a second": progress.KEPT_S == 0.5,
         f"tried every {progress.RETRY_S:.0f} s": True,
         f"most {LEVEL} of them": True,

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from faultline.service.mqtt import answers
-from faultline.service.mqtt.answers import PATIENCE_S, Answers, Verdict, name_of
+from faultline.service.mqtt import puback_policy
 from faultline.service.mqtt.cloudevent import structured
 from faultline.service.mqtt.naming import Naming
+from faultline.service.mqtt.puback_policy import PATIENCE_S, PubackPolicy, Verdict, name_of
 from faultline.service.mqtt.throttled import SAID, SAID_S, Said
 from faultline.service.mqtt.topics import LEVEL, TopicError, Topics, level, levels
 from faultline.service.protocol.backoff import Backoff
@@ -62,11 +62,11 @@ def test_what_is_no_number_of_a_fault_is_left_alone(tail: str) -> None:
     ],
 )
 def test_every_reason_code_has_its_verdict(code: int, verdict: Verdict) -> None:
-    assert Answers().judge(code, 0.0) == verdict
+    assert PubackPolicy().judge(code, 0.0) == verdict
 
 
 def test_a_refusal_is_borne_for_a_while_then_each_is_given_up_until_one_is_taken() -> None:
-    judge = Answers()
+    judge = PubackPolicy()
     assert judge.judge(0x87, 100.0) == "again"
     refusing = [judge.refusing]
     assert judge.judge(0x87, 99.0 + PATIENCE_S) == "again"
@@ -79,7 +79,7 @@ def test_a_refusal_is_borne_for_a_while_then_each_is_given_up_until_one_is_taken
 
 
 def test_what_is_about_one_message_says_nothing_about_the_next() -> None:
-    judge = Answers()
+    judge = PubackPolicy()
     assert judge.judge(0x99, 0.0) == "given up"
     assert not judge.refusing
     assert judge.judge(0x87, PATIENCE_S) == "again"
@@ -88,7 +88,7 @@ def test_what_is_about_one_message_says_nothing_about_the_next() -> None:
 def test_every_code_has_a_name() -> None:
     assert name_of(0x87) == "not authorized"
     assert name_of(0xC3) == "reason code 0xc3"
-    assert not {*answers.OF_THE_MESSAGE} & {*answers.OF_THE_MOMENT}
+    assert not {*puback_policy.OF_THE_MESSAGE} & {*puback_policy.OF_THE_MOMENT}
 
 
 def test_the_configured_name_stays_whoever_answers() -> None:

@@ -18,8 +18,8 @@ from faultline.service.core.records.fault import (
     FaultRecord,
     Seen,
     Status,
-    encode_record,
 )
+from faultline.service.core.records.line import encode
 from faultline.service.outputs.journald import MESSAGES, MOST, WITHIN_S, Journald
 from faultline.service.store.file import Record
 
@@ -35,7 +35,7 @@ def record(change: Change, seq: int = 7, faults: tuple[str, ...] = ("fA_du",)) -
         status=status, mask=status.mask, fdc=127, occurrences=1, trips=1, healing=0, aging=0, first=seen, latest=seen,
     )  # fmt: skip
     told = FaultRecord(schema=SCHEMA, id=f"truck-9-{seq}", seq=seq, wall=None, change=change, fault=fault)
-    return Record(seq, "fault", encode_record(told))
+    return Record(seq, "fault", encode(told))
 
 
 class System:
@@ -88,7 +88,7 @@ def test_an_alarm_has_fields_that_can_be_asked_for(system: System) -> None:
 
 def test_what_a_person_erased_is_said_with_who_did_it(system: System) -> None:
     cleared = Cleared(schema=CLEARED, id="truck-9-8", seq=8, wall=None, numbers=[3, 4], by="root")
-    system.journald.told(Record(8, "fault", encode_record(cleared)))
+    system.journald.told(Record(8, "fault", encode(cleared)))
     (entry,) = system.entries()
     assert (entry["MESSAGE"], entry["FAULTLINE_BY"]) == ("3, 4 erased", "root")
 

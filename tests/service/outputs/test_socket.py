@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.records.event import SCHEMA, Event, decode, encode
+from faultline.service.core.records.event import SCHEMA, Event, decode
+from faultline.service.core.records.line import encode
 from faultline.service.outputs import lines
 from faultline.service.outputs import socket as module
 from faultline.service.outputs.socket import EventSocket, Read
@@ -406,7 +407,7 @@ def test_a_dead_processes_file_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_living_processes_is_not(loop: Loop) -> None:
-    with pytest.raises(InputError, match="another process serves events there"):
+    with pytest.raises(InputError, match="another process listens there"):
         EventSocket(loop.path)
     assert loop.path.exists()
 

@@ -9,7 +9,7 @@ from faultline.service import replay
 from faultline.service.bus import BusError
 from faultline.service.core.errors import InputError
 from faultline.service.logs import Frame
-from faultline.service.replay import Told, main, play
+from faultline.service.replay import Progress, main, play
 
 
 class Clock:
@@ -65,7 +65,7 @@ def test_what_is_due_after_a_stall_goes_out_at_once() -> None:
 
 def test_progress_is_told_now_and_then() -> None:
     said: list[float] = []
-    told = Told(said.append, every=10.0)
+    told = Progress(said.append, every=10.0)
     for t in range(35):
         told(float(t))
     assert said == [10.0, 20.0, 30.0]

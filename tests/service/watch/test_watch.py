@@ -11,7 +11,8 @@ import pytest
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Equation, Fault
-from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, encode
+from faultline.service.core.records.event import SCHEMA, Diagnosis, Event
+from faultline.service.core.records.line import encode
 from faultline.service.watch import main
 from faultline.service.watching.records import describe, meanings
 

@@ -1,4 +1,4 @@
-"""What the broker's answer to a publication means for it.
+"""PUBACK policy: which refusals are final and which are tried again.
 
 Source: MQTT 5.0, 3.4.2.1 (PUBACK reason codes). What is about the one message will be refused whenever it is sent: it
 is given up at once. What is about this client, the moment or the load may change, so it is tried again, and what comes
@@ -29,23 +29,23 @@ HANGS_UP = frozenset((0x81, 0x82, 0x87, 0x90, 0x95, 0x97, 0x99))
 
 
 def name_of(code: int) -> str:
-    """The reason code for a person."""
+    """Return the reason code's name."""
     return {**TAKEN, **OF_THE_MESSAGE, **OF_THE_MOMENT}.get(code, f"reason code 0x{code:02x}")
 
 
-class Answers:
-    """Judges one answer after the other. State: since when [s] nothing but refusals came."""
+class PubackPolicy:
+    """Decides on each acknowledgement. State: since when [s] only refusals came."""
 
     def __init__(self) -> None:
         self._refused_since: float | None = None
 
     @property
     def refusing(self) -> bool:
-        """Whether the last answers were refusals: then one publication at a time is enough to find out."""
+        """Return True if the last answers were refusals: then one publication at a time is enough to find out."""
         return self._refused_since is not None
 
     def judge(self, code: int, now: float) -> Verdict:
-        """What becomes of a record that was answered so at `now` [s]; a code that is not known may change too."""
+        """Return what becomes of a record with this answer at `now` [s]; an unknown code may be temporary too."""
         if code < 0x80:
             self._refused_since = None
             return "taken"
