@@ -23,7 +23,7 @@ from faultline.service.cli import GROUP, dispatch
 
 COMMANDS = {entry.name: entry for entry in entry_points(group=GROUP)}
 NOBODY = 65534
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 Condition = Callable[[], None]
 
@@ -100,9 +100,13 @@ def no_permission() -> None:
 
 @dataclass(frozen=True)
 class Interrupted:
-    """Ctrl-C after so many seconds, and each two seconds more, while a pager takes nothing more from the pipe."""
+    """Ctrl-C after so many seconds, and each two seconds more, while a pager takes nothing more from the pipe.
+
+    `once_handled`: not before the command handles it, which it does not while it starts.
+    """
 
     after_s: float
+    once_handled: bool = False
 
     def __call__(self) -> None:
         """Begin."""
@@ -114,12 +118,13 @@ class Interrupted:
         except BlockingIOError:
             os.set_blocking(pipe, True)
         os.dup2(pipe, sys.stdout.fileno())
-        signal.signal(signal.SIGALRM, _interrupt)
-        signal.setitimer(signal.ITIMER_REAL, self.after_s, 2.0)
+        signal.signal(signal.SIGALRM, self._interrupt)
+        signal.setitimer(signal.ITIMER_REAL, self.after_s, 0.1)
 
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    os.kill(0, signal.SIGINT)  # as a terminal: to the command and to what it started
+    def _interrupt(self, _number: int, _frame: FrameType | None) -> None:
+        if not self.once_handled or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            signal.setitimer(signal.ITIMER_REAL, 2.0, 2.0)
+            os.kill(0, signal.SIGINT)  # as a terminal: to the command and to what it started
 
 
 @dataclass(frozen=True)

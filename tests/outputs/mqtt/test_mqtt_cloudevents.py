@@ -9,7 +9,7 @@ import pytest
 from cloudevents.core.base import BaseCloudEvent
 from cloudevents.core.formats.json import JSONFormat
 from cloudevents.core.v1.event import CloudEvent
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
 
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event
@@ -104,6 +104,7 @@ records = some.fixed_dictionaries(
 )
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # which measures how busy the machine is
 @given(records)
 def test_whatever_is_taken_for_a_record_makes_a_cloud_event(record: dict[str, object]) -> None:
     line = json.dumps(record).encode()
