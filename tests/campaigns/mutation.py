@@ -22,6 +22,7 @@ REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
 CODE = (
     "signals/decode.py",
+    "signals/layout.py",
     "signals/arrivals.py",
     "signals/sampling.py",
     "signals/values.py",
