@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -16,12 +17,13 @@ from faultline.analysis.model import dump_model
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
-from faultline.options import Parser
+from faultline.options import Parser, add_senders, senders_of
 from faultline.service.bundle.files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from faultline.service.bundle.load import Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.core.decision.consistency import FILE_NAME
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:
@@ -42,6 +44,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--version", type=int, default=0, metavar="N", help="counts up; a vehicle takes none older than one it had (0)"
     )
+    add_senders(parser)
     parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
     options = parser.parse_args(argv)
     if options.version < 0:
@@ -56,10 +59,11 @@ def main(argv: list[str]) -> int:
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
     _check_networks(tuning, runnable, options.tuning)
-    dbc = _dbc(options.dbc, bank)
+    senders = senders_of(options.sender)
+    dbc = _dbc(options.dbc, bank, senders)
     _check_golden(tuning, bank, options.tuning)
     try:
-        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version)
+        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version, senders)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     write_folder(options.out, files, _check_bundle)
@@ -70,26 +74,32 @@ def main(argv: list[str]) -> int:
 
 
 def bundle_files(
-    runnable: Runnable, tuning: Tuning, dbc_name: str, dbc: bytes, where: str, version: int = 0
+    runnable: Runnable,
+    tuning: Tuning,
+    dbc_name: str,
+    dbc: bytes,
+    where: str,
+    version: int = 0,
+    senders: Mapping[str, int] = NOBODY,
 ) -> dict[str, bytes]:
-    """The files of the bundle by name; the same model, tuning and DBC give the same bytes.
+    """The files of the bundle by name; the same model, tuning, DBC and senders of messages give the same bytes.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    described = manifest_of(runnable, tuning, {}, dbc_name, version)
+    described = manifest_of(runnable, tuning, {}, dbc_name, version, senders)
     graphs = {
         name: with_metadata(raw, graph_metadata(described, name))
         for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
     }
     files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, dbc_name, version)
+    manifest = manifest_of(runnable, tuning, files, dbc_name, version, senders)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
 
 
-def _dbc(path: Path, bank: Bank) -> bytes:
+def _dbc(path: Path, bank: Bank, senders: Mapping[str, int]) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
     if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, FAULTS, GOLDEN, MANIFEST, SEAL):
@@ -97,11 +107,7 @@ def _dbc(path: Path, bank: Bank) -> bytes:
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
     raw = path.read_bytes()
-    try:
-        text = raw.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a DBC file in UTF-8: {error}; save it as UTF-8") from error
-    compile_dbc(text, {channel.signal: channel.unit for channel in bank.inputs}, str(path))
+    compile_dbc(dbc_text(raw), {channel.signal: channel.unit for channel in bank.inputs}, str(path), senders)
     return raw
 
 

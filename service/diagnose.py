@@ -2,17 +2,20 @@
 
 import argparse
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from math import inf
 from pathlib import Path
 
-from faultline.options import Parser
+from faultline.options import Parser, add_senders, senders_of
 from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
+from faultline.service.core.j1939.log_context import LogContext
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.context import Context, encode_context
 from faultline.service.core.records.event import encode
 from faultline.service.logs import Log, open_log
-from faultline.service.watching.records import describe, meanings
+from faultline.service.watching.records import describe, describe_context, meanings
 
 EXAMPLE = """example:
   faultline diagnose out/demo/logs/validation-6-fA_du --bundle out/demo/bundle
@@ -37,12 +40,14 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
     parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")
     parser.add_argument("--channel", help="the bus to take, of a log of several")
+    add_senders(parser)
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
     options = parser.parse_args(argv)
-    bundle = load_bundle(options.bundle)
-    verify_golden(bundle)
     log = open_log(options.log, options.channel)
+    bundle = load_bundle(options.bundle, senders={**log.senders, **senders_of(options.sender)})
+    verify_golden(bundle)
     log.check_channels(bundle.table.carries)
+    log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
         log.recording.check_sensors(options.log, bundle.manifest.sensor_set, f"the bundle {options.bundle}")
@@ -75,7 +80,9 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
     faults, equations = meanings(bundle.manifest)
     found = stands = False
     blind = {generator.test for generator in bundle.manifest.generators}
-    for event in monitor.log(log.relative()):
+    context = LogContext(log.id)
+    for event in monitor.log(context.passing(log.relative())):
+        _print_context(context.until((monitor.origin_s or 0.0) + event.t_s, monitor.origin_s), as_json)
         if event.diagnoses:
             stands = True
         elif event.transition in ("healed", "withdrawn"):  # the latter was no fault: its samples are doubted
@@ -85,16 +92,29 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
             sys.stdout.buffer.write(encode(event))
         else:
             print(describe(event, faults, equations))
+    _print_context(context.until(inf, monitor.origin_s), as_json)
     sys.stdout.flush()
+    if losses := context.losses():
+        print(f"faultline diagnose: {losses}", file=sys.stderr)
     return found or stands or bool(monitor.decision.diagnoses), blind  # a log may end before what is decided is told
 
 
+def _print_context(records: Iterable[Context], as_json: bool) -> None:
+    for record in records:
+        if as_json:
+            sys.stdout.buffer.write(encode_context(record))
+        else:
+            print(describe_context(record))
+
+
 def _second_senders(bundle: Bundle) -> str:
-    """Messages of which frames came far too early for one sender; nothing where there are none."""
+    """Messages of which frames came far too early for one sender, or from several; nothing where there are none."""
     early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
-    if not early:
-        return ""
-    return f"frames came far too early for one sender ({early}): a second one, or two buses; they are not believed"
+    found = bundle.table.strangers() if bundle.table.rejected.unclear else []
+    if early:
+        why = "a second one, or two buses; they are not believed"
+        found.insert(0, f"frames came far too early for one sender ({early}): {why}")
+    return "; ".join(found)
 
 
 def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:

@@ -14,7 +14,6 @@ from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.dbc import compile_dbc
 from faultline.training.phases import starts
 
 Array = npt.NDArray[np.float64]
@@ -77,7 +76,7 @@ def load_samples(
         if vehicle is not None:
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle
-        table = compile_dbc(log.dbc, units, str(path))
+        table = log.table(units, str(path))
         found: list[Stretch] = []
         count = 0
         for start in starts(log.relative(), table):

@@ -22,7 +22,6 @@ from faultline.analysis.simulation import system_of
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Log
 from faultline.writing import check_file, check_folder, write_files
 
@@ -98,7 +97,7 @@ class _Data:
             self.logs.append(log)
             check_vehicle(log, path, self.vehicle, str(fitted[0]))
             check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
-            table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(path))
+            table = log.table({name: known.unit for name, known in model.known.items()}, str(path))
             self._found[log.id] = sections(model, self.system, table, log.relative(), str(path))
         self.sources = sorted({log.recording.source for log in self.logs if log.recording})
         del self.logs[len(fitted) :]

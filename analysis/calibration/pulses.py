@@ -9,7 +9,6 @@ from faultline.analysis.recordings.pulse import estimate_pulse
 from faultline.analysis.recordings.pulse_input import InputChoice, choose_input
 from faultline.analysis.recordings.track import tracks_of
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Log
 
 AFTER_PUMP, IN_UNIT = "y_p_ap", "y_p_du"
@@ -31,7 +30,7 @@ def pulses(calibrated: Model, log: Log) -> Pulses:
     dose = calibrated.modes.signal
     try:
         bank = build_bank(calibrated)
-        table = compile_dbc(log.dbc, {name: known.unit for name, known in calibrated.known.items()}, log.id)
+        table = log.table({name: known.unit for name, known in calibrated.known.items()}, log.id)
         frames = list(log.relative())
         tracks = tracks_of(table, frames, calibrated.known)
         pulse = estimate_pulse(tracks[AFTER_PUMP], tracks[IN_UNIT], tracks[dose])

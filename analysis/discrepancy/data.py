@@ -15,7 +15,6 @@ from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import System
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES
-from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log
 
@@ -103,7 +102,7 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
         first = found[0][0] if found else log
         check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
-        table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(path))
+        table = log.table({name: known.unit for name, known in model.known.items()}, str(path))
         found.append((log, sections(model, system, table, log.relative(), str(path), STEP_S)))
     fitted, kept = found[: len(training)], found[len(training) :]
     return Data(

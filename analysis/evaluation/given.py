@@ -30,6 +30,7 @@ class Given(NamedTuple):
             LogError: it cannot be read, or names another DBC.
         """
         log = open_known(self.path, say)
+        log.check_senders(bundle.table)
         log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
         made_for = bundle.manifest.origin.vehicle
         if made_for not in (None, self.recording.vehicle):

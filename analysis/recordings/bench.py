@@ -10,6 +10,7 @@ from faultline.analysis.recordings.external import Samples, read_external
 from faultline.analysis.recordings.track import Track, known_part
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.logs import Frame, LogReport, Recording, load_recording, read_log
@@ -74,7 +75,7 @@ def read_bench(folder: Path) -> Bench:
         raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
     dbc = (folder / recording.can.dbc).read_bytes()
     frames, log = read_log(folder / recording.can.file, recording.can.channel)
-    table = compile_dbc(dbc.decode(errors="replace"), ECU_UNITS, str(folder / recording.can.dbc))
+    table = compile_dbc(dbc_text(dbc), ECU_UNITS, str(folder / recording.can.dbc), recording.can.senders)
     if recording.can.channel is None and (both := log.on_two_channels(table.carries)):
         raise InputError(
             f"{folder}: the same messages come on {' and '.join(both)}: say which bus with `channel` under [can] in "

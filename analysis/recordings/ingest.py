@@ -20,6 +20,7 @@ from faultline.analysis.recordings.track import known_part
 from faultline.analysis.recordings.uniform import uniform
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, check_drop, check_level, standstill, zero_error
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.values import FloatArray
 
 SAME_PRESSURE = 0.9
@@ -125,7 +126,7 @@ def _check_columns(bench: Bench) -> None:
 
 def _can_log(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> tuple[str, dict[str, int]]:
     """The log with the added sensors' frames, and how many samples of each are beyond its range on CAN."""
-    database = load_string(bench.dbc.decode(), "dbc", strict=True)
+    database = load_string(dbc_text(bench.dbc), "dbc", strict=False)
     assert isinstance(database, Database)  # compile_dbc has read it
     message = sensor_message(database, pressures, str(bench.where / bench.recording.can.dbc))
     own = [frame for frame in bench.frames if frame.can_id != message.frame_id]

@@ -8,14 +8,20 @@ from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.tuning.file import Tuning
 from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
+from faultline.service.core.signals.dbc import NOBODY
 
 GOLDEN = "golden.json"
 
 
 def manifest_of(
-    runnable: Runnable, tuning: Tuning, files: Mapping[str, bytes], dbc_name: str, version: int = 0
+    runnable: Runnable,
+    tuning: Tuning,
+    files: Mapping[str, bytes],
+    dbc_name: str,
+    version: int = 0,
+    senders: Mapping[str, int] = NOBODY,
 ) -> Manifest:
-    """The manifest; `files` are the others of the bundle by name."""
+    """The manifest; `files` are the others of the bundle by name, `senders` the source addresses of messages."""
     bank = runnable.bank
     return Manifest(
         schema=SCHEMA,
@@ -53,6 +59,7 @@ def manifest_of(
         equations=_equations(runnable),
         evidence=tuning.evidence,
         claim=tuning.claim,
+        senders=dict(senders),
     )
 
 

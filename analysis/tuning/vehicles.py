@@ -21,7 +21,6 @@ from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, s
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import MODES, Input
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.dbc import compile_dbc
 
 Array = npt.NDArray[np.float64]
 
@@ -81,7 +80,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         if runnable.networks:
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
         progress.say(log.id)
-        table = compile_dbc(log.dbc, units, str(path))
+        table = log.table(units, str(path))
         ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
         inputs = limited(runnable.bank.inputs, table, log.relative())
         drives.append(Drive(log.drive, ticks, seen(log.id, ticks), inputs))

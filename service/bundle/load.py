@@ -15,7 +15,8 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator, Manifest
 from faultline.service.core.residuals.generators import GeneratorBank, Residuals
 from faultline.service.core.residuals.graph_file import GraphError, check_graph_file
-from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.values import FloatArray
 
@@ -57,20 +58,22 @@ class Bundle(NamedTuple):
         return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
 
 
-def load_bundle(folder: Path, trust: Trust | None = None) -> Bundle:
+def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, int] = NOBODY) -> Bundle:
     """The bundle in `folder`, signed by those in `trust` if that is given: which is looked at before anything else.
+
+    `senders` are source addresses of messages by name, in place of those that the bundle has.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
         SignatureError: it is not signed by enough of those who are trusted.
     """
-    return bundle_of(whole(folder, trust), folder)
+    return bundle_of(whole(folder, trust), folder, senders)
 
 
-def bundle_of(given: Whole, folder: Path) -> Bundle:
+def bundle_of(given: Whole, folder: Path, senders: Mapping[str, int] = NOBODY) -> Bundle:
     """The bundle that these files of a folder are; raises as `load_bundle` does, and reads nothing more."""
     bundle_id, manifest, contents = given
-    table = _table(contents[manifest.dbc], manifest, str(folder / manifest.dbc))
+    table = _table(contents[manifest.dbc], manifest, {**manifest.senders, **senders}, str(folder / manifest.dbc))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name in graphs:
         _check_graph(contents[name], manifest, name, None, str(folder / name))
@@ -145,12 +148,10 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -
         )
 
 
-def _table(raw: bytes, manifest: Manifest, where: str) -> DecodeTable:
+def _table(raw: bytes, manifest: Manifest, senders: Mapping[str, int], where: str) -> DecodeTable:
     units = {channel.signal: channel.unit for channel in manifest.inputs}
     try:
-        return compile_dbc(raw.decode(), units, where)
-    except UnicodeDecodeError as error:
-        raise BundleError(f"{where}: not text: {error}; export the bundle again") from error
+        return compile_dbc(dbc_text(raw), units, where, senders)
     except InputError as error:
         raise BundleError(str(error)) from error
 

@@ -26,6 +26,8 @@ class Losses:
             "of another sender": _all(rejected, "other_source"),
             "too early to be the same sender's": _all(rejected, "early"),
             "claims of their senders' addresses by others": _all(rejected, "claimed"),
+            "from several senders, of which none is chosen": _all(rejected, "unclear"),
+            "messages in parts that were not all there": sum(sum(each.incomplete().values()) for each in self.tables),
             "multiplexed by an unknown value": _all(rejected, "unknown_selector"),
             "times bus-off": counts.bus_offs,
             "times the interface went down": counts.link_downs,

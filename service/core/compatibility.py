@@ -15,6 +15,7 @@ def _deciding(manifest: Manifest) -> tuple[object, ...]:
         manifest.period_s,
         manifest.start_within_s,
         manifest.inputs,
+        manifest.senders,
         manifest.generators,
         manifest.modes,
         manifest.detectors,

@@ -27,6 +27,8 @@ Period = Annotated[float, Meta(ge=1e-3)]  # shorter ones would keep the vehicle 
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 Memory = Annotated[float, Meta(ge=1, le=1e6)]
 """Of a filter, in ticks."""
+Address = Annotated[int, Meta(ge=0, le=253)]
+"""A source address of SAE J1939."""
 Version = Annotated[int, Meta(ge=0, le=2**53)]
 Side = Literal["both", "above", "below"]
 NotEmpty = Annotated[list[T], Meta(min_length=1)]
@@ -294,11 +296,12 @@ class Claim(_Part, frozen=True):
     said: Text
 
 
-class Manifest(_Part, frozen=True):
+class Manifest(_Part, frozen=True, omit_defaults=True):
     """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
 
     `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
-    The first `detectors` are one for each generator, in the same order, and test its level; more may follow.
+    The first `detectors` are one for each generator, in the same order, and test its level; more may follow. `senders`
+    are the source addresses that were chosen for messages of the DBC, by their names.
     """
 
     schema: Literal["faultline.bundle/5"]
@@ -321,3 +324,4 @@ class Manifest(_Part, frozen=True):
     equations: list[Equation]
     evidence: Evidence
     claim: Claim | None = None
+    senders: dict[Name, Address] = {}

@@ -82,6 +82,11 @@ class Monitor:
         return self._decision
 
     @property
+    def origin_s(self) -> float | None:
+        """Log time of tick 0 [s]; None before it is known."""
+        return self._observer.origin_s
+
+    @property
     def next_tick_s(self) -> float | None:
         """Log time of the next tick [s], None before the first frame."""
         return self._observer.next_tick_s

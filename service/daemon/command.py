@@ -11,6 +11,7 @@ from faultline.options import Parser
 from faultline.service.bundle.files import Trust
 from faultline.service.bundle.load import Bundle
 from faultline.service.bus import open_bus
+from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.daemon.config import (
     BundleConfig,
     BusConfig,
@@ -22,7 +23,7 @@ from faultline.service.daemon.config import (
     named,
 )
 from faultline.service.daemon.loop import Loop
-from faultline.service.daemon.pipeline import BusChannel, watched
+from faultline.service.daemon.pipeline import BusChannel, wanted_by, watched
 from faultline.service.daemon.refused import Loader, RefusedBundles
 from faultline.service.daemon.reload import Reload
 from faultline.service.daemon.sequencer import Sequencer
@@ -169,8 +170,9 @@ def _lines(
     lines = []
     for bus in config.bus:
         here = [(each.path, bundle) for each, bundle in bundles if each.bus == bus.name]
-        wanted = {one for _, bundle in here for one in bundle.table.wanted}
-        opened = open_bus(bus.interface, sorted(wanted), believe_local=bus.believe_local, required=required)
+        wanted = wanted_by((bundle.table for _, bundle in here), bus.trouble_codes)
+        opened = open_bus(bus.interface, wanted, believe_local=bus.believe_local, required=required)
         watching = [watched(bundle, config.source, speed, place=place) for place, bundle in here]
-        lines.append(BusChannel(bus.name, opened, watching, _say, bus.interface))
+        codes = CodeTracker() if bus.trouble_codes else None
+        lines.append(BusChannel(bus.name, opened, watching, _say, bus.interface, codes))
     return lines

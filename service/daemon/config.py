@@ -20,6 +20,7 @@ class BusConfig(Part, frozen=True):
         str, Meta(description="socketcan:NAME, can:INTERFACE:CHANNEL[:BITRATE] or udp_multicast:GROUP:PORT")
     ]
     believe_local: bool = False
+    trouble_codes: bool = False
 
 
 class BundleConfig(Part, frozen=True):

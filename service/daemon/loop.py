@@ -16,6 +16,7 @@ from types import FrameType
 
 import msgspec
 
+from faultline.service.core.records.context import encode_context
 from faultline.service.core.records.health import (
     KINDS,
     OF_FRAMES,
@@ -128,6 +129,7 @@ class Loop:
         for line in self._lines:
             for watched, events in line.listen(self._clock()):
                 self._remembering.take(watched, events)
+            self._keep_context(line)
             self._register(line, selector)  # now: a subscriber may get the number of one that was closed
         self._tell(self._journal.take())
         if self._journal.take_up():
@@ -233,6 +235,12 @@ class Loop:
         for line in self._lines:
             if news := line.losses.news():
                 self._say(f"{line.name}: {news}" if len(self._lines) > 1 else news)
+
+    def _keep_context(self, line: BusChannel) -> None:
+        for change in line.changes():
+            identity = self._scribe.next()
+            context = change.record(identity, None, line.name)
+            self._journal.put(Record(context.seq, "context", encode_context(context)))
 
     def _keep_health(self) -> None:
         standing = self._conditions.standing

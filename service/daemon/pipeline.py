@@ -1,6 +1,6 @@
 """A bundle at work on a bus: its monitor, how its frames come, and the clock that turns arrival into log time."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -11,11 +11,13 @@ from faultline.service.bus.base import Trouble
 from faultline.service.bus.losses import Losses
 from faultline.service.core.compatibility import decide_alike
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.j1939.context import GROUPS, Change, CodeTracker
 from faultline.service.core.memory.freeze import Sample
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.health import Condition, Kind
 from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.decode import DecodeTable, Wanted, whole_group
 from faultline.service.core.signals.traffic import EXPECTED_S, Traffic
 from faultline.service.logs import Frame
 
@@ -169,23 +171,46 @@ def watched(
     return Pipeline(bundle, make, speed, seen, place)
 
 
+def wanted_by(tables: Iterable[DecodeTable], codes: bool) -> list[Wanted]:
+    """Return the frames that tables need, and with `codes` those of other devices' trouble codes."""
+    found = {one for table in tables for one in table.wanted}
+    return sorted(found | {whole_group(pgn) for pgn in GROUPS} if codes else found)
+
+
 class BusChannel:
     """A bus and the bundles that listen to it."""
 
     def __init__(
-        self, name: str, bus: Bus, bundles: list[Pipeline], say: Callable[[str], None], interface: str = ""
+        self,
+        name: str,
+        bus: Bus,
+        bundles: list[Pipeline],
+        say: Callable[[str], None],
+        interface: str = "",
+        codes: CodeTracker | None = None,
     ) -> None:
-        """`interface` is what the configuration calls it."""
+        """`interface` is what the configuration calls it; `codes`, where given, tracks what other devices report."""
         self.name, self.bus, self.bundles, self._say = name, bus, bundles, say
         self.interface = interface
         self.losses = Losses(bus, [each.bundle.table for each in bundles])
         self._dropped, self._lost_at = bus.dropped, -float("inf")
         self._why = ""
+        self._codes = codes
+        self._changes: list[Change] = []
 
     def listen(self, now: float) -> list[tuple[Pipeline, list[Event]]]:
         """Takes what the bus has; `now` is the monotonic time before that [s]: what came later has not been read."""
         frames = self.bus.receive()
+        if self._codes is not None:
+            for frame in frames:
+                self._changes += self._codes.frame(*frame)
+            self._changes += self._codes.look(now) if not frames else []
         return [(bundle, self._heard_by(bundle, frames, now)) for bundle in self.bundles]
+
+    def changes(self) -> list[Change]:
+        """Return what other devices have said of their trouble codes since this was asked last."""
+        found, self._changes = self._changes, []
+        return found
 
     def _heard_by(self, bundle: Pipeline, frames: list[Frame], now: float) -> list[Event]:
         """What one bundle makes of it; where its graphs fail, the others go on."""
@@ -210,7 +235,7 @@ class BusChannel:
 
     def _want(self) -> None:
         tables = [each.bundle.table for each in self.bundles]
-        self.bus.want(sorted({one for table in tables for one in table.wanted}))
+        self.bus.want(wanted_by(tables, self._codes is not None))
         self.losses.tables = tables
 
     def knows(self, now: float) -> bool:

@@ -8,7 +8,8 @@ take the next of our addresses, if our NAME says that we may, or say that we can
 from collections.abc import Sequence
 from typing import Literal
 
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, NULL, Message
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, NULL
+from faultline.service.j1939.frames import Message
 from faultline.service.j1939.name import SIZE, delay_s, is_arbitrary
 from faultline.service.logs import Frame
 

@@ -8,8 +8,8 @@ active if any of them is.
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from faultline.service.core.j1939.dm1 import MOST, MOST_FMI, MOST_OC, MOST_SPN, Code
 from faultline.service.core.records.fault import Dtc, Fault
-from faultline.service.j1939.dm1 import MOST, MOST_FMI, MOST_OC, MOST_SPN, Code
 
 
 class Known(NamedTuple):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-from faultline.service.j1939.frames import NULL
+from faultline.service.core.j1939.identifiers import NULL
 from faultline.service.j1939.memory import Memory
 from faultline.service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node, Status
 from faultline.service.j1939.wire import Wire

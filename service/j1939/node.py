@@ -10,11 +10,12 @@ its parts take longer than that, the next one waits for the last part.
 from collections.abc import Sequence
 from typing import Literal
 
+from faultline.service.core.j1939.dm1 import encode
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1, DM2, FRAME, GLOBAL, NULL
 from faultline.service.j1939.claim import Claim
-from faultline.service.j1939.dm1 import encode
 from faultline.service.j1939.dtcs import Known
 from faultline.service.j1939.echo import Echo
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, FRAME, GLOBAL, NULL, Heard, Message, parse
+from faultline.service.j1939.frames import Heard, Message, parse
 from faultline.service.j1939.name import SIZE
 from faultline.service.j1939.outbox import Outbox
 from faultline.service.j1939.requests import Refusal, refused, wanted

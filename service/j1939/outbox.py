@@ -1,7 +1,9 @@
 """What goes out in parts: one broadcast at a time, and a few connections beside it, one for a receiver."""
 
-from faultline.service.j1939.frames import TP_CM, Heard, Message
-from faultline.service.j1939.transport import RTS, Broadcast, Connection, Reason, aborted
+from faultline.service.core.j1939.identifiers import TP_CM
+from faultline.service.core.j1939.transport import RTS
+from faultline.service.j1939.frames import Heard, Message
+from faultline.service.j1939.transport import Broadcast, Connection, Reason, aborted
 
 CONNECTIONS = 4
 """At one moment; who asks for more is asked to come later."""

@@ -6,7 +6,8 @@ to all, or not at all. Acknowledgements go to all; their fifth byte says who ask
 
 from enum import IntEnum
 
-from faultline.service.j1939.frames import ACKNOWLEDGEMENT, REQUEST, Heard, Message, pgn_bytes
+from faultline.service.core.j1939.identifiers import ACKNOWLEDGEMENT, REQUEST
+from faultline.service.j1939.frames import Heard, Message, pgn_bytes
 
 _SIZE = 3
 

@@ -1,4 +1,4 @@
-"""Messages of more than 8 bytes in parts, SAE J1939-21: to all (BAM), or to one that says when (RTS/CTS).
+"""Messages of more than 8 bytes sent in parts, SAE J1939-21: to all (BAM), or to one that says when (RTS/CTS).
 
 Both are senders that are asked with the time what to send now; they hold no clock. Control messages (TP.CM) begin with
 their kind and end with the group that is carried; parts (TP.DT) are a number from 1 and 7 bytes, filled up with FF.
@@ -8,12 +8,9 @@ from collections import Counter
 from enum import IntEnum
 from typing import Literal
 
-from faultline.service.j1939.dm1 import LARGEST
-from faultline.service.j1939.frames import GLOBAL, TP_CM, TP_DT, TP_PRIORITY, Message, pgn_bytes
-
-PART = 7  # bytes
-RTS, CTS, END, BAM, ABORT = 0x10, 0x11, 0x13, 0x20, 0xFF
-"""Kinds: request to send, clear to send, end of message acknowledged, broadcast announcement, connection abort."""
+from faultline.service.core.j1939.identifiers import GLOBAL, TP_CM, TP_DT
+from faultline.service.core.j1939.transport import ABORT, BAM, CTS, END, LARGEST, PART, RTS
+from faultline.service.j1939.frames import TP_PRIORITY, Message, pgn_bytes
 
 GAP_S = 0.05
 """Between the parts of a broadcast, 50 to 200 ms."""

@@ -17,8 +17,8 @@ from faultline.service.bus.base import Trouble
 from faultline.service.bus.interface import SYS, Interface, interface
 from faultline.service.bus.reader import CLASSIC
 from faultline.service.bus.socketcan import CAN_RAW_RECV_OWN_MSGS, EFF_FLAG, SocketCan, can_socket
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, REQUEST, TP_CM
 from faultline.service.core.signals.decode import Wanted
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, REQUEST, TP_CM
 from faultline.service.logs import Frame
 
 IFF_ECHO = 1 << 18  # linux/if.h

@@ -1,10 +1,13 @@
 """A log as commands take it: an instrumented recording, or a bare log file."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.logs.formats import parse_log
 from faultline.service.logs.recording import Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
@@ -37,14 +40,41 @@ class Log:
         """The text of the DBC that the recording was made with.
 
         Raises:
-            LogError: a bare log file has none, or it cannot be read as text.
+            LogError: a bare log file has none, or it cannot be read.
         """
         if self.dbc_path is None:
             raise LogError(f"{self.id}: a bare log names no DBC; give its recording's folder")
         try:
-            return self.dbc_path.read_text()
-        except (OSError, UnicodeDecodeError) as error:
-            raise LogError(f"{self.dbc_path}: cannot be read as text: {error}") from error
+            return dbc_text(self.dbc_path.read_bytes())
+        except OSError as error:
+            raise LogError(f"{self.dbc_path}: cannot be read: {error.strerror}") from error
+
+    @property
+    def senders(self) -> Mapping[str, int]:
+        """The source addresses that the recording chooses, by the messages' names."""
+        return self.recording.can.senders if self.recording else NOBODY
+
+    def table(self, units: Mapping[str, str], where: str) -> DecodeTable:
+        """Return the table for the signals in `units` (name to unit), by the recording's DBC and senders.
+
+        Raises:
+            InputError: the DBC does not give them (`where` names it), or does not say which sender of several is meant.
+        """
+        table = compile_dbc(self.dbc, units, where, self.senders)
+        self.check_senders(table)
+        return table
+
+    def check_senders(self, table: DecodeTable) -> None:
+        """Refuse to mix several senders of a message that the DBC gives to any.
+
+        Raises:
+            LogError: a message that `table` takes from any sender comes from more than one, and none was chosen.
+        """
+        channels = self.report.channels
+        taken = [channels.get(self.channel, set())] if self.channel is not None else channels.values()
+        if unclear := table.undecided({each for found in taken for each in found}):
+            how = "" if self.recording is None else ", or `senders` under [can] in recording.toml"
+            raise LogError(f"{self.id}: {'; '.join(unclear)}{how}")
 
     def check_dbc(self, sha256: str) -> None:
         """A recording made with another DBC than the bundle's, of hash `sha256`, must not be decoded with that one.

@@ -27,11 +27,16 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Common strictness: no field unknown, nothing changes after loading."""
 
 
+Address = Annotated[int, msgspec.Meta(ge=0, le=253)]
+"""A source address of SAE J1939."""
+
+
 class Can(_Part, frozen=True):
     """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal.
 
     `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
     another clock, the log is another one, but the drive is the same. `channel` is the bus to take of a log of several.
+    `senders` are the source addresses to take of messages that several devices send, by the messages' names.
     """
 
     file: str
@@ -39,6 +44,7 @@ class Can(_Part, frozen=True):
     dbc_sha256: Sha256
     bench_sha256: Sha256 | None = None
     channel: str | None = None
+    senders: dict[str, Address] = {}
 
 
 class Table(_Part, frozen=True):

@@ -9,6 +9,7 @@ import re
 
 import msgspec
 
+from faultline.service.core.records.context import SCHEMA as CONTEXT
 from faultline.service.core.records.event import SCHEMA as EVENT
 from faultline.service.core.records.fault import CLEARED
 from faultline.service.core.records.fault import SCHEMA as FAULT
@@ -70,7 +71,7 @@ def _fields(record: Record) -> dict[str, object]:
 def _type(record: Record, fields: dict[str, object]) -> str:
     """`io.faultline.` and what it is; of an unknown schema with its version, as its meaning is not known here."""
     word = {EVENT: fields.get("transition"), FAULT: fields.get("change")}.get(record.schema)
-    stem = {EVENT: "event", FAULT: "fault", HEALTH: "health", CLEARED: "cleared"}.get(record.schema)
+    stem = {EVENT: "event", FAULT: "fault", HEALTH: "health", CLEARED: "cleared", CONTEXT: "context"}.get(record.schema)
     if stem is not None:
         return f"io.faultline.{stem}" + (f".{word}" if isinstance(word, str) and _WORD.fullmatch(word) else "")
     schema = _SCHEMA.fullmatch(record.schema)

@@ -13,6 +13,8 @@ from pathlib import Path
 import msgspec
 from msgspec import inspect
 
+from faultline.service.core.records.context import SCHEMA as CONTEXT
+from faultline.service.core.records.context import Context, LampStates, TroubleCode
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import SCHEMA as EVENT
 from faultline.service.core.records.event import Diagnosis, Event
@@ -58,6 +60,7 @@ SENT: dict[str, Message] = {
     HEALTH: Health,
     FAULT: FaultRecord,
     CLEARED: Cleared,
+    CONTEXT: Context,
     FRAME: FreezeFrame,
     LIVE: LiveTick,
     STATE: ServiceState,
@@ -65,8 +68,9 @@ SENT: dict[str, Message] = {
 """Messages that say their schema, which have a file each."""
 
 PARTS: tuple[Message, ...] = (
-    *(Diagnosis, Fault, Status, Seen, Dtc, Standing, Input, Verdict, Excerpt, Separation, StoreStatus, BusStatus),
-    *(SystemStatus, Signal, GeneratorMeaning, FaultMeaning, EquationMeaning, DisturbanceMeaning, Stand, Refusal),
+    *(LampStates, TroubleCode, Diagnosis, Fault, Status, Seen, Dtc, Standing, Input, Verdict, Excerpt, Separation),
+    *(StoreStatus, BusStatus, SystemStatus, Signal, GeneratorMeaning, FaultMeaning),
+    *(EquationMeaning, DisturbanceMeaning, Stand, Refusal),
 )
 BESIDES: tuple[Message, ...] = (
     *(Subscription, Rejection, Question, FaultList, FaultDetail, FreezeFrames, Erased, RecordPage, SystemDescription),

@@ -1,7 +1,7 @@
-"""Messages of the event socket: the subscription, and the records of four schemas that answer it.
+"""Messages of the event socket: the subscription, and the records of five schemas that answer it.
 
-A record is an `Event`, a `Health`, a `FaultRecord` or a `Cleared`; `Record` is the header that all of them have, with
-the line as it came, so that a client can hand on what it does not know.
+A record is an `Event`, a `Health`, a `FaultRecord`, a `Cleared` or a `Context`; `Record` is the header that all of them
+have, with the line as it came, so that a client can hand on what it does not know.
 """
 
 import re
@@ -12,12 +12,13 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta
 
+from faultline.service.core.records.context import Context
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.fault import Cleared, FaultRecord
 from faultline.service.core.records.health import Health
 from faultline.service.protocol.errors import UNREADABLE
 
-RECORDS = (Event, FaultRecord, Cleared, Health)
+RECORDS = (Event, FaultRecord, Cleared, Health, Context)
 """The records of this version, by the schemas of docs/events.md."""
 
 T = TypeVar("T")
@@ -69,7 +70,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @property
     def kind(self) -> str:
-        """The schema's name without its version: event, fault, cleared, health."""
+        """The schema's name without its version: event, fault, cleared, health, context."""
         return self.schema.removeprefix("faultline.").partition("/")[0]
 
     @property

@@ -1,12 +1,13 @@
 """Makes a recording answer for as long as somebody serves it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import NOBODY
 from faultline.service.logs import open_log
 from faultline.service.recorded.service import Recording, Serving
 
@@ -15,17 +16,24 @@ EVERY = 0.1  # of the log between two words of progress
 
 @contextmanager
 def served(
-    path: Path, folder: Path, say: Callable[[str], None], channel: str | None = None
+    path: Path,
+    folder: Path,
+    say: Callable[[str], None],
+    channel: str | None = None,
+    senders: Mapping[str, int] = NOBODY,
 ) -> Iterator[tuple[Path, Path]]:
     """The control socket and the events socket of a finished recording, diagnosed with the bundle in the folder.
+
+    `channel` is the bus to take of a log of several, `senders` are the source addresses of messages that several send.
 
     Raises:
         InputError: the log or the bundle cannot be read, do not fit together, or the log has not all signals.
     """
-    bundle = load_bundle(folder)
-    verify_golden(bundle)
     log = open_log(path, channel)
+    bundle = load_bundle(folder, senders={**log.senders, **senders})
+    verify_golden(bundle)
     log.check_channels(bundle.table.carries)
+    log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
         log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")

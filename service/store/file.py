@@ -18,8 +18,8 @@ from faultline.service.core.errors import InputError
 
 VERSION = 2  # 1 had no table `kept`
 
-About = Literal["event", "health", "fault"]
-KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000}
+About = Literal["event", "health", "fault", "context"]
+KEPT: dict[About, int] = {"event": 20_000, "health": 5_000, "fault": 20_000, "context": 5_000}
 """The latest so many are kept. Each kind has its own number: a loose plug must not push out faults."""
 PRUNED = 256  # records between two looks whether there are too many
 ASIDE = 3  # damaged files that are left
@@ -232,7 +232,7 @@ class StoreFile:
 def _record(row: tuple[object, ...]) -> Record | None:
     """The record in a row, None where it makes no sense: somebody else has written there."""
     match row:
-        case (int(seq), ("event" | "health" | "fault") as about, bytes(line)) if 0 < seq < ENDLESS:
+        case (int(seq), ("event" | "health" | "fault" | "context") as about, bytes(line)) if 0 < seq < ENDLESS:
             try:
                 msgspec.json.decode(line, type=dict[str, msgspec.Raw])
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

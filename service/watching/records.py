@@ -7,6 +7,8 @@ import msgspec
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Equation, Fault, Manifest
+from faultline.service.core.records.context import SCHEMA as CONTEXT
+from faultline.service.core.records.context import Context, LampStates, TroubleCode, decode_context
 from faultline.service.core.records.event import Diagnosis, Event, decode, schema_of
 from faultline.service.core.records.fault import CLEARED, Change, FaultRecord, decode_cleared, decode_record
 from faultline.service.core.records.fault import SCHEMA as FAULT
@@ -53,6 +55,8 @@ def described(line: bytes, path: Path, faults: Mapping[str, Fault], equations: M
             return describe_health(decode_health(line))
         if schema == FAULT:
             return describe_fault(decode_record(line))
+        if schema == CONTEXT:
+            return describe_context(decode_context(line))
         if schema == CLEARED:
             cleared = decode_cleared(line)
             return f"{'':9}    erased by {cleared.by}: {', '.join(map(str, cleared.numbers)) or 'nothing'}"
@@ -102,6 +106,35 @@ def describe_fault(record: FaultRecord) -> str:
     fault = record.fault
     names = " or ".join(" and ".join(each.faults) or "unknown" for each in fault.diagnoses)
     return f"{'':9}    fault {fault.number} {CHANGES[record.change]}: {names}, status 0x{fault.mask:02X}"
+
+
+def describe_context(context: Context) -> str:
+    """What another device says of itself, for a person."""
+    head = f"{'':11}" if context.t_s is None else f"{context.t_s:9.1f} s"
+    who = f"0x{context.sender:02X}"
+    if context.silent:
+        return f"{head}  another device, {who}, says nothing any more of its trouble codes"
+    what = "has" if context.message == "DM1" else "had"
+    codes = [f"SPN {_spns(code)} FMI {code.fmi}{_times(code.count)}" for code in context.codes]
+    lamps = [] if context.lamps is None or context.message == "DM2" else _lit(context.lamps)
+    said = "; ".join([f"{what} {', '.join(codes) or 'no trouble code'}", *lamps])
+    return f"{head}  another device, {who}, {said} ({context.message})"
+
+
+def _spns(code: TroubleCode) -> str:
+    """The SPN, or those that it may be."""
+    return " or ".join(map(str, dict.fromkeys([code.spn, *code.other_spns])))
+
+
+def _times(count: int | None) -> str:
+    return "" if count is None else f" ({count} times)"
+
+
+def _lit(lamps: LampStates) -> list[str]:
+    """The lamps that are asked for."""
+    states = msgspec.structs.asdict(lamps).items()
+    flashes = {"on": "", "slow": ", flashing", "fast": ", flashing fast"}
+    return [f"{name.replace('_', ' ')} lamp{flashes[state]}" for name, state in states if state in flashes]
 
 
 def _nothing(event: Event) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from faultline.options import Parser
+from faultline.options import Parser, add_senders, senders_of
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
 
@@ -39,7 +39,10 @@ def main(argv: list[str]) -> int:
         return _serve(options)
     from faultline.service.recorded.command import served  # brings in the inference library, which serving does without
 
-    with served(options.recording, options.bundle, _say, options.channel) as (control, events):
+    with served(options.recording, options.bundle, _say, options.channel, senders_of(options.sender)) as (
+        control,
+        events,
+    ):
         options.control, options.events = str(control), str(events)
         return _serve(options)
 
@@ -88,6 +91,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--recording", type=Path, help="instead of a running service: a finished recording, or a log")
     add("--bundle", type=Path, help="and the bundle folder that diagnoses it")
     add("--channel", help="and the bus to take, of a log of several")
+    add_senders(parser)
     add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)
     if options.recording is not None:

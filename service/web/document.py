@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from faultline.service.core.records.context import Context
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.fault import Cleared, FaultRecord
 from faultline.service.core.records.health import Health
@@ -17,7 +18,7 @@ from faultline.service.web.problems import MEDIA_TYPE
 
 Json = dict[str, Any]
 
-RECORDS = (Event, Health, FaultRecord, Cleared)
+RECORDS = (Event, Health, FaultRecord, Cleared, Context)
 BODIES = (
     *(shapes.Components, shapes.Capabilities, shapes.Items, shapes.Detail, shapes.HealthBody, shapes.Ready),
     shapes.Problem,

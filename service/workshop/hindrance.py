@@ -36,6 +36,7 @@ REMEDIES: dict[str, str] = {
     "address-claim": "unplug other devices that claim the address",
     "short-frames": "check that the DBC is of this vehicle",
     "unknown-selector": "check that the DBC is of this vehicle",
+    "incomplete": "check what else loads the bus, and the control unit that sends it",
     "bundle-failed": "wait a minute; then see the service's log",
     "bundle-refused": "install a bundle that is signed and whole",
     "store-failed": "make room on the disk, or mend it; the test can go on",

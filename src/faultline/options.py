@@ -3,7 +3,7 @@
 import argparse
 import difflib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 
@@ -49,3 +49,36 @@ class Parser(argparse.ArgumentParser):
                 named = (action.choices[word] for word in self._given if word in action.choices)
                 options += [option for parser in named for option in parser._option_string_actions]
         return options
+
+
+def add_senders(parser: argparse.ArgumentParser) -> None:
+    """Add `--sender`, of which `senders_of` makes a mapping."""
+    parser.add_argument(
+        "--sender",
+        action="append",
+        default=[],
+        type=_sender,
+        metavar="MESSAGE=ADDRESS",
+        help="take this J1939 message from that source address, as EEC1=0x00; may be given for several messages",
+    )
+
+
+def senders_of(given: Iterable[tuple[str, int]]) -> dict[str, int]:
+    """Return source addresses by message, of what `--sender` has been given."""
+    return dict(given)
+
+
+def _sender(text: str) -> tuple[str, int]:
+    """A message and a source address, from `MESSAGE=ADDRESS`.
+
+    >>> _sender("EEC1=0x3D"), _sender("EEC1=61")
+    (('EEC1', 61), ('EEC1', 61))
+    """
+    message, _, address = text.rpartition("=")
+    try:
+        number = int(address, 0)
+    except ValueError:
+        number = -1
+    if not message or not 0 <= number <= 253:
+        raise argparse.ArgumentTypeError(f"{text}: give MESSAGE=ADDRESS, an address from 0x00 to 0xFD, as EEC1=0x3D")
+    return message, number

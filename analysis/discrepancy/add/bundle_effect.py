@@ -106,10 +106,14 @@ class BundleEffect:
 
 @dataclass(frozen=True)
 class Trial:
-    """What bundles are made and judged with: fault-free recordings to tune on, and logs with their truths."""
+    """What bundles are made and judged with: fault-free recordings to tune on, and logs with their truths.
+
+    `dbc` and `senders` are those of the first recording.
+    """
 
     tuning: tuple[Path, ...]
     dbc: Path
+    senders: Mapping[str, int]
     judged: tuple[tuple[Log, Truth | None], ...]
 
 
@@ -140,7 +144,7 @@ def trial(
         if first.recording is not None:
             log.check_dbc(first.recording.can.dbc_sha256)
         judged.append((log, None if told is None else load_truth(told, log.id)))
-    return Trial(tuple(tuning), first.dbc_path, tuple(judged))
+    return Trial(tuple(tuning), first.dbc_path, first.senders, tuple(judged))
 
 
 def bundle_effect(before: Model, after: Model, recordings: Trial, progress: Progress) -> BundleEffect:
@@ -169,7 +173,9 @@ def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
     try:
         runnable = Runnable(build_bank(model))
         tuned, dbc = tune(runnable, [*recordings.tuning], progress), recordings.dbc
-        bundle = _written(bundle_files(runnable, tuned, dbc.name, dbc.read_bytes(), model.name))
+        bundle = _written(
+            bundle_files(runnable, tuned, dbc.name, dbc.read_bytes(), model.name, senders=recordings.senders)
+        )
     except InputError as error:
         return Bundled(reason=str(error))
     judged = {}

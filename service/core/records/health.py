@@ -29,6 +29,7 @@ Kind = Literal[
     "address-claim",
     "short-frames",
     "unknown-selector",
+    "incomplete",
     "bundle-failed",
     "bundle-refused",
     "store-failed",
@@ -56,6 +57,7 @@ MEANINGS: dict[str, str] = {
     "address-claim": "has a sender whose address another device has claimed",
     "short-frames": "is shorter than in the DBC",
     "unknown-selector": "is multiplexed by a value that the DBC does not have",
+    "incomplete": "comes in parts, and some of them are missing",
     "bundle-failed": "could not be computed, and has begun anew",
     "bundle-refused": "(so this bundle does not run; it is tried again)",
     "store-failed": "cannot be opened or written: what is told is not kept",
@@ -70,7 +72,7 @@ MEANINGS: dict[str, str] = {
 OF_FRAMES: frozenset[Kind] = frozenset(
     (
         *("no-traffic", "missing", "not-available", "error", "out-of-range", "frozen", "jump"),
-        *("second-sender", "address-claim", "short-frames", "unknown-selector"),
+        *("second-sender", "address-claim", "short-frames", "unknown-selector", "incomplete"),
     )
 )
 """What only frames, or their absence for a while, can show."""

@@ -95,6 +95,11 @@ class Observer:
         return self._now
 
     @property
+    def origin_s(self) -> float | None:
+        """Log time of tick 0 [s]; None before it is known."""
+        return self._origin
+
+    @property
     def next_tick_s(self) -> float | None:
         """Log time of the next tick [s], None before the first frame."""
         if self._first is None:

@@ -1,73 +1,168 @@
-"""A DBC's text to the table that decodes frames; cantools reads the DBC, and is not asked again afterwards."""
+"""A DBC's text to the table that decodes frames; cantools reads the DBC, and is not asked again afterwards.
+
+Only messages that carry wanted signals need to make sense: in real files others overlap, are too short or are there
+twice.
+"""
 
 from collections.abc import Collection, Mapping
 from math import inf
+from types import MappingProxyType
 
-from cantools.database import load_string
-from cantools.database.can import Database, Message
+import textparser
+from cantools.database.can import Message
 from cantools.database.can import Signal as DbcSignal
+from cantools.database.can.formats import dbc
 from cantools.database.errors import Error as DatabaseError
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.decode import PRIORITY_MASK, Cut, DecodeTable, Field, Layout, Only, Selector
+from faultline.service.core.j1939.identifiers import (
+    DESTINATION_MASK,
+    GLOBAL,
+    NULL,
+    PRIORITY_MASK,
+    SOURCE_MASK,
+    group_of,
+    is_addressed,
+)
+from faultline.service.core.j1939.transport import LARGEST
+from faultline.service.core.signals.dbc_text import needed
+from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
+from faultline.service.core.signals.layout import FLOATS, Cut, Field, Layout, Only, Selector
+from faultline.service.core.signals.units import conversion
 
-LONGEST = 8
-"""Bytes of a message of J1939 that comes in one frame (SAE J1939-21)."""
-
-CONVERSIONS: Mapping[tuple[str, str], float] = {
-    ("kPa", "Pa"): 1e3,
-    ("bar", "Pa"): 1e5,
-    ("%", "1"): 1e-2,
-    ("rpm", "1/s"): 1 / 60,
-}
-"""Factor from a DBC's unit to a bundle's unit; equal units need none."""
+SENSELESS: tuple[type[Exception], ...] = (
+    *(DatabaseError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError),
+)
+"""What cantools raises where the statements of a file contradict each other."""
+BROKEN: tuple[type[Exception], ...] = (textparser.Error, *SENSELESS)
+"""And where it breaks the grammar besides."""
+NOBODY: Mapping[str, int] = MappingProxyType({})
 
 
-def compile_dbc(text: str, units: Mapping[str, str], where: str) -> DecodeTable:
+def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mapping[str, int] = NOBODY) -> DecodeTable:
     """The table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
 
+    `senders` are the source addresses that are chosen for some messages of J1939, whatever the DBC has there. A message
+    without one to which the DBC gives the null address (0xFE) is taken from any sender, as long as there is but one.
+
     Raises:
-        InputError: the text is no valid DBC, or a wanted signal is absent, ambiguous, or in a unit that cannot be
-            converted to the one wanted.
+        InputError: the text is no valid DBC; a wanted signal is absent, ambiguous, in a unit that cannot be converted
+            to the one wanted, or in a message that makes no sense; a sender is chosen that cannot be.
     """
-    try:
-        database = load_string(text, "dbc", strict=True)
-    except DatabaseError as error:
-        raise InputError(f"{where}: not a valid DBC file: {' '.join(str(error).split())}") from error
-    assert isinstance(database, Database)
-    layouts: dict[tuple[int, bool], Layout] = {}
+    messages, says_formats = _messages(text, units, where)
     carriers: dict[str, list[str]] = {name: [] for name in units}
-    for message in database.messages:
+    carrying: list[tuple[Message, list[DbcSignal]]] = []
+    for message in messages:
         wanted = [signal for signal in message.signals if signal.name in units]
         for signal in wanted:
             carriers[signal.name].append(message.name)
         if wanted:
-            if message.is_extended_frame and not _says_formats(database):
-                raise InputError(
-                    f"{where}: does not say whether {message.name} is J1939's: give it the attribute VFrameFormat "
-                    "(J1939PG, or ExtendedCAN), or raw values that mean *not available* would be taken for numbers"
-                )
-            if message.protocol == "j1939" and message.length > LONGEST:
-                raise InputError(
-                    f"{where}: {message.name} has {message.length} bytes, which come by J1939's transport protocol, "
-                    f"to which this does not listen: take {wanted[0].name} from another message"
-                )
-            j1939 = message.is_extended_frame and message.protocol == "j1939"
-            identifier = message.frame_id & PRIORITY_MASK if j1939 else message.frame_id
-            if (before := layouts.get((identifier, message.is_extended_frame))) is not None:
-                raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
-            layouts[identifier, message.is_extended_frame] = _layout(message, identifier, wanted, units, where)
+            _check_message(message, wanted, says_formats, where)
+            carrying.append((message, wanted))
+    layouts: dict[tuple[int, bool], Layout] = {}
+    for message, wanted in carrying:
+        layout = _layout(message, _identity(message, messages, senders), wanted, units, where)
+        key = layout.identifier, message.is_extended_frame
+        if (before := layouts.setdefault(key, layout)) is not layout:
+            raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
     _check_carriers(carriers, where)
+    _check_senders(senders, layouts.values(), where)
     return DecodeTable(layouts)
 
 
-def _says_formats(database: Database) -> bool:
-    """Whether it knows the attribute that tells J1939 from other messages of 29 bits."""
-    return database.dbc is not None and "VFrameFormat" in database.dbc.attribute_definitions
+def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Message], bool]:
+    """The messages, those with signals of these `names` at least; and whether the file tells J1939 from the others.
+
+    Raises:
+        InputError: the text breaks the grammar, or what is said of these messages contradicts itself.
+    """
+    try:
+        database = dbc.load_string(text, strict=False)
+    except textparser.Error as error:
+        raise InputError(f"{where}: not a valid DBC file: {_line(error)}") from error
+    except SENSELESS:
+        try:
+            database = dbc.load_string(needed(text, names), strict=False)
+        except BROKEN as error:
+            raise InputError(f"{where}: not a valid DBC file: {_line(error)}") from error
+    return list(database.messages), database.dbc is not None and "VFrameFormat" in database.dbc.attribute_definitions
+
+
+def _line(error: Exception) -> str:
+    """What went wrong, in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _check_message(message: Message, wanted: Collection[DbcSignal], says_formats: bool, where: str) -> None:
+    """Refuse a message whose signals cannot be read for certain.
+
+    Raises:
+        InputError: signals overlap or do not fit; no such message can come; nobody says whether it is J1939's.
+    """
+    place = f"{where}: {message.name}"
+    if message.is_extended_frame and not says_formats:
+        raise InputError(
+            f"{where}: does not say whether {message.name} is J1939's: give it the attribute VFrameFormat "
+            "(J1939PG, or ExtendedCAN), or raw values that mean *not available* would be taken for numbers"
+        )
+    names = ", ".join(signal.name for signal in wanted)
+    if message.protocol == "j1939" and message.length > LARGEST:
+        raise InputError(
+            f"{place} has {message.length} bytes, J1939's transport protocol carries {LARGEST}: take {names} from "
+            "another message"
+        )
+    try:
+        message.refresh(strict=True)
+    except SENSELESS as error:
+        raise InputError(
+            f"{place}: {_line(error)} Mend its length, start bits and sizes in the DBC: {names} cannot be read from it"
+        ) from error
+    for signal in message.signals:
+        if _is_circular(message, signal):
+            raise InputError(f"{place}.{signal.name}: is multiplexed by itself; mend SG_MUL_VAL_ in the DBC")
+        if signal.is_float and signal.length not in FLOATS:
+            raise InputError(
+                f"{place}.{signal.name}: a floating-point number of {signal.length} bits; mend its size in the DBC: "
+                f"{', '.join(map(str, FLOATS))}"
+            )
+
+
+def _is_circular(message: Message, signal: DbcSignal) -> bool:
+    """True if the signal stands behind itself."""
+    selectors = {each.name: each.multiplexer_signal for each in message.signals}
+    selector, seen = signal.multiplexer_signal, {signal.name}
+    while selector is not None and selector not in seen:
+        seen.add(selector)
+        selector = selectors.get(selector)
+    return selector is not None
+
+
+def _identity(message: Message, messages: Collection[Message], senders: Mapping[str, int]) -> tuple[int, int]:
+    """Identifier and the bits of it that count; those that do not are the null address and the one of all.
+
+    In J1939 the priority counts for nothing, nor does the destination, unless another message of the DBC differs in
+    nothing else; and the sender does not where nobody has chosen one.
+    """
+    if message.protocol != "j1939" or not message.is_extended_frame:
+        return message.frame_id, EXTENDED if message.is_extended_frame else STANDARD
+    identifier, mask = message.frame_id & PRIORITY_MASK, PRIORITY_MASK
+    alike = [one.frame_id for one in messages if one.protocol == "j1939" and _is_alike(one.frame_id, identifier)]
+    if is_addressed(group_of(identifier)) and len({one & PRIORITY_MASK for one in alike}) < 2:
+        identifier, mask = identifier | GLOBAL << 8, mask & ~DESTINATION_MASK
+    if message.name in senders:
+        identifier = identifier & ~SOURCE_MASK | senders[message.name]
+    if identifier & SOURCE_MASK == NULL:
+        mask &= ~SOURCE_MASK
+    return identifier, mask
+
+
+def _is_alike(one: int, other: int) -> bool:
+    """Whether two identifiers are of one group and sender."""
+    return group_of(one) == group_of(other) and not (one ^ other) & SOURCE_MASK
 
 
 def _layout(
-    message: Message, identifier: int, wanted: Collection[DbcSignal], units: Mapping[str, str], where: str
+    message: Message, identity: tuple[int, int], wanted: Collection[DbcSignal], units: Mapping[str, str], where: str
 ) -> Layout:
     fields = tuple(_field(message, signal, units[signal.name], where) for signal in wanted)
     used = {cut for field in fields for cut, _ in field.only}
@@ -78,7 +173,8 @@ def _layout(
     ]
     return Layout(
         name=message.name,
-        identifier=identifier,
+        identifier=identity[0],
+        mask=identity[1],
         size=message.length,
         j1939=message.protocol == "j1939",
         period_s=message.cycle_time / 1000.0 if message.cycle_time else None,
@@ -89,10 +185,11 @@ def _layout(
 
 def _field(message: Message, signal: DbcSignal, unit: str, where: str) -> Field:
     given = signal.unit or ""
-    factor = 1.0 if given == unit else CONVERSIONS.get((given, unit))
-    if factor is None:
+    how = conversion(given, unit)
+    if how is None:
         place = f"{where}: {message.name}.{signal.name}"
         raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs")
+    factor, shift = how
     low, high = signal.minimum, signal.maximum
     slack = 1e-9 * max(abs(float(low or 0.0)), abs(float(high or 0.0)), 1.0)  # of what a decimal rounds
     return Field(
@@ -101,9 +198,9 @@ def _field(message: Message, signal: DbcSignal, unit: str, where: str) -> Field:
         signed=signal.is_signed,
         is_float=signal.is_float,
         scale=float(signal.scale) * factor,
-        offset=float(signal.offset) * factor,
-        low=-inf if low is None else (float(low) - slack) * factor,
-        high=inf if high is None else (float(high) + slack) * factor,
+        offset=float(signal.offset) * factor + shift,
+        low=-inf if low is None else (float(low) - slack) * factor + shift,
+        high=inf if high is None else (float(high) + slack) * factor + shift,
         only=_only(message, signal),
     )
 
@@ -140,3 +237,13 @@ def _check_carriers(carriers: Mapping[str, list[str]], where: str) -> None:
             raise InputError(
                 f"{where}: signal {name} is in several messages ({', '.join(messages)}); rename all but one"
             )
+
+
+def _check_senders(senders: Mapping[str, int], layouts: Collection[Layout], where: str) -> None:
+    known = [layout.name for layout in layouts if layout.j1939]
+    for name, address in senders.items():
+        if name not in known:
+            there = ", ".join(known) or "none"
+            raise InputError(f"{where}: a sender is chosen for {name}; messages of J1939 with wanted signals: {there}")
+        if not 0 <= address < NULL:
+            raise InputError(f"{where}: sender {address} is chosen for {name}; an address is one of 0x00 to 0xFD")

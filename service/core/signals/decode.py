@@ -1,33 +1,43 @@
 """Frames to signals, in the units of the bundle, by a table that was compiled from a DBC (`core.signals.dbc`).
 
-A frame gives all its signals or none. J1939 frames are matched on parameter group and source address (the priority may
-differ), so that a second sender of the same group never overwrites a value; it is counted.
+A frame gives all its signals or none, and so does a message of J1939 that comes in parts (`core.j1939.transport`), with
+its last one. J1939's frames are matched on parameter group and source address (the priority may differ), so that a
+second sender of the same group never overwrites a value; it is counted (`core.signals.senders`).
 
 A second sender under the same address is known by when its frames come (`core.signals.arrivals`): their signals are
-`DOUBTED`.
+`DOUBTED`. So are those of a message that the DBC gives to any sender, and that several send.
 """
 
-import struct
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field
-from math import ceil, floor, inf, isfinite, nan
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from math import nan
 from typing import NamedTuple
 
+from faultline.service.core.j1939.identifiers import (
+    ADDRESS_CLAIMED,
+    DESTINATION_MASK,
+    FRAME,
+    PRIORITY_MASK,
+    SOURCE_MASK,
+    TP_CM,
+    TP_DT,
+    group_of,
+    identifier_of,
+    is_addressed,
+)
+from faultline.service.core.j1939.transport import Reassembler
 from faultline.service.core.signals.arrivals import Arrival, Arrivals
-from faultline.service.core.signals.values import Quality, j1939_quality
+from faultline.service.core.signals.layout import Layout, Only
+from faultline.service.core.signals.senders import Senders
+from faultline.service.core.signals.values import Quality
 
-PRIORITY_MASK = 0x03FF_FFFF
-"""Bits of a 29-bit identifier below the priority: data page, PGN and source address."""
-GROUP_MASK = 0x03FF_FF00
-"""The same without the source address."""
-CLAIM = 0x00EE_FF00
-"""The group in which a device claims its address, with its NAME (SAE J1939-81), without priority and source."""
 STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
-SENDERS = 8
-"""Other source addresses of a message that are remembered."""
+BOUND = 1024
+"""Identifiers of messages from any sender or to any destination that are kept; more are looked up anew."""
 
 _GOOD = Quality.GOOD
-_FLOATS = {16: struct.Struct(">e"), 32: struct.Struct(">f"), 64: struct.Struct(">d")}
+_ALL_SENDERS = PRIORITY_MASK & ~SOURCE_MASK
 
 
 class Wanted(NamedTuple):
@@ -36,109 +46,6 @@ class Wanted(NamedTuple):
     identifier: int
     mask: int
     is_extended: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Cut:
-    """Where a signal's bits are in a frame that is read as one integer."""
-
-    shift: int  # bits to the right
-    length: int  # bits
-    big_endian: bool
-
-    def raw(self, little: int, big: int) -> int:
-        """The bits, of the frame read from either end."""
-        return ((big if self.big_endian else little) >> self.shift) & ((1 << self.length) - 1)
-
-
-Only = tuple[tuple[Cut, frozenset[int]], ...]
-"""Multiplexed: there only where each of these has one of its values, the outermost first."""
-
-
-@dataclass(frozen=True, slots=True)
-class Selector:
-    """A multiplexer with all values that it may have."""
-
-    cut: Cut
-    known: frozenset[int]
-    only: Only
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One signal: value = raw * scale + offset in the bundle's unit, valid from `low` to `high` [bundle's unit]."""
-
-    name: str
-    cut: Cut
-    signed: bool
-    is_float: bool
-    scale: float
-    offset: float
-    low: float
-    high: float
-    only: Only = ()
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is an unsigned integer of the little end that is in every frame."""
-        return not (self.signed or self.is_float or self.cut.big_endian or self.only) and self.scale > 0.0
-
-    def plain(self, j1939: bool) -> "Plain":
-        """How a good value of a plain field is read: raw values from `least` to below `beyond` are good."""
-        top = 1 << self.cut.length
-        if j1939:
-            words = (top - 2, top - 1) if self.cut.length < 8 else (0xFB << (self.cut.length - 8),)
-            top = next((raw for raw in words if j1939_quality(raw, self.cut.length) is not _GOOD), top)
-        least = 0 if self.low == -inf else max(0, ceil((self.low - self.offset) / self.scale))
-        beyond = top if self.high == inf else min(top, floor((self.high - self.offset) / self.scale) + 1)
-        return self.name, self.cut.shift, (1 << self.cut.length) - 1, least, beyond, self.scale, self.offset, self
-
-    def read(self, little: int, big: int, j1939: bool) -> tuple[str, float, Quality]:
-        """Name, value and quality."""
-        raw = self.cut.raw(little, big)
-        if self.is_float:
-            (number,) = _FLOATS[self.cut.length].unpack(raw.to_bytes(self.cut.length // 8, "big"))
-            quality = Quality.GOOD if isfinite(number) else Quality.ERROR
-        else:
-            quality = j1939_quality(raw, self.cut.length) if j1939 else Quality.GOOD
-            number = raw - (1 << self.cut.length) if self.signed and raw >> (self.cut.length - 1) else raw
-        value = number * self.scale + self.offset
-        if quality is Quality.GOOD and not (self.low <= value <= self.high and isfinite(value)):
-            quality = Quality.OUT_OF_RANGE
-        return self.name, value, quality
-
-
-Plain = tuple[str, int, int, int, int, float, float, Field]
-"""Name, shift, mask, the least good raw value and the one beyond the last, scale and offset; and the field, for others.
-"""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """One message, of `size` bytes and sent every `period_s` [s] if that is known.
-
-    `identifier` is without priority if it is one of J1939; `j1939` says that some raw values are no numbers.
-    """
-
-    name: str
-    identifier: int
-    size: int
-    j1939: bool
-    period_s: float | None
-    fields: InitVar[Sequence[Field]]
-    selectors: tuple[Selector, ...] = ()
-    signals: tuple[str, ...] = field(init=False)
-    plain: tuple[Plain, ...] = field(init=False)
-    others: tuple[Field, ...] = field(init=False)
-    is_plain: bool = field(init=False)
-
-    def __post_init__(self, fields: Sequence[Field]) -> None:
-        """Most signals are integers from the right that are always there: their numbers are read without a call."""
-        object.__setattr__(self, "signals", tuple(one.name for one in fields))
-        plain = [one for one in fields if one.is_plain]
-        object.__setattr__(self, "plain", tuple(one.plain(self.j1939) for one in plain))
-        object.__setattr__(self, "others", tuple(one for one in fields if not one.is_plain))
-        object.__setattr__(self, "is_plain", not self.others and not self.selectors)
 
 
 @dataclass
@@ -151,69 +58,92 @@ class Rejected:
     claimed: dict[str, int] = field(default_factory=dict)  # another device has claimed its sender's address
     senders: dict[str, set[int]] = field(default_factory=dict)  # source addresses of `other_source`, some
     early: dict[str, int] = field(default_factory=dict)  # far too soon after the one before to be the same sender's
+    unclear: dict[str, int] = field(default_factory=dict)  # from any sender by the DBC, and several send it
 
     @property
     def total(self) -> int:
         """Of all reasons and messages."""
-        kinds = (self.short, self.other_source, self.unknown_selector, self.claimed, self.early)
+        kinds = (self.short, self.other_source, self.unknown_selector, self.claimed, self.early, self.unclear)
         return sum(sum(counts.values()) for counts in kinds)
 
 
 class DecodeTable:
     """Decodes the wanted signals of a bus; everything else is ignored.
 
-    Frames are counted by message: those `taken`, and those that were `rejected`, why.
+    Frames are counted by message: those `taken`, and those that were `rejected`, why. `parts` puts together the
+    messages that are longer than a frame of J1939; None where none is wanted.
     """
 
     def __init__(self, layouts: Mapping[tuple[int, bool], Layout]) -> None:
         """`layouts` by identifier, one of J1939 without priority, and whether it has 29 bits."""
-        extended = {identifier: layout for (identifier, is_extended), layout in layouts.items() if is_extended}
-        self._j1939 = {identifier: layout for identifier, layout in extended.items() if layout.j1939}
-        self._other = {identifier: layout for identifier, layout in extended.items() if not layout.j1939}
+        self._layouts = tuple(layouts.values())
+        extended = [layout for (_, is_extended), layout in layouts.items() if is_extended]
+        j1939 = [layout for layout in extended if layout.j1939]
+        self._exact = {layout.identifier: layout for layout in j1939 if layout.mask == PRIORITY_MASK}
+        self._j1939 = dict(self._exact)  # and identifiers that were seen of the others
+        self._other = {layout.identifier: layout for layout in extended if not layout.j1939}
         self._standard = {n: layout for (n, is_extended), layout in layouts.items() if not is_extended}
-        self._groups: dict[int, list[Layout]] = {}
-        for identifier, layout in self._j1939.items():
-            self._groups.setdefault(identifier & GROUP_MASK, []).append(layout)
-        self._names: dict[int, bytes] = {}  # of devices, by the address that they claimed
+        self._senders = senders = Senders(j1939)
+        self.parts = Reassembler(self._name_of) if any(layout.size > FRAME for layout in j1939) else None
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.repeated = dict(self.taken)
-        self.rejected = Rejected()
+        self.rejected = Rejected(other_source=senders.others, claimed=senders.claimed, senders=senders.other)
         self._arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
         """Of every message that carries wanted signals."""
-        return (*self._j1939.values(), *self._other.values(), *self._standard.values())
+        return self._layouts
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
         """What a bus has to let through: of a J1939 group the frames of all senders, so that a second one is seen."""
-        groups = {Wanted(n, GROUP_MASK, True) for n in self._groups}
-        groups |= {Wanted(CLAIM | n & 0xFF, PRIORITY_MASK, True) for n in self._j1939}
-        others = {Wanted(n, EXTENDED, True) for n in self._other} | {Wanted(n, STANDARD, False) for n in self._standard}
-        return tuple(sorted(groups | others))
+        found = {Wanted(n, STANDARD, False) for n in self._standard} | {Wanted(n, EXTENDED, True) for n in self._other}
+        found |= {whole_group(pgn) for pgn in self._senders.groups}
+        claim = identifier_of(ADDRESS_CLAIMED, 0)
+        if (addresses := self._senders.addresses) is None:
+            found.add(Wanted(claim, _ALL_SENDERS, True))
+        else:
+            found |= {Wanted(claim | address, PRIORITY_MASK, True) for address in addresses}
+        if self.parts is not None:
+            found |= {whole_group(TP_CM), whole_group(TP_DT)}
+        return tuple(sorted(found))
 
     def carries(self, can_id: int, is_extended: bool) -> bool:
-        """True if frames of this identifier carry wanted signals."""
+        """True if frames of this identifier carry wanted signals, or parts of messages of their senders."""
         if not is_extended:
             return can_id in self._standard
-        return can_id & PRIORITY_MASK in self._j1939 or can_id in self._other
+        if self.parts is not None and group_of(can_id) in (TP_CM, TP_DT):
+            addresses = self._senders.addresses
+            return addresses is None or can_id & SOURCE_MASK in addresses
+        return can_id in self._other or self._senders.match(can_id) is not None
+
+    @property
+    def senders(self) -> Mapping[str, Mapping[int, int]]:
+        """Frames by source address, of each message that the DBC gives to any sender."""
+        return self._senders.counts
 
     def strangers(self) -> list[str]:
-        """Return what to mend in the DBC: messages that never came, while their group did, of other addresses."""
-        found = []
-        for layout in self._j1939.values():
-            senders = self.rejected.senders.get(layout.name)
-            if senders and not self.taken[layout.name]:
-                there = ", ".join(f"0x{each:02X}" for each in sorted(senders))
-                own = f"{layout.name} never came from 0x{layout.identifier & 0xFF:02X}"
-                found.append(f"{own}, its parameter group came from {there}: give the DBC that source address")
+        """Return what to decide or mend, a sentence each: messages that several send, or that came from others only."""
+        return self._senders.unclear(self.taken)
+
+    def undecided(self, identifiers: Collection[tuple[int, bool]]) -> list[str]:
+        """Return, of all identifiers of a log (and whether they have 29 bits), which messages several send."""
+        return self._senders.undecided([can_id for can_id, is_extended in identifiers if is_extended])
+
+    def incomplete(self) -> Counter[str]:
+        """Return by message how many came in parts that were not all there."""
+        found: Counter[str] = Counter()
+        for (name, _why), count in self.parts.losses.items() if self.parts is not None else ():
+            found[name] += count
         return found
 
     def run_at(self, speed: float) -> None:
         """Set how many times real time goes by: a sender that is held up is held up in real time."""
         for arrivals in self._arrivals.values():
             arrivals.speed = max(1.0, speed)
+        if self.parts is not None:
+            self.parts.speed = max(1.0, speed)
 
     def decode(
         self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
@@ -227,9 +157,10 @@ class DecodeTable:
         else:
             layout = self._standard.get(can_id)
         if layout is None:
-            if is_extended:
-                self._other_extended(can_id, data)
-            return []
+            return self._looked_up(can_id, data, t) if is_extended else []
+        if layout.is_from_any and not self._senders.is_sole(layout, can_id & SOURCE_MASK):
+            _count(self.rejected.unclear, layout.name)
+            return _doubted(layout)
         if len(data) != layout.size:
             if len(data) < layout.size:
                 _count(self.rejected.short, layout.name)
@@ -250,38 +181,50 @@ class DecodeTable:
                 take(one.read(little, 0, layout.j1939))
         return found if layout.is_plain else [*found, *self._others(layout, little, int.from_bytes(data, "big"))]
 
+    def _looked_up(self, can_id: int, data: bytes, t: float | None) -> list[tuple[str, float, Quality]]:
+        """As `decode`, of an identifier of 29 bits that is not known yet, or carries no whole message."""
+        if self.parts is not None and group_of(can_id) in (TP_CM, TP_DT):
+            whole = self.parts.take(0.0 if t is None else t, can_id, data)
+            return [] if whole is None else self.decode(whole.identifier, True, whole.data, t)
+        layout = self._senders.match(can_id)
+        if layout is None:
+            self._senders.take_other(can_id, data)
+            return []
+        if len(self._j1939) >= BOUND + len(self._exact):
+            self._j1939 = dict(self._exact)
+        self._j1939[can_id & PRIORITY_MASK] = layout
+        return self.decode(can_id, True, data, t)
+
+    def _name_of(self, identifier: int) -> str | None:
+        """The message that is announced to come in parts; None if it is not wanted."""
+        layout = self._senders.match(identifier)
+        if layout is None:
+            self._senders.take_other(identifier, b"")
+        return layout.name if layout is not None and layout.size > FRAME else None
+
     def _undue(self, layout: Layout, came: Arrival) -> list[tuple[str, float, Quality]]:
         """Count a frame that came too soon; one that is no repetition makes its signals doubted."""
         if came is Arrival.REPEATED:
             self.repeated[layout.name] += 1
             return []
         _count(self.rejected.early, layout.name)
-        return [(name, nan, Quality.DOUBTED) for name in layout.signals]
-
-    def _other_extended(self, can_id: int, data: bytes) -> None:
-        """Count what another sender says under a wanted group, and take note of claims of addresses."""
-        if (group := self._groups.get(can_id & GROUP_MASK)) is not None:
-            for each in group:
-                _count(self.rejected.other_source, each.name)
-                senders = self.rejected.senders.setdefault(each.name, set())
-                if len(senders) < SENDERS:
-                    senders.add(can_id & 0xFF)
-        elif can_id & GROUP_MASK == CLAIM:
-            self._claimed(can_id & 0xFF, data)
-
-    def _claimed(self, address: int, name: bytes) -> None:
-        """A device claims an address; who speaks under it from now on is another one if its NAME is."""
-        theirs = [layout.name for identifier, layout in self._j1939.items() if identifier & 0xFF == address]
-        if theirs and len(name) == 8 and self._names.setdefault(address, name) != name:
-            self._names[address] = name
-            for message in theirs:
-                _count(self.rejected.claimed, message)
+        return _doubted(layout)
 
     def _others(self, layout: Layout, little: int, big: int) -> Iterator[tuple[str, float, Quality]]:
         for selector in layout.selectors:
             if _there(selector.only, little, big) and selector.cut.raw(little, big) not in selector.known:
                 _count(self.rejected.unknown_selector, layout.name)
         yield from (one.read(little, big, layout.j1939) for one in layout.others if _there(one.only, little, big))
+
+
+def whole_group(pgn: int) -> Wanted:
+    """Return all frames of a parameter group of J1939, from whomever to whomever."""
+    mask = _ALL_SENDERS & ~DESTINATION_MASK if is_addressed(pgn) else _ALL_SENDERS
+    return Wanted(pgn << 8, mask, True)
+
+
+def _doubted(layout: Layout) -> list[tuple[str, float, Quality]]:
+    return [(name, nan, Quality.DOUBTED) for name in layout.signals]
 
 
 def _there(only: Only, little: int, big: int) -> bool:

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from faultline.service.core.manifest import Input
 from faultline.service.core.records.health import Condition, Kind
-from faultline.service.core.signals.decode import DecodeTable, Layout
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.layout import Layout
 from faultline.service.core.signals.values import Qualities, Quality
 
 WINDOW_S = 10.0
@@ -83,10 +84,12 @@ class Traffic:
         self._doubted = {signal: min(at, self._doubted.get(signal, at)) for signal, at in since.items()}
         self._looked = t
         strangers = {name for name in others if not _is_proprietary(self._messages[name])}
-        found = {Condition("second-sender", name) for name in {*crowded, *strangers, *self._more("early")}}
+        several = {*crowded, *strangers, *self._more("early"), *self._more("unclear")}
+        found = {Condition("second-sender", name) for name in several}
         found |= {Condition("address-claim", name) for name in claimed}
         found |= {Condition("short-frames", name) for name in self._more("short")}
         found |= {Condition("unknown-selector", name) for name in self._more("unknown_selector")}
+        found |= {Condition("incomplete", name) for name in self._more("incomplete")}
         if silent >= (self._stretch * EXPECTED_S if self._heard is None else self._silent_s):
             return found | {Condition("no-traffic", ", ".join(self._messages))}
         if quality is None or silent >= self._quiet_s:
@@ -101,7 +104,8 @@ class Traffic:
 
     def _expected(self) -> int:
         """Frames that came of those that should, whole or not."""
-        counts = self._table.taken, self._table.repeated, self._table.rejected.short, self._table.rejected.early
+        table, rejected = self._table, self._table.rejected
+        counts = table.taken, table.repeated, rejected.short, rejected.early, rejected.unclear
         return sum(sum(each.values()) for each in counts)
 
     def _crowded(self) -> Iterator[tuple[str, float]]:
@@ -135,6 +139,8 @@ class Traffic:
             "unknown_selector": rejected.unknown_selector,
             "claimed": rejected.claimed,
             "early": rejected.early,
+            "unclear": rejected.unclear,
+            "incomplete": self._table.incomplete(),
         }
         return {what: dict(each) for what, each in counts.items()}
 

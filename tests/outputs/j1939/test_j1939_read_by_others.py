@@ -11,7 +11,7 @@ import j1939  # type: ignore[import-untyped]
 import pytest
 
 from faultline.service.bus.pythoncan import PythonCan
-from faultline.service.j1939.dm1 import Code
+from faultline.service.core.j1939.dm1 import Code
 from faultline.service.j1939.dtcs import Known
 from faultline.service.j1939.name import name_of
 from faultline.service.j1939.node import Node

@@ -158,7 +158,7 @@ def test_a_manifest_that_is_not_json_is_refused(bundle: Path, raw: bytes) -> Non
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\xff\xfe", r"uds\.dbc: not text: "),
+        (b"\xff\xfe", r"uds\.dbc: not a valid DBC file: "),
         (b"BO_ 1 A: x", r"uds\.dbc: not a valid DBC file: "),
         (b'VERSION ""\n\nBS_:\n\nBU_: A\n', r"uds\.dbc: no message carries y_p_tp, y_p_ap"),
     ],

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
-from faultline.service.core.signals.decode import SENDERS, DecodeTable, Wanted
+from faultline.service.core.signals.decode import DecodeTable, Wanted
+from faultline.service.core.signals.senders import SENDERS
 from faultline.service.core.signals.values import Quality, j1939_quality
 
 DBC = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
@@ -325,11 +326,11 @@ def test_a_number_that_its_scale_makes_too_large_is_none() -> None:
     assert [q for _, _, q in table.decode(256, False, struct.pack("<d", 1e300))] == [Quality.GOOD]
 
 
-def test_a_message_that_comes_in_parts_is_refused() -> None:
+def test_a_message_that_no_protocol_carries_is_refused() -> None:
     """Nobody would put it together, and its signals would be missing without a word."""
-    long = DBC.replace("BO_ 2566852669 UDS_ECU: 8", "BO_ 2566852669 UDS_ECU: 16")
+    long = DBC.replace("BO_ 2566852669 UDS_ECU: 8", "BO_ 2566852669 UDS_ECU: 1786")
     assert long != DBC
-    with pytest.raises(InputError, match="UDS_ECU has 16 bytes, which come by J1939's transport protocol"):
+    with pytest.raises(InputError, match="UDS_ECU has 1786 bytes, J1939's transport protocol carries 1785: take"):
         compile_dbc(long, UNITS, "uds.dbc")
 
 
@@ -353,16 +354,15 @@ def test_a_signal_in_two_messages_is_refused() -> None:
 
 
 def test_a_dbc_with_another_source_address_is_told_which_senders_there_are() -> None:
-    """0xFE, the null address, is what vendors' DBCs of J1939 have."""
-    ours = resources.files("faultline.dbc").joinpath("uds.dbc").read_text()
-    table = compile_dbc(ours.replace(str(0x98FF103D), str(0x98FF10FE)), {"y_p_du": "Pa"}, "vendors.dbc")
+    table = compile_dbc(DBC.replace(str(0x98FF103D), str(0x98FF1040)), {"y_p_du": "Pa"}, "others.dbc")
     assert table.strangers() == []
     for address in (0x3D, 0x3D, 0x21):
         assert table.decode(0x18FF1000 | address, True, bytes(8)) == []
     assert table.strangers() == [
-        "UDS_ECU never came from 0xFE, its parameter group came from 0x21, 0x3D: give the DBC that source address"
+        "UDS_ECU never came from 0x40, its parameter group came from 0x21, 0x3D: give the DBC that source address, "
+        "or choose with --sender UDS_ECU=0x21"
     ]
-    assert table.decode(0x18FF10FE, True, bytes(8))
+    assert table.decode(0x18FF1040, True, bytes(8))
     assert table.strangers() == []
 
 

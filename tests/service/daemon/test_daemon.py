@@ -15,7 +15,9 @@ from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.bus import Bus, BusError
 from faultline.service.bus.base import Counts
 from faultline.service.bus.losses import Losses
+from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.context import decode_context
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.health import SCHEMA, Condition, Health, Standing, decode_health, encode_health
 from faultline.service.core.signals.decode import DecodeTable, Rejected
@@ -111,12 +113,14 @@ def serve(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Serv
     """Runs the script to its end; gives what the monitor was told."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)
 
-    def run(*steps: Callable[[Script], list[Frame]], speed: float = 1.0) -> list[tuple[str, float]]:
+    def run(
+        *steps: Callable[[Script], list[Frame]], speed: float = 1.0, codes: CodeTracker | None = None
+    ) -> list[tuple[str, float]]:
         heard, calm = Heard(), SimpleNamespace(note=lambda _: None, look=lambda *_: set(), doubted={})
         with Script(*steps) as bus, Journal(None, say) as journal, EventSocket(tmp_path / "s") as subscribers:
             assert isinstance(bus, Script)
             made = cast(tuple[Monitor, Traffic], (heard, calm))
-            line = BusChannel("bus", bus, [Pipeline(BUNDLE, lambda _: made, speed)], say)
+            line = BusChannel("bus", bus, [Pipeline(BUNDLE, lambda _: made, speed)], say, codes=codes)
             with pytest.raises(BusError):
                 Loop(
                     Sequencer("truck", journal.last, ""), [line], journal, subscribers, Notifier({}), say, clock
@@ -170,6 +174,20 @@ def test_losses_are_told_once_a_minute_where_there_are_new_ones_and_at_the_end(
     assert "frames dropped by the kernel 7\n" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("is_asked", [True, False])
+def test_trouble_codes_of_other_devices_are_told_where_they_are_asked_for(
+    is_asked: bool, serve: Serve, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    dm1 = Frame(100.0, 0x18FECA07, True, bytes.fromhex("04ff7d140a01ffff"))
+    serve(lambda _: [dm1, dm1._replace(t=101.0)], codes=CodeTracker() if is_asked else None)
+    lines = capfdbinary.readouterr().out.splitlines()
+    assert len(lines) == is_asked
+    for line in lines:
+        told = decode_context(line)
+        assert (told.id, told.seq, told.bus, told.sender, told.t_s) == ("truck-1", 1, "bus", 7, None)
+        assert (told.wall is not None, [code.spn for code in told.codes]) == (True, [5245])
+
+
 def test_nothing_lost_nothing_said(serve: Serve, capsys: pytest.CaptureFixture[str]) -> None:
     serve(lambda _: [frame(100.0)])
     assert capsys.readouterr().err == ""
@@ -179,12 +197,15 @@ def test_every_kind_of_loss_is_told() -> None:
     bus = SimpleNamespace(dropped=1, counts=Counts(9, 2, 3, 4, 5, 6, 7, 8))
     stranger = "A never came from 0xFE, its parameter group came from 0x3D: give the DBC that source address"
     table = SimpleNamespace(
-        rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}, early={"A": 13}), strangers=lambda: [stranger]
+        rejected=Rejected({"A": 9, "B": 1}, {"A": 11}, {"A": 12}, early={"A": 13}, unclear={"B": 14}),
+        incomplete=lambda: {"A": 15},
+        strangers=lambda: [stranger],
     )
     losses = Losses(cast(Bus, bus), [cast(DecodeTable, table)])
     assert losses.news() == (
         "since the start: frames dropped by the kernel 1, remote frames 2, no frames 3, sent by this machine 4, "
         "error frames 5, shorter than in the DBC 10, of another sender 11, too early to be the same sender's 13, "
+        "from several senders, of which none is chosen 14, messages in parts that were not all there 15, "
         "multiplexed by an unknown value 12, times bus-off 6, times the interface went down 7, times it was removed 8; "
         + stranger
     )

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from itertools import count, pairwise
 from math import inf
 
-from faultline.service.j1939.dm1 import Code
+from faultline.service.core.j1939.dm1 import Code
+from faultline.service.core.j1939.identifiers import ACKNOWLEDGEMENT, DM1, TP_CM, TP_DT
 from faultline.service.j1939.dtcs import Known
-from faultline.service.j1939.frames import ACKNOWLEDGEMENT, DM1, TP_CM, TP_DT, Heard, Message, parse
+from faultline.service.j1939.frames import Heard, Message, parse
 from faultline.service.j1939.name import name_of
 from faultline.service.j1939.node import Node
 from faultline.service.logs import Frame

@@ -5,19 +5,9 @@ import random
 import pytest
 from j1939_bench import TOOL, US, Bench, Reader, answers, apart, at_work, begins, codes, dm1s, name, request
 
-from faultline.service.j1939.dm1 import decode, encode
-from faultline.service.j1939.frames import (
-    ACKNOWLEDGEMENT,
-    DM1,
-    DM2,
-    GLOBAL,
-    NULL,
-    TP_CM,
-    TP_DT,
-    Heard,
-    Message,
-    parse,
-)
+from faultline.service.core.j1939.dm1 import decode, encode
+from faultline.service.core.j1939.identifiers import ACKNOWLEDGEMENT, DM1, DM2, GLOBAL, NULL, TP_CM, TP_DT
+from faultline.service.j1939.frames import Heard, Message, parse
 from faultline.service.j1939.node import Node
 from faultline.service.j1939.outbox import CONNECTIONS
 from faultline.service.logs import Frame

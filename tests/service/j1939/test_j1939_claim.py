@@ -5,8 +5,8 @@ import random
 import pytest
 from j1939_bench import Bench, claim, codes, name, request
 
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1, GLOBAL, NULL
 from faultline.service.j1939.claim import VIOLATED_S, WAIT_S
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, GLOBAL, NULL
 from faultline.service.j1939.node import Node
 
 LOW, HIGH = name(1), name(2)

@@ -15,8 +15,8 @@ from j1939_service import FakeService, fault
 from ports import multicast
 
 from faultline.service.bus import Bus, open_bus
-from faultline.service.j1939.dm1 import decode
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
+from faultline.service.core.j1939.dm1 import decode
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
 from faultline.service.logs import Frame
 
 US, TOOL = 144, 0xF9

@@ -3,7 +3,7 @@
 import pytest
 from j1939_service import fault
 
-from faultline.service.j1939.dm1 import MOST, Code
+from faultline.service.core.j1939.dm1 import MOST, Code
 from faultline.service.j1939.dtcs import Known, known, left_out, unsent
 
 

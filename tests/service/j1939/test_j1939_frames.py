@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from faultline.service.j1939.frames import GLOBAL, REQUEST, TP_CM, Heard, Message, identifier, parse
+from faultline.service.core.j1939.identifiers import GLOBAL, REQUEST, TP_CM, identifier_of
+from faultline.service.j1939.frames import Heard, Message, parse
 from faultline.service.j1939.name import FIELDS, delay_s, is_arbitrary, name_of
 from faultline.service.logs import Frame
 
@@ -23,7 +24,7 @@ from faultline.service.logs import Frame
 def test_identifiers_are_those_of_the_standard(
     pgn: int, source: int, destination: int, priority: int, expected: int
 ) -> None:
-    assert identifier(pgn, source, destination, priority) == expected
+    assert identifier_of(pgn, source, destination, priority) == expected
     frame = Message(pgn, b"ab", destination, priority).frame(source, 3.0)
     assert frame == Frame(3.0, expected, True, b"ab")
     told = destination if pgn in (REQUEST, TP_CM) else GLOBAL

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from j1939_service import FakeService, fault
 
-from faultline.service.j1939.dm1 import Code
+from faultline.service.core.j1939.dm1 import Code
 from faultline.service.j1939.dtcs import Known
 from faultline.service.j1939.memory import ASK_BLIND_S, ASK_S, KEEP_S, OLDEST_S, PATIENCE_S, RETRY_S, Memory
 

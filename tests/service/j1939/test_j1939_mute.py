@@ -5,11 +5,9 @@ import random
 import pytest
 from j1939_bench import US, Bench, apart, at_work, codes, dm1s, name
 
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED
 from faultline.service.j1939.echo import PATIENCE_S
-from faultline.service.j1939.frames import (
-    ADDRESS_CLAIMED,
-    Message,
-)
+from faultline.service.j1939.frames import Message
 from faultline.service.j1939.node import LONGEST_RETRY_S, RETRY_S, Node
 from faultline.service.logs import Frame
 

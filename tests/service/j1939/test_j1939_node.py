@@ -5,14 +5,9 @@ import random
 import pytest
 from j1939_bench import TOOL, US, answers, apart, at_work, begins, codes, dm1s, name, request
 
-from faultline.service.j1939.dm1 import Code, decode, encode
+from faultline.service.core.j1939.dm1 import Code, decode, encode
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1, DM2, GLOBAL
 from faultline.service.j1939.dtcs import Known
-from faultline.service.j1939.frames import (
-    ADDRESS_CLAIMED,
-    DM1,
-    DM2,
-    GLOBAL,
-)
 from faultline.service.j1939.node import Node
 
 

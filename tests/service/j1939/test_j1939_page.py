@@ -6,9 +6,9 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.service.core.j1939.dm1 import MOST, MOST_OC
 from faultline.service.j1939.claim import VIOLATED_S
 from faultline.service.j1939.config import J1939Config, NameConfig, load_config
-from faultline.service.j1939.dm1 import MOST, MOST_OC
 from faultline.service.j1939.memory import ASK_S, KEEP_S, PATIENCE_S
 from faultline.service.j1939.node import LONGEST_RETRY_S, RETRY_S
 from faultline.service.j1939.outbox import CONNECTIONS

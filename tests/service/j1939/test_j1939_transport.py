@@ -2,7 +2,8 @@
 
 import pytest
 
-from faultline.service.j1939.frames import TP_CM, TP_DT, Message
+from faultline.service.core.j1939.identifiers import TP_CM, TP_DT
+from faultline.service.j1939.frames import Message
 from faultline.service.j1939.transport import (
     GAP_S,
     LONGEST_S,

@@ -13,9 +13,10 @@ from ports import multicast
 
 from faultline.service.bus import BusError
 from faultline.service.bus.interface import Interface
+from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1
 from faultline.service.core.signals.decode import Wanted
 from faultline.service.j1939 import wire as module
-from faultline.service.j1939.frames import ADDRESS_CLAIMED, DM1, Message
+from faultline.service.j1939.frames import Message
 from faultline.service.j1939.loop import Loop
 from faultline.service.j1939.memory import Memory
 from faultline.service.j1939.node import Node

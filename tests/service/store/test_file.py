@@ -40,12 +40,13 @@ def test_what_was_added_is_there_again(path: Path) -> None:
     store.append(records(1, 3))
     store.append(records(4, 4, "health"))
     store.append(records(5, 6))
+    store.append(records(7, 7, "context"))
     store.close()
-    store = StoreFile(path, remembered=3)
-    assert store.last == 6
-    assert store.earlier == [*records(4, 4, "health"), *records(5, 6)]
+    store = StoreFile(path, remembered=4)
+    assert store.last == 7
+    assert store.earlier == [*records(4, 4, "health"), *records(5, 6), *records(7, 7, "context")]
     assert store.health == records(4, 4, "health")[0]
-    assert len(store.before(None, 100)) == 6
+    assert len(store.before(None, 100)) == 7
     store.close()
 
 
@@ -191,7 +192,7 @@ def test_a_full_disk_takes_nothing_and_loses_nothing(path: Path) -> None:
 
 def test_the_latest_of_each_kind_are_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A loose plug makes health records by the thousand: faults stay."""
-    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20})
+    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20, "context": 20})
     monkeypatch.setattr(module, "PRUNED", 10)
     store = StoreFile(path)
     store.append(records(1, 5))
@@ -209,7 +210,7 @@ def test_the_latest_of_each_kind_are_kept(path: Path, monkeypatch: pytest.Monkey
 
 def test_short_runs_keep_no_more_than_long_ones(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A vehicle that is driven for ten minutes at a time."""
-    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20})
+    monkeypatch.setattr(module, "KEPT", {"event": 50, "health": 20, "fault": 20, "context": 20})
     for run in range(10):
         store = StoreFile(path)
         for seq in range(1 + 100 * run, 101 + 100 * run):

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from faultline.service.j1939.dm1 import MOST, Code, Lamps, decode, encode
+from faultline.service.core.j1939.dm1 import MOST, Code, Lamps, decode, encode
 
 OFF, ON, NONE = 0, 1, 3
 STEADY = (NONE, NONE, NONE, NONE)
@@ -35,14 +35,14 @@ STEADY = (NONE, NONE, NONE, NONE)
 )
 def test_reads_what_others_send(payload: str, lamps: Lamps, codes: list[tuple[int, int, int]]) -> None:
     read = decode(bytes.fromhex(payload))
-    assert (read.lamps, list(read.codes), read.old) == (lamps, [Code(*code) for code in codes], 0)
+    assert (read.lamps, list(read.codes)) == (lamps, [Code(*code) for code in codes])
 
 
 def test_flashing_lamps_and_old_layouts_are_told() -> None:
     """Byte 2 in the order of byte 1: 01 fast, 00 slow, 11 not. CM is the top bit of a code's fourth byte."""
     read = decode(bytes.fromhex("54 4F BF000988 FFFF"))  # 01 01 01 00, flash 01 00 11 11; 0x88 = CM 1, OC 8
     assert read.lamps == Lamps(ON, ON, ON, OFF, (1, 0, NONE, NONE))
-    assert (read.codes, read.old) == ((Code(191, 9, 8),), 1)
+    assert read.codes == (Code(191, 9, 8, is_old=True),)
 
 
 @pytest.mark.parametrize(

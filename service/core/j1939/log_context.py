@@ -1,0 +1,45 @@
+"""Trouble codes of other devices along a log, on the time scale of its events."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+from faultline.service.core.j1939.context import Change, CodeTracker
+from faultline.service.core.j1939.identifiers import named
+from faultline.service.core.records.context import Context
+
+LogFrame = tuple[float, int, bool, bytes]
+"""Log time [s], identifier, whether it has 29 bits, data."""
+
+
+class LogContext:
+    """Looks at the frames of a log as they pass. State: that of a `CodeTracker`, and changes that are not taken yet."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._tracker = CodeTracker()
+        self._changes: deque[Change] = deque()
+        self._count = 0
+
+    def passing(self, frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+        """Yield the frames unchanged."""
+        for frame in frames:
+            self._changes += self._tracker.frame(*frame)
+            yield frame
+
+    def until(self, t_s: float, origin_s: float | None) -> Iterator[Context]:
+        """Yield the records up to log time `t_s` [s], at which sample 0 is known to be at `origin_s` [s], if it is."""
+        while self._changes and self._changes[0].t <= t_s:
+            change = self._changes.popleft()
+            self._count += 1
+            identity = f"{self._source}-context-{self._count}", self._count, None
+            yield change.record(identity, None if origin_s is None else round(change.t - origin_s, 3))
+
+    def losses(self) -> str:
+        """Return what could not be read, in words; nothing where all was."""
+        parts, found = self._tracker.parts, list[str]()
+        for (name, why), count in sorted(parts.losses.items()):
+            found.append(f"{count} {name} in parts not put together ({why})")
+        found += [f"{count} {name} cut off by the end of the log" for name, count in sorted(parts.unfinished.items())]
+        for sender, count in sorted(self._tracker.unreadable.items()):
+            found.append(f"{count} of {named(sender)} that make no sense")
+        return f"trouble codes of other devices: {', '.join(found)}" if found else ""
