@@ -1,5 +1,7 @@
 """The channels of a log, by their names in the order in which they came."""
 
+MOST_CHANNELS = 255
+
 
 class Channels:
     """State: the names so far; at most 255, as more are damage."""
@@ -12,7 +14,7 @@ class Channels:
         """The channel's index; raises `ValueError` where there are too many."""
         found = self._index.get(name)
         if found is None:
-            if len(self.names) == 255:
+            if len(self.names) == MOST_CHANNELS:
                 raise ValueError("the 256th channel")
             found = self._index[name] = len(self.names)
             self.names.append(name)

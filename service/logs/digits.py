@@ -37,11 +37,12 @@ def hexadecimal(words: Words, count: int) -> tuple[npt.NDArray[np.uint32], Words
     their last `count` characters are none. Characters before those count as zeros.
     """
     kept = _last(count)
+    words = words & kept  # so that nothing before them carries over
     lower = words | _LOWER
     digit = (words + _each(0x80 - 0x30)) & ~(words + _each(0x80 - 0x3A))
     letter = (lower + _each(0x80 - 0x61)) & ~(lower + _each(0x80 - 0x67))
     bad = (words | ~(digit | letter)) & _TOP & kept
-    nibbles = ((words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _NINE) & kept
+    nibbles = ((words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _NINE)
     two = ((nibbles << _U(4)) | (nibbles >> _U(8))) & _U(0x00FF_00FF_00FF_00FF)
     four = (two | (two >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
     return (four | (four >> _U(16))).astype(np.uint32), bad

@@ -2,155 +2,249 @@
 
 A logger writes line after line with its fields in the same places. So the grammar (a regular expression, strict) reads
 one line and says where its fields are; every other line of the same length that has the same characters outside of them,
-and digits inside, is read with array operations. A line that is not like any before is read by the grammar again, and
-its example is kept. What comes out is what the grammar alone gives, line by line.
+and digits inside, is read with array operations (`logs.example`). A line that is not like any before is read by the
+grammar, and becomes an example. The result is what the grammar alone gives, line by line.
+
+Lines that change how those behind them are read, as a header does, divide the text into sections that are read one after
+the other.
 """
 
-from collections.abc import Callable
-from math import isfinite
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from math import isinf
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.signals.decode import EXTENDED as EXTENDED_TOP
-from faultline.service.core.signals.decode import STANDARD as STANDARD_TOP
-from faultline.service.core.signals.values import FloatArray, Indices
-from faultline.service.logs.batch import CLASSIC_BYTES, ERROR, EXTENDED, FD_BYTES, REMOTE, Batch, Bytes, empty
+from faultline.service.core.signals.values import Indices
+from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, empty, widened
 from faultline.service.logs.channels import Channels
-from faultline.service.logs.digits import WIDTH, Words, decimal, hexadecimal
-from faultline.service.logs.report import LogReport
+from faultline.service.logs.example import WIDTH, Example, Line
+from faultline.service.logs.lines import LONGEST_LINE, WholeLines
+from faultline.service.logs.pieces import Source
+from faultline.service.logs.report import LogReport, shown
 
-LONGEST_LINE = 4096
-"""A line of more bytes is no frame's, and is rejected unread."""
 EXAMPLES = 12
-"""Lines of one length that are kept as examples; what is like none of them is read by the grammar."""
+"""Lines of one length that are kept as examples: those that were of use last."""
 FEW = 4
 """So few lines of one length are read by the grammar at once."""
+TIME_ONLY = 128
+"""Flag of a line without a frame whose time counts, where each time is that after the line before."""
 
-Span = tuple[int, int]
 Ints = npt.NDArray[np.int64]
-Lines = npt.NDArray[np.void]
-"""The characters of N lines, behind `WIDTH` more (N,)."""
 
 
-class Fields(NamedTuple):
-    """Where the fields of a line are: first character and the one beyond the last.
+class Dialect(Protocol):
+    """A text format: how its lines are read. State: what its header lines said so far."""
 
-    `time` are digits with one point; `identifier` hexadecimal digits; `data` hexadecimal digits, two for a byte, and
-    `stride` characters from one byte to the next. `number` are digits, `free` any characters, which are not used.
-    """
+    headers: ClassVar[tuple[bytes, ...]]
+    """How lines begin that change how later ones are read; matched as they are."""
+    needs_newline: ClassVar[bool]
+    """True if a line does not say how many bytes it has, so that one without its end may be cut off."""
 
-    time: Span
-    identifier: Span
-    data: Span
-    stride: int = 2
-    number: Span = (0, 0)
-    free: Span = (0, 0)
+    @property
+    def is_relative(self) -> bool:
+        """True if each time is that after the line before."""
 
+    def header(self, line: bytes) -> None:
+        """Read a line that begins like one of `headers`; raises `ValueError` where it cannot be read."""
 
-class Line(NamedTuple):
-    """What a line holds: its channel's name, time [s], identifier, flags (`logs.batch`) and data.
+    def read(self, line: bytes) -> Line | None:
+        """Read any other line: the grammar. None where it holds no frame.
 
-    `fields` are where they stand, where other lines may be read like this one.
-    """
+        Raises:
+            ValueError: it should hold one and cannot be read.
+        """
 
-    channel: bytes
-    time: float
-    identifier: int
-    flags: int
-    data: bytes
-    fields: Fields | None = None
+    def end(self, report: LogReport) -> None:
+        """Say in the report what is missing, once all lines were read."""
 
 
-Grammar = Callable[[bytes], Line | None]
-"""Reads a line; None where it holds no frame; raises `ValueError` where it should and cannot be read."""
+def read_text(source: Source, report: LogReport, channels: Channels, dialect: Dialect) -> Iterator[Batch]:
+    """The frames of a log, a batch for each piece of the file."""
+    reader, lines = TextReader(dialect, report, channels), WholeLines(report)
+    for piece in source.pieces(report):
+        yield from reader.read(lines.take(piece))
+        if lines.is_endless:
+            report.missing = "no line ends within 64 MiB"
+            return
+    if report.packing:  # its last line may be cut off anywhere
+        report.truncated = bool(lines.rest)
+    else:
+        yield from reader.last(lines.rest)
+    dialect.end(report)
 
 
 def checked(line: Line) -> Line:
     """The line; raises `ValueError` where its identifier or time cannot be a frame's."""
-    top, bits = (EXTENDED_TOP, 29) if line.flags & EXTENDED else (STANDARD_TOP, 11)
+    top, bits = (EXTENDED_TOP, 29) if line.flags & EXTENDED else (TOP, 11)
     if line.identifier > top:
         raise ValueError(f"identifier {line.identifier:X} has more than {bits} bits")
-    if not isfinite(line.time):
+    if isinf(line.time):
         raise ValueError(f"its time is {line.time}")
     return line
 
 
 class TextReader:
-    """Reads pieces of whole lines. State: the examples by length, and how many lines there were."""
+    """Reads text that ends with a line's end. State: the examples by length, the lines so far, the last time [s]."""
 
-    def __init__(self, grammar: Grammar, report: LogReport, channels: Channels) -> None:
-        self._grammar, self._report, self._channels = grammar, report, channels
-        self._examples: dict[int, list[_Example]] = {}
+    def __init__(self, dialect: Dialect, report: LogReport, channels: Channels) -> None:
+        self._dialect, self._report, self._channels = dialect, report, channels
+        self._examples: dict[int, list[Example]] = {}
         self._lines = 0
+        self._last_s = 0.0
+        self._bad: list[tuple[int, str, int]] = []
 
-    def read(self, text: bytes) -> Batch:
-        """The frames of a piece that ends with a line's end."""
-        text = b"".join((bytes(WIDTH), text, bytes(LONGEST_LINE)))
-        content = np.frombuffer(text, np.uint8)
-        ends = np.flatnonzero(content == 0x0A)
-        starts = np.concatenate([[WIDTH], ends[:-1] + 1]) if len(ends) else ends
+    def read(self, text: bytes) -> Iterator[Batch]:
+        """The frames of whole lines."""
+        for header, body in sections(text, self._dialect.headers):
+            if header:
+                self._header(header)
+            if body:
+                yield from self._given(self._body(body))
+        self._report_bad()
+
+    def last(self, line: bytes) -> Iterator[Batch]:
+        """The frame of a last line that has no end, where it shows that it is whole."""
+        if not line:
+            return
+        if self._dialect.needs_newline or line.isspace():
+            self._report.truncated = True
+            return
+        if line.startswith(self._dialect.headers):
+            self._header(line)
+            return
+        found = _Found(1)
+        try:
+            self._put(line, 0, found)
+        except ValueError:
+            self._report.truncated = True
+        yield from self._given(found.batch())
+
+    def _header(self, line: bytes) -> None:
+        self._lines += 1
+        try:
+            self._dialect.header(line.strip())
+        except ValueError as error:
+            self._bad.append((self._lines, str(error), len(line)))
+        self._examples.clear()
+
+    def _given(self, batch: Batch) -> Iterator[Batch]:
+        """The batch with times summed up where they are relative, without lines of which only the time counts."""
+        if self._dialect.is_relative and len(batch):
+            times = np.add.accumulate(np.concatenate([[self._last_s], batch.time]))  # one after the other, as a loop
+            self._last_s = float(times[-1])
+            batch = replace(batch, time=times[1:])[batch.flags & TIME_ONLY == 0]
+        if len(batch):
+            yield batch
+
+    def _body(self, body: bytes) -> Batch:
+        """The frames of lines without headers."""
+        text = b"".join((bytes(WIDTH), body, bytes(LONGEST_LINE)))
+        ends = np.flatnonzero(np.frombuffer(body, np.uint8) == 0x0A) + WIDTH
+        starts = np.concatenate([[WIDTH], ends[:-1] + 1])
         lengths = ends - starts
         found = _Found(len(ends))
-        for length in np.flatnonzero(np.bincount(lengths)).tolist() if len(lengths) else []:
-            same = len(lengths) * length == int(lengths.sum()) and bool((lengths == length).all())
-            rows = np.arange(len(ends)) if same else np.flatnonzero(lengths == length)
-            self._alike(text, starts, rows, length, found)
+        if (lengths == lengths[0]).all():
+            self._alike(text, starts, np.arange(len(ends)), int(lengths[0]), found)
+        else:
+            order = np.argsort(lengths, kind="stable")
+            cuts = np.flatnonzero(np.diff(lengths[order])) + 1
+            for rows in np.split(order, cuts):
+                self._alike(text, starts, rows, int(lengths[rows[0]]), found)
         self._lines += len(ends)
-        return found.batch()
-
-    def last(self, line: bytes) -> Batch:
-        """The frame of a last line that has no end; raises `ValueError` where it cannot be read."""
-        self._lines += 1
-        found = _Found(1)
-        if (read := self._grammar(line.strip())) is not None:
-            found.put(0, checked(read), self._channels.index(read.channel), self._report)
         return found.batch()
 
     def _alike(self, text: bytes, starts: Ints, rows: Indices, length: int, found: "_Found") -> None:
         """The lines of one length."""
         examples = self._examples.setdefault(length, [])
-        for example in examples:
-            if len(rows) == 0:
-                return
-            rows = example.read(text, starts, rows, found)
+        for example in [*examples]:
+            if len(rows) < FEW:
+                break
+            left = example.read(text, starts, rows, found.fill)
+            if len(left) < len(rows):
+                examples.remove(example)
+                examples.insert(0, example)
+            rows = left
+        misses = 0
         while len(rows):
             first, rows = int(rows[0]), rows[1:]
-            example = self._one(text[starts[first] : starts[first] + length], first, found)
-            if example is not None and len(rows) >= FEW and len(examples) < EXAMPLES:
-                examples.append(example)
-                rows = example.read(text, starts, rows, found)
+            line = self._one(text[starts[first] : starts[first] + length], first, found)
+            if line is not None and line.fields is not None and len(rows) >= FEW and misses < EXAMPLES:
+                example = Example(text[starts[first] : starts[first] + length], line, self._channels.index(line.channel))
+                left = example.read(text, starts, rows, found.fill)
+                misses = misses + 1 if len(left) == len(rows) else 0
+                if not misses:
+                    examples[EXAMPLES - 1 :] = []
+                    examples.insert(0, example)
+                rows = left
+        if not examples:
+            del self._examples[length]
 
-    def _one(self, line: bytes, row: int, found: "_Found") -> "_Example | None":
-        """A line by the grammar, and what it is an example of."""
+    def _one(self, line: bytes, row: int, found: "_Found") -> Line | None:
+        """A line by the grammar."""
         number = self._lines + row + 1
-        if len(line) > LONGEST_LINE:
-            self._report.reject(number, f"a line of {len(line)} bytes")
-            return None
+        rest = line.lstrip(b"\0") if line.startswith(b"\0") else line
+        zeros = len(line) - len(rest)
         try:
-            read = self._grammar(line)
-            if read is None:
-                return None
-            channel = self._channels.index(checked(read).channel)
+            read = self._put(rest, row, found)
         except ValueError as error:
-            self._report.reject(number, str(error))
+            self._reject(number, str(error) if rest else "zeros", len(line))
             return None
-        found.put(row, read, channel, self._report)
-        return None if read.fields is None else _Example(line, read, read.fields, channel)
+        if zeros:  # as a cut of the power leaves them in a file that is appended to afterwards
+            self._reject(number, "zeros", zeros)
+            return None
+        return read
+
+    def _put(self, line: bytes, row: int, found: "_Found") -> Line | None:
+        if len(line) > LONGEST_LINE:
+            raise ValueError(f"a line of {len(line)} bytes")
+        read = self._dialect.read(line)
+        if read is not None:
+            found.put(row, checked(read), self._channels.index(read.channel))
+        return read
+
+    def _reject(self, number: int, reason: str, size: int) -> None:
+        self._bad.append((number, reason, size))
+        if len(self._bad) > 1000:
+            self._report_bad()
+
+    def _report_bad(self) -> None:
+        """Lines of one length come together: sort their numbers."""
+        for number, reason, size in sorted(self._bad):
+            self._report.reject(number, reason, size)
+        self._bad.clear()
+
+
+def sections(text: bytes, headers: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
+    """Each header line, empty before the first one, with the lines behind it."""
+    begins = sorted({at for header in headers for at in _line_starts(text, header)})
+    if not begins or begins[0]:
+        yield b"", text[: begins[0]] if begins else text
+    for begin, end in pairwise([*begins, len(text)]):
+        body = text.index(b"\n", begin) + 1
+        yield text[begin : body - 1], text[body:end]
+
+
+def _line_starts(text: bytes, beginning: bytes) -> Iterator[int]:
+    if text.startswith(beginning):
+        yield 0
+    at = text.find(b"\n" + beginning)
+    while at >= 0:
+        yield at + 1
+        at = text.find(b"\n" + beginning, at + 1)
 
 
 class _Found:
-    """The frames of a piece by line."""
+    """The frames of a text by line."""
 
     def __init__(self, count: int) -> None:
         self._batch, self._there = empty(count), np.zeros(count, dtype=np.bool_)
-        self._whole: Batch | None = None
 
-    def put(self, row: int, line: Line, channel: int, report: LogReport) -> None:
+    def put(self, row: int, line: Line, channel: int) -> None:
         """The frame of one line."""
-        report.remote += bool(line.flags & REMOTE)
-        report.errors += bool(line.flags & ERROR)
         self._wide(len(line.data))
         batch = self._batch
         batch.time[row], batch.channel[row], batch.identifier[row] = line.time, channel, line.identifier
@@ -158,17 +252,15 @@ class _Found:
         batch.data[row, : len(line.data)] = np.frombuffer(line.data, np.uint8)
         self._there[row] = True
 
-    def fill(
-        self, rows: Indices, example: "_Example", time: FloatArray, identifier: npt.NDArray[np.uint32], data: Bytes
-    ) -> None:
+    def fill(self, rows: Indices, part: Batch) -> None:
         """The frames of many lines."""
-        length = data.shape[1]
-        self._wide(length)
+        width = part.data.shape[1]
+        self._wide(width)
         batch = self._batch
         at: Indices | slice = slice(None) if len(rows) == len(batch) else rows
-        batch.time[at], batch.channel[at], batch.identifier[at] = time, example.channel, identifier
-        batch.flags[at], batch.length[at] = example.flags, length
-        batch.data[at, :length] = data
+        batch.time[at], batch.channel[at], batch.identifier[at] = part.time, part.channel, part.identifier
+        batch.flags[at], batch.length[at] = part.flags, part.length
+        batch.data[at, :width] = part.data
         self._there[at] = True
 
     def batch(self) -> Batch:
@@ -176,117 +268,5 @@ class _Found:
         return self._batch if self._there.all() else self._batch[self._there]
 
     def _wide(self, length: int) -> None:
-        if length > self._batch.data.shape[1]:
-            before = self._batch
-            wide = empty(len(before), FD_BYTES)
-            wide.data[:, :CLASSIC_BYTES] = before.data
-            self._batch = Batch(
-                before.time, before.channel, before.identifier, before.flags, before.length, wide.data
-            )
-
-
-class _Example:
-    """A line by which others are read."""
-
-    def __init__(self, line: bytes, read: Line, fields: Fields, channel: int) -> None:
-        self.channel, self.flags = channel, read.flags
-        self._fields, self._bytes = fields, len(read.data)
-        self._width = -(-len(line) // WIDTH) * WIDTH
-        begin, end = fields.time
-        point = line.index(b".", begin, end)
-        self._seconds, self._parts = (begin, point), (point + 1, end)
-        pairs = [(at, at + 2) for at in range(*fields.data, fields.stride)]
-        varying = [self._seconds, self._parts, fields.identifier, fields.number, fields.free, *pairs]
-        keep = bytearray(b"\xff" * len(line))
-        for first, beyond in varying:
-            keep[first:beyond] = bytes(beyond - first)
-        self._keep, self._fixed = (
-            np.frombuffer(bytes(each).ljust(self._width, b"\0"), np.uint64) for each in (keep, line)
-        )
-        self._fixed = self._fixed & self._keep
-        self._top = EXTENDED_TOP if read.flags & EXTENDED else STANDARD_TOP
-
-    def read(self, text: bytes, starts: Ints, rows: Indices, found: _Found) -> Indices:
-        """Puts the frames of the lines that are like this one; returns the others.
-
-        `text` has `WIDTH` bytes before the first line and behind the last.
-        """
-        before = WIDTH + self._width
-        lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))[starts[rows] - WIDTH]
-        bad = self._others(lines)
-        time, wrong = self._time(lines)
-        bad |= wrong
-        identifier, wrong = hexadecimal(_words(lines, self._fields.identifier), _size(self._fields.identifier))
-        identifier = identifier.byteswap()
-        bad |= wrong
-        bad |= (identifier > self._top).astype(np.uint64)
-        data = self._data(lines, bad)
-        if self._fields.number[1]:
-            bad |= _decimal(lines, self._fields.number)[1]
-        if not bad.any():
-            found.fill(rows, self, time, identifier, data)
-            return rows[:0]
-        good = bad == 0
-        found.fill(rows[good], self, time[good], identifier[good], data[good])
-        return rows[~good]
-
-    def _others(self, lines: Lines) -> Words:
-        """Not zero where another character is than the example's outside of its fields (N,)."""
-        words = lines.view(np.uint64).reshape(len(lines), -1)
-        bad = np.zeros(len(lines), dtype=np.uint64)
-        for k in np.flatnonzero(self._keep).tolist():
-            bad |= (words[:, k + 1] & self._keep[k]) ^ self._fixed[k]
-        return bad
-
-    def _time(self, lines: Lines) -> tuple[FloatArray, Words]:
-        """As `float` reads it: a whole number divided by a power of ten is rounded once."""
-        seconds, bad = _decimal(lines, self._seconds)
-        parts, worse = _decimal(lines, self._parts)
-        power = 10 ** _size(self._parts)
-        if int(seconds.max(initial=np.uint64(0))) * power < 2**53:
-            return (seconds * np.uint64(power) + parts).astype(np.float64) / float(power), bad | worse
-        return seconds.astype(np.float64) + parts.astype(np.float64) / float(power), bad | worse
-
-    def _data(self, lines: Lines, bad: Words) -> Bytes:
-        """The bytes (N, length); sets bits of `bad` where they are none."""
-        begin, _ = self._fields.data
-        data = np.zeros((len(lines), -(-self._bytes // 4)), dtype="<u4")
-        if self._fields.stride != 2:
-            lines, begin = _closed_up(lines, self._fields.data, self._fields.stride), 0
-        for k in range(data.shape[1]):
-            first, last = begin + WIDTH * k, begin + min(WIDTH * (k + 1), 2 * self._bytes)
-            four, wrong = hexadecimal(_words(lines, (first, last)), last - first)
-            data[:, k] = four >> np.uint32(4 * (WIDTH - (last - first)))
-            bad |= wrong
-        return data.view(np.uint8)[:, : self._bytes]
-
-
-def _size(span: Span) -> int:
-    return span[1] - span[0]
-
-
-def _words(lines: Lines, span: Span) -> Words:
-    """The eight characters (N,) that end with a field of at most eight."""
-    kind = np.dtype({"names": ["word"], "formats": ["<u8"], "offsets": [span[1]], "itemsize": lines.dtype.itemsize})
-    return np.asarray(lines.view(kind)["word"].copy())
-
-
-def _decimal(lines: Lines, span: Span) -> tuple[Words, Words]:
-    """The numbers of a field of decimal digits, and what is not zero where it holds others."""
-    begin, end = span
-    number, bad = decimal(_words(lines, (max(begin, end - WIDTH), end)), min(WIDTH, end - begin))
-    if end - begin > WIDTH:
-        more, worse = _decimal(lines, (begin, end - WIDTH))
-        return more * np.uint64(10**WIDTH) + number, bad | worse
-    return number, bad
-
-
-def _closed_up(lines: Lines, span: Span, stride: int) -> Lines:
-    """The digits of data alone, without what stands between its bytes, behind `WIDTH` bytes as in `lines`."""
-    count = -(-_size(span) // stride)
-    closed = np.zeros((len(lines), WIDTH + -(-2 * count // WIDTH) * WIDTH), dtype=np.uint8)
-    raw = lines.view(np.uint8).reshape(len(lines), -1)
-    for k in range(count):
-        at = WIDTH + span[0] + stride * k
-        closed[:, WIDTH + 2 * k : WIDTH + 2 * k + 2] = raw[:, at : at + 2]
-    return closed.view(f"V{closed.shape[1]}").reshape(len(lines))
+        if length > CLASSIC_BYTES:
+            self._batch = widened(self._batch, FD_BYTES)
