@@ -50,6 +50,12 @@ class Batch:
         """The frames of some rows."""
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
 
+    def put(self, rows: Indices, part: "Batch") -> None:
+        """Set some rows to the frames of another batch whose data column is no wider."""
+        for each in ("time", "channel", "identifier", "flags", "length"):
+            getattr(self, each)[rows] = getattr(part, each)
+        self.data[rows, : part.data.shape[1]] = part.data
+
     @property
     def is_extended(self) -> Mask:
         """Which have an identifier of 29 bits (N,)."""

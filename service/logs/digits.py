@@ -18,7 +18,7 @@ def _each(byte: int) -> np.uint64:
     return np.uint64(int.from_bytes(bytes([byte] * WIDTH)))
 
 
-_TOP, _ZERO, _LOWER, _NIBBLE, _ONE, _NINE = (_each(b) for b in (0x80, 0x30, 0x20, 0x0F, 0x01, 0x09))
+_TOP, _ZERO, _LOWER, _NIBBLE, _ONE = (_each(b) for b in (0x80, 0x30, 0x20, 0x0F, 0x01))
 _U = np.uint64
 
 
@@ -42,7 +42,7 @@ def hexadecimal(words: Words, count: int) -> tuple[npt.NDArray[np.uint32], Words
     digit = (words + _each(0x80 - 0x30)) & ~(words + _each(0x80 - 0x3A))
     letter = (lower + _each(0x80 - 0x61)) & ~(lower + _each(0x80 - 0x67))
     bad = (words | ~(digit | letter)) & _TOP & kept
-    nibbles = ((words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _NINE)
+    nibbles = ((words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _U(9))
     two = ((nibbles << _U(4)) | (nibbles >> _U(8))) & _U(0x00FF_00FF_00FF_00FF)
     four = (two | (two >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
     return (four | (four >> _U(16))).astype(np.uint32), bad

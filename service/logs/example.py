@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.service.core.signals.values import FloatArray, Indices
-from faultline.service.logs.batch import EXTENDED, EXTENDED_TOP, TOP, Batch, Bytes
+from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, Bytes
 from faultline.service.logs.digits import WIDTH, Words, decimal, hexadecimal
 
 Span = tuple[int, int]
@@ -88,10 +88,11 @@ class Example:
     ) -> Indices:
         """Give the rows of the lines that are like this one with their frames; return the other rows.
 
-        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last.
+        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last. `rows` are in order.
         """
         before = WIDTH + self._width
-        lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))[starts[rows] - WIDTH]
+        lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))
+        lines = lines[(starts if len(rows) == len(starts) else starts[rows]) - WIDTH]
         bad = self._others(lines)
         time = self._time(lines, bad)
         identifier = self._identifier(lines, bad)
@@ -152,15 +153,15 @@ class Example:
         """The bytes (N, length); sets bits of `bad` where they are none."""
         begin, _ = self._fields.data
         count = len(self._read.data)
-        data = np.zeros((len(lines), -(-count // 4)), dtype="<u4")
+        data = np.zeros((len(lines), 2 if count <= CLASSIC_BYTES else FD_BYTES // 4), dtype="<u4")
         if self._fields.stride != 2:
             lines, begin = _closed_up(lines, self._fields.data, self._fields.stride), 0
-        for k in range(data.shape[1]):
+        for k in range(-(-count // 4)):
             first, last = begin + WIDTH * k, begin + min(WIDTH * (k + 1), 2 * count)
             four, wrong = hexadecimal(_words(lines, (first, last)), last - first)
             data[:, k] = four >> np.uint32(4 * (WIDTH - (last - first)))
             bad |= wrong
-        return data.view(np.uint8)[:, :count]
+        return data.view(np.uint8)
 
 
 def _words(lines: Lines, span: Span) -> Words:

@@ -1,7 +1,7 @@
 """Known formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing is known."""
 
 from collections.abc import Callable, Iterator
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,10 +24,10 @@ from faultline.service.logs.trc import Trc
 Reader = Callable[[Source, LogReport, Channels], Iterator[Batch]]
 """Gives the frames of a file in its order, with the times that it has, and reports what is lost."""
 
-_HEAD_LINES = 400
+_HEAD_LINES = 100
 _SEARCHED = 8  # pieces of a text in which a line of any format is looked for
 _RISING = 0.8  # of the times; of those since the frame before, half
-_LEAST = 3  # times by which it is known whether they rise
+_LEAST = 8  # times by which it is known whether they rise
 
 
 class Format(NamedTuple):
@@ -56,21 +56,24 @@ def format_of(source: Source) -> Format:
     """The format of a log file."""
     binary = {each.name: each for each in BINARY}
     name = next((name for magic, name in _MAGIC.items() if source.head.startswith(magic)), None)
-    if name is None and _OBJECT in source.head:
-        name = "BLF"
     if name is not None:
         return binary[name]
     named = _SUFFIXES.get(ending(source.path), "candump")
-    for head in islice(source.pieces(LogReport()), _SEARCHED):
+    for head in chain([source.head], islice(source.pieces(LogReport()), _SEARCHED)):
         candidates = _candidates(head)
-        scores = {name: _score(make(), head) for name, make in candidates.items()}
+        lines = _lines(head)
+        scores = {}
+        for name in sorted(candidates, key=lambda each: not each.startswith(named)):
+            scores[name] = _score(candidates[name](), lines)
+            if scores[name] == len(lines):  # as of nearly all files under their own name
+                break
         best = max(scores.values())
         if best:
             likely = [name for name, score in scores.items() if score == best]
             name = next((each for each in likely if each.startswith(named)), likely[0])
             return _text(name, candidates[name])
-    if named in binary:
-        return binary[named]
+    if named in binary or _OBJECT in source.head:
+        return binary.get(named, binary["BLF"])
     return _text(named, _candidates(source.head)[named])
 
 
@@ -88,11 +91,9 @@ def _text(name: str, make: Callable[[], Dialect]) -> Format:
 
 def _candidates(head: bytes) -> dict[str, Callable[[], Dialect]]:
     """Each text format as its head shows it."""
-    is_relative = _sums_up(head, CandumpLog())
-    on_screen = _sums_up(head, CandumpScreen())
     found: dict[str, Callable[[], Dialect]] = {
-        "candump": lambda: CandumpLog(is_relative=is_relative),
-        "candump screen": lambda: CandumpScreen(is_relative=on_screen),
+        "candump": lambda: CandumpLog(is_relative=_sums_up(head, CandumpLog())),
+        "candump screen": lambda: CandumpScreen(is_relative=_sums_up(head, CandumpScreen())),
         "candump screen without times": lambda: CandumpScreen(has_times=False),
         "ASC": Asc,
         "TRC": Trc,
@@ -105,22 +106,23 @@ def _candidates(head: bytes) -> dict[str, Callable[[], Dialect]]:
 
 
 def _lines(head: bytes) -> list[bytes]:
-    """The first lines; the last one may be cut off."""
-    return head.split(b"\n", _HEAD_LINES)[:-1] or [head]
+    """The first lines that are not blank; the last one may be cut off."""
+    lines = head.split(b"\n", _HEAD_LINES)[:-1] or [head]
+    return [line for line in lines if line.strip(b"\0 \t\r")]
 
 
-def _score(dialect: Dialect, head: bytes) -> int:
-    """How many of the first lines it knows."""
+def _score(dialect: Dialect, lines: list[bytes]) -> int:
+    """How many of the lines it knows."""
     known = 0
-    for line in _lines(head):
+    for line in lines:
         try:
             if line.startswith(dialect.headers):
                 dialect.header(line.strip())
-                known += 1
             else:
-                known += dialect.read(line.lstrip(b"\0")) is not None or bool(line.strip(b"\0 \t\r"))
+                dialect.read(line.lstrip(b"\0"))
         except ValueError:
             continue
+        known += 1
     return known
 
 
@@ -135,4 +137,4 @@ def _sums_up(head: bytes, dialect: Dialect) -> bool:
         times += [found.time] if found is not None else []
     steps = np.diff(times)
     is_small = bool(times) and max(times) < 1e6  # not since 1970
-    return is_small and len(times) > _LEAST and bool(np.mean(steps > 0) < _RISING) and max(times) > 0
+    return is_small and len(times) >= _LEAST and bool(np.mean(steps > 0) < _RISING) and max(times) > 0

@@ -4,6 +4,8 @@ from faultline.service.logs.report import LogReport
 
 LONGEST_LINE = 16384
 """A line of more bytes is no frame's, and is rejected unread."""
+BEFORE, BEHIND = bytes(7) + b"\n", bytes(LONGEST_LINE)
+"""Bytes around the lines of a text, so that any line may be taken with some before it and behind it."""
 _ENDLESS = 1 << 26
 
 
@@ -21,12 +23,12 @@ class WholeLines:
         return self._dropped > _ENDLESS
 
     def take(self, piece: bytes) -> bytes:
-        """The lines that end within this piece; may be empty."""
+        """The lines that end within this piece, between `BEFORE` and `BEHIND`; empty where none does."""
         end = piece.rfind(b"\n") + 1
         if not end:
             self._keep(self.rest + piece)
             return b""
-        text = self.rest + piece[:end]
+        text = b"".join((BEFORE, self.rest, memoryview(piece)[:end], BEHIND))
         self._report.lost_bytes += self._dropped
         self.rest, self._dropped = b"", 0
         self._keep(piece[end:])

@@ -18,7 +18,10 @@ _BLOCK = 64  # frames looked at behind a step of the clock: another one may foll
 
 
 class Ordering:
-    """State: the last time [s], and by how much later ones are moved as the clock was set. Steps are counted."""
+    """State: the last time [s], and by how much later ones are moved as the clock was set. Steps are counted.
+
+    Only data frames decide: remote and error frames are put between the data frames around them.
+    """
 
     def __init__(self, report: LogReport) -> None:
         self._report = report
@@ -29,9 +32,20 @@ class Ordering:
         """The batch with such times."""
         if not len(batch):
             return batch
+        has_data = batch.has_data
+        rows = np.flatnonzero(has_data)
+        if self._last is None and len(rows):
+            self._last = float(batch.time[rows[0]])
         if self._last is None:
-            self._last = float(batch.time[0])
-        return replace(batch, time=self._times(batch.time, self._last))
+            return batch
+        last = self._last
+        if len(rows) == len(batch):
+            return replace(batch, time=self._times(batch.time, last))
+        before = np.concatenate([[last], self._times(batch.time[rows], last)])
+        after = np.append(before[1:], before[-1] + STEP_AHEAD_S)
+        place = np.cumsum(has_data)
+        time = np.clip(batch.time + self._shift, before[place], after[place])
+        return replace(batch, time=np.where(has_data, before[place], time))
 
     def _times(self, t: FloatArray, last: float) -> FloatArray:
         found = np.empty_like(t)

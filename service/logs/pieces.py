@@ -11,7 +11,7 @@ from typing import IO
 
 from faultline.service.logs.report import LogError, LogReport
 
-PIECE = 1 << 20
+PIECE = 1 << 19
 """Bytes of a piece."""
 HEAD = 1 << 16
 """Bytes by which a format is known."""

@@ -87,10 +87,11 @@ class LogReport:
             places = "; ".join(f"{self.unit} {number}: {reason}" for number, reason in self.places)
             more = "; ..." if self.bad > len(self.places) else ""
             what = "places" if self.unit == "byte" else f"{self.unit}s"
-            size = f" of {self.lost_bytes} bytes" if self.lost_bytes else ""
-            parts.append(f"{self.bad} {what}{size} could not be read ({places}{more})")
+            parts.append(f"{self.bad} {what} could not be read ({places}{more})")
         if self.packing:
             parts.append(f"the compression is damaged: {self.packing}")
+        if self.lost_bytes:
+            parts.append(f"{self.lost_bytes} bytes are lost")
         if self.missing:
             parts.append(f"the end is missing: {self.missing}")
         if self.truncated:

@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.service.core.signals.values import Indices
-from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, empty, widened
+from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, empty
 from faultline.service.logs.channels import Channels
-from faultline.service.logs.example import WIDTH, Example, Line
-from faultline.service.logs.lines import LONGEST_LINE, WholeLines
+from faultline.service.logs.example import Example, Line, Span
+from faultline.service.logs.lines import BEFORE, BEHIND, LONGEST_LINE, WholeLines
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport, shown
 
@@ -66,7 +66,8 @@ def read_text(source: Source, report: LogReport, channels: Channels, dialect: Di
     """The frames of a log, a batch for each piece of the file."""
     reader, lines = TextReader(dialect, report, channels), WholeLines(report)
     for piece in source.pieces(report):
-        yield from reader.read(lines.take(piece))
+        if text := lines.take(piece):
+            yield from reader.read(text)
         if lines.is_endless:
             report.missing = "no line ends within 64 MiB"
             return
@@ -98,12 +99,12 @@ class TextReader:
         self._bad: list[tuple[int, str, int]] = []
 
     def read(self, text: bytes) -> Iterator[Batch]:
-        """The frames of whole lines."""
-        for header, body in sections(text, self._dialect.headers):
+        """The frames of whole lines, of a text between `BEFORE` and `BEHIND`."""
+        for header, (begin, end) in sections(text, self._dialect.headers):
             if header:
                 self._header(header)
-            if body:
-                yield from self._given(self._body(body))
+            if begin < end:
+                yield from self._given(self._body(text, begin, end))
         self._report_bad()
 
     def last(self, line: bytes) -> Iterator[Batch]:
@@ -140,11 +141,10 @@ class TextReader:
         if len(batch):
             yield batch
 
-    def _body(self, body: bytes) -> Batch:
+    def _body(self, text: bytes, begin: int, end: int) -> Batch:
         """The frames of lines without headers."""
-        text = b"".join((bytes(WIDTH), body, bytes(LONGEST_LINE)))
-        ends = np.flatnonzero(np.frombuffer(body, np.uint8) == 0x0A) + WIDTH
-        starts = np.concatenate([[WIDTH], ends[:-1] + 1])
+        ends = np.flatnonzero(np.frombuffer(text, np.uint8, end - begin, begin) == 0x0A) + begin
+        starts = np.concatenate([[begin], ends[:-1] + 1])
         lengths = ends - starts
         found = _Found(len(ends))
         if (lengths == lengths[0]).all():
@@ -186,12 +186,12 @@ class TextReader:
     def _one(self, line: bytes, row: int, found: "_Found") -> Line | None:
         """A line by the grammar."""
         number = self._lines + row + 1
-        rest = line.lstrip(b"\0") if line.startswith(b"\0") else line
+        rest = (line.lstrip(b"\0") or line) if line.startswith(b"\0") else line
         zeros = len(line) - len(rest)
         try:
             read = self._put(rest, row, found)
         except ValueError as error:
-            self._reject(number, str(error) if rest else "zeros", len(line))
+            self._reject(number, str(error), len(line))
             return None
         if zeros:  # as a cut of the power leaves them in a file that is appended to afterwards
             self._reject(number, "zeros", zeros)
@@ -218,19 +218,17 @@ class TextReader:
         self._bad.clear()
 
 
-def sections(text: bytes, headers: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
-    """Each header line, empty before the first one, with the lines behind it."""
-    begins = sorted({at for header in headers for at in _line_starts(text, header)})
-    if not begins or begins[0]:
-        yield b"", text[: begins[0]] if begins else text
-    for begin, end in pairwise([*begins, len(text)]):
+def sections(text: bytes, headers: tuple[bytes, ...]) -> Iterator[tuple[bytes, Span]]:
+    """Each header line, empty before the first one, with where the lines behind it are."""
+    first, beyond = len(BEFORE), len(text) - len(BEHIND)
+    begins = sorted(at for header in headers for at in _line_starts(text, header))
+    yield b"", (first, begins[0] if begins else beyond)
+    for begin, end in pairwise([*begins, beyond]):
         body = text.index(b"\n", begin) + 1
-        yield text[begin : body - 1], text[body:end]
+        yield text[begin : body - 1], (body, end)
 
 
 def _line_starts(text: bytes, beginning: bytes) -> Iterator[int]:
-    if text.startswith(beginning):
-        yield 0
     at = text.find(b"\n" + beginning)
     while at >= 0:
         yield at + 1
@@ -238,35 +236,46 @@ def _line_starts(text: bytes, beginning: bytes) -> Iterator[int]:
 
 
 class _Found:
-    """The frames of a text by line."""
+    """The frames of a text by line: those of many lines are columns at once, those of single ones are at the end."""
 
     def __init__(self, count: int) -> None:
-        self._batch, self._there = empty(count), np.zeros(count, dtype=np.bool_)
+        self._count = count
+        self._parts: list[tuple[Indices, Batch]] = []
+        self._rows: list[int] = []
+        self._lines: list[tuple[Line, int]] = []
 
     def put(self, row: int, line: Line, channel: int) -> None:
         """The frame of one line."""
-        self._wide(len(line.data))
-        batch = self._batch
-        batch.time[row], batch.channel[row], batch.identifier[row] = line.time, channel, line.identifier
-        batch.flags[row], batch.length[row] = line.flags, len(line.data)
-        batch.data[row, : len(line.data)] = np.frombuffer(line.data, np.uint8)
-        self._there[row] = True
+        self._rows.append(row)
+        self._lines.append((line, channel))
 
     def fill(self, rows: Indices, part: Batch) -> None:
         """The frames of many lines."""
-        width = part.data.shape[1]
-        self._wide(width)
-        batch = self._batch
-        at: Indices | slice = slice(None) if len(rows) == len(batch) else rows
-        batch.time[at], batch.channel[at], batch.identifier[at] = part.time, part.channel, part.identifier
-        batch.flags[at], batch.length[at] = part.flags, part.length
-        batch.data[at, :width] = part.data
-        self._there[at] = True
+        self._parts.append((rows, part))
 
     def batch(self) -> Batch:
-        """All of them."""
-        return self._batch if self._there.all() else self._batch[self._there]
+        """All of them in the order of the lines."""
+        if self._rows:
+            order = sorted(range(len(self._rows)), key=self._rows.__getitem__)
+            self._parts.append((np.sort(self._rows), _columns([self._lines[k] for k in order])))
+        if len(self._parts) == 1:
+            return self._parts[0][1]
+        width = max((part.data.shape[1] for _, part in self._parts), default=0)
+        batch, there = empty(self._count, FD_BYTES if width > CLASSIC_BYTES else CLASSIC_BYTES), np.zeros(self._count, dtype=np.bool_)
+        for rows, part in self._parts:
+            batch.put(rows, part)
+            there[rows] = True
+        return batch if there.all() else batch[there]
 
-    def _wide(self, length: int) -> None:
-        if length > CLASSIC_BYTES:
-            self._batch = widened(self._batch, FD_BYTES)
+
+def _columns(lines: list[tuple[Line, int]]) -> Batch:
+    width = FD_BYTES if any(len(line.data) > CLASSIC_BYTES for line, _ in lines) else CLASSIC_BYTES
+    raw = b"".join([line.data.ljust(width, b"\0") for line, _ in lines])
+    return Batch(
+        np.array([line.time for line, _ in lines]),
+        np.array([channel for _, channel in lines], dtype=np.uint8),
+        np.array([line.identifier for line, _ in lines], dtype=np.uint32),
+        np.array([line.flags for line, _ in lines], dtype=np.uint8),
+        np.array([len(line.data) for line, _ in lines], dtype=np.uint8),
+        np.frombuffer(raw, np.uint8).reshape(len(lines), width),
+    )
