@@ -16,7 +16,7 @@ from faultline.service.logs.delimited import PythonCanCsv, TableCsv, find_table
 from faultline.service.logs.mf4 import MF4_MAGIC, read_mf4
 from faultline.service.logs.parquet import PARQUET_MAGIC, read_parquet
 from faultline.service.logs.pieces import Source
-from faultline.service.logs.report import LogReport
+from faultline.service.logs.report import LogError, LogReport
 from faultline.service.logs.sqlite import SQLITE_MAGIC, read_sqlite
 from faultline.service.logs.text import Dialect, read_text
 from faultline.service.logs.trc import Trc
@@ -122,6 +122,8 @@ def _score(dialect: Dialect, lines: list[bytes]) -> int:
                 dialect.read(line.lstrip(b"\0"))
         except ValueError:
             continue
+        except LogError:  # of a version that is not known
+            pass
         known += 1
     return known
 

@@ -82,7 +82,7 @@ class LogReport:
 
     def losses(self) -> list[str]:
         """What could not be used as it stands, each with where."""
-        parts = []
+        parts = [f"{self.lost_bytes} bytes are lost"] if self.lost_bytes else []
         if self.bad:
             places = "; ".join(f"{self.unit} {number}: {reason}" for number, reason in self.places)
             more = "; ..." if self.bad > len(self.places) else ""
@@ -90,8 +90,6 @@ class LogReport:
             parts.append(f"{self.bad} {what} could not be read ({places}{more})")
         if self.packing:
             parts.append(f"the compression is damaged: {self.packing}")
-        if self.lost_bytes:
-            parts.append(f"{self.lost_bytes} bytes are lost")
         if self.missing:
             parts.append(f"the end is missing: {self.missing}")
         if self.truncated:

@@ -33,6 +33,7 @@ _STANDARD_DIGITS, _DIGITS = 4, 8  # more than the former are of 29 bits
 _LONGEST = 8
 _MS = 1000.0
 
+_VERSION = re.compile(rb"\d+\.\d+")
 _NUMBER = re.compile(rb"(\d+)\)?")
 _OFFSET = re.compile(rb"(\d+)(?:\.(\d+))?")
 _HEX = re.compile(rb"[0-9A-Fa-f]+")
@@ -58,6 +59,8 @@ class Trc:
         """Read the version, the time of the start, or the columns; any other is a comment."""
         key, _, value = line.partition(b"=")
         if key == b";$FILEVERSION":
+            if not _VERSION.fullmatch(value):
+                raise ValueError(f"no version: {shown(line)}")
             if value not in _COLUMNS:
                 raise LogError(f"TRC version {value.decode(errors='replace')} is not known; save it as 2.1")
             self._columns = _COLUMNS[value].decode()
