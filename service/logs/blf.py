@@ -58,21 +58,18 @@ class _Window:
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces = pieces
         self.data = b""
-        self.base = 0
-
-    @property
-    def end(self) -> int:
-        """The byte behind what is in memory."""
-        return self.base + len(self.data)
+        self.base = self.end = 0
 
     def need(self, end: int) -> None:
-        """Have the bytes to `end`, as far as there are so many."""
+        """Have the bytes to `end`, as far as there are so many; `self.end` is behind what there is."""
+        if end <= self.end:
+            return
         parts, there = [self.data], self.end
         while there < end and (piece := next(self._pieces, b"")):
             parts.append(piece)
             there += len(piece)
         if len(parts) > 1:
-            self.data = b"".join(parts)
+            self.data, self.end = b"".join(parts), there
 
     def drop(self, begin: int) -> None:
         """Forget what is before `begin`."""
@@ -80,8 +77,8 @@ class _Window:
             self.data, self.base = self.data[begin - self.base :], begin
 
     def part(self, begin: int, end: int) -> memoryview:
-        """Bytes from `begin` to `end`, as far as they are in memory."""
-        return memoryview(self.data)[max(0, begin - self.base) : max(0, end - self.base)]
+        """Bytes from `begin`, which is in memory, to `end`, as far as they are."""
+        return memoryview(self.data)[begin - self.base : end - self.base]
 
 
 class _Blf:
@@ -118,12 +115,13 @@ class _Blf:
         while (found := self._next(at)) is not None:
             self._window.drop(found.begin)
             if found.kind == CONTAINER:
-                yield from self._flushed()
+                if self._loose:
+                    yield from self._flushed()
                 data, at = self._unpacked(found)
                 if data is None:
                     yield from self._torn()
-                else:
-                    yield from self._joined(data, found.begin)
+                elif self._add(data, found.begin) >= self._needed:
+                    yield from self._read()
                 continue
             self._window.need(found.end + PADDING)
             if found.end > self._window.end:
@@ -153,31 +151,37 @@ class _Blf:
 
     def _next(self, at: int) -> _Object | None:
         """The next object of the file from `at` on, which may end beyond it; what lies before it is padding, or damage."""
-        begun = at
         while True:
-            self._window.need(at + BASE.size)
-            begin = self._window.data.find(SIGNATURE, at - self._window.base)
-            while begin < 0 and self._window.end > at + len(SIGNATURE):
-                self._between(begun, self._window.end - 3)
-                begun = at = self._window.end - len(SIGNATURE) + 1
-                self._window.drop(at)
-                self._window.need(self._window.end + 1)
-                begin = self._window.data.find(SIGNATURE, at - self._window.base)
-                if begin < 0 and self._window.end - at < len(SIGNATURE):
-                    break
-            if begin < 0:
-                self._between(begun, self._window.end)
+            begin = self._found_at(at)
+            if begin is None:
                 return None
-            begin += self._window.base
-            self._between(begun, begin)
-            self._window.need(begin + BASE.size)
-            if begin + BASE.size > self._window.end:
-                return None
-            _, header, _, size, kind = BASE.unpack(self._window.part(begin, begin + BASE.size))
+            _, header, _, size, kind = BASE.unpack_from(self._window.data, begin - self._window.base)
             if is_object(kind, header, size):
                 return _Object(kind, header, begin, size)
             self._report.reject(begin, f"an object says {size} bytes, {header} of them header", BASE.size)
-            begun = at = begin + len(SIGNATURE)
+            at = begin + len(SIGNATURE)
+
+    def _found_at(self, at: int) -> int | None:
+        """Where the next signature is from `at` on, None where no object can begin there."""
+        window = self._window
+        window.need(at + BASE.size)
+        if window.data.startswith(SIGNATURE, at - window.base) and at + BASE.size <= window.end:
+            return at
+        begin = window.data.find(SIGNATURE, at - window.base) + window.base
+        while begin < window.base:
+            keep = max(at, window.end - len(SIGNATURE) + 1)
+            self._between(at, keep)
+            window.drop(keep)
+            before = window.end
+            window.need(before + 1)
+            if window.end == before:
+                self._between(keep, before)
+                return None
+            at = keep
+            begin = window.data.find(SIGNATURE, at - window.base) + window.base
+        self._between(at, begin)
+        window.need(begin + BASE.size)
+        return begin if begin + BASE.size <= window.end else None
 
     def _between(self, begin: int, end: int) -> None:
         """Bytes that are no object: padding, or damage."""
@@ -212,12 +216,11 @@ class _Blf:
 
     def _flushed(self) -> Iterator[Batch]:
         """The frames of objects that are in no container."""
-        if self._loose:
-            block, self._loose = b"".join(self._loose), []
-            yield from self._frames(block, chain(block), self._window.base)
+        block, self._loose = b"".join(self._loose), []
+        yield from self._frames(block, chain(block), self._window.base)
 
-    def _joined(self, data: bytes, place: int) -> Iterator[Batch]:
-        """The frames of what waited and `data`, of the container at `place`; what is incomplete waits."""
+    def _add(self, data: bytes, place: int) -> int:
+        """Let the content of the container at `place` wait; return how many bytes do."""
         if self._is_torn and data:
             begin = data.find(SIGNATURE)
             data, self._is_torn = data[begin:] if begin > 0 else data, False
@@ -225,8 +228,7 @@ class _Blf:
             self._place = place
         self._waiting.append(data)
         self._held += len(data)
-        if self._held >= self._needed:
-            yield from self._read()
+        return self._held
 
     def _torn(self) -> Iterator[Batch]:
         """The frames of what waited; what is incomplete of it is lost with the container that is."""
@@ -234,7 +236,7 @@ class _Blf:
         self._waiting, self._held, self._needed, self._is_torn = [], 0, _BLOCK, True
 
     def _read(self) -> Iterator[Batch]:
-        """The frames of what waits."""
+        """The frames of what waits; what is incomplete goes on waiting."""
         block = b"".join(self._waiting)
         objects = chain(block)
         at = int(objects.begin[-1] + objects.size[-1]) if len(objects.begin) else 0

@@ -105,7 +105,7 @@ def decode(data: bytes, objects: Objects, start_s: float) -> Decoded:
     count = len(objects.begin)
     is_can = _of_can(objects.kind)
     batch, channels, good = empty(count, _width(objects)), np.zeros(count, np.uint16), np.zeros(count, np.bool_)
-    shape = (objects.kind << 40) | (objects.header << 16) | objects.size
+    shape = np.where(is_can, (objects.kind << 40) | (objects.header << 16) | objects.size, -1)
     kinds = shape[is_can]
     for same in kinds[:1].tolist() if (kinds == kinds[:1]).all() else np.unique(kinds).tolist():
         rows = np.flatnonzero(shape == same)
