@@ -11,7 +11,7 @@ import can
 import pytest
 
 from faultline.service.logs import Frame, LogError, LogReport, read_log
-from faultline.service.logs.formats import parse_log
+from reading import parse_log
 
 START = 1_767_225_600.0
 IDS = ((0x18FF103D, True), (0x0CF00400, True), (0x123, False))
@@ -272,7 +272,7 @@ def test_a_bad_line_of_asc_is_counted_and_costs_only_itself(line: bytes, reason:
     good = b"0.010000 1  123 Rx d 1 00\n"
     frames, report = parse_log(good + line + b"\n" + good, Path("x.asc"))
     assert (len(frames), report.bad, report.damaged) == (2, 1, True)
-    assert reason in report.told[0][1]
+    assert reason in report.places[0][1]
 
 
 TRC = {
