@@ -51,6 +51,11 @@ def group_of(identifier: int) -> int:
     return pgn & 0x3FF00 if is_addressed(pgn) else pgn
 
 
+def numbers_of(pgn: int) -> range:
+    """Return what stands in the identifier of a group's frames in place of its number: that, with any destination."""
+    return range(pgn, pgn + 256) if is_addressed(pgn) else range(pgn, pgn + 1)
+
+
 def address_of(identifier: int) -> Address:
     """Return group, source and destination of an identifier."""
     pgn = group_of(identifier)

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from faultline.service.core.j1939.identifiers import GLOBAL, TP_CM, TP_DT, address_of, identifier_of, is_addressed
+from faultline.service.core.j1939.identifiers import FRAME, GLOBAL, TP_CM, TP_DT, identifier_of, is_addressed
 
 PART = 7
 """Bytes of a part."""
@@ -103,10 +103,10 @@ class Reassembler:
             for key in [*self._open]:
                 self._lose(key, "timeout")
         self._now = t
-        pgn, source, destination = address_of(identifier)
-        if pgn == TP_DT:
+        source, destination, format_ = identifier & 0xFF, identifier >> 8 & 0xFF, identifier >> 16 & 0x3FF
+        if format_ == TP_DT >> 8:
             return self._part((source, destination), data)
-        if pgn == TP_CM and len(data) == 8:
+        if format_ == TP_CM >> 8 and len(data) == FRAME:
             self._control(source, destination, data)
         return None
 

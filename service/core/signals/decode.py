@@ -25,6 +25,7 @@ from faultline.service.core.j1939.identifiers import (
     group_of,
     identifier_of,
     is_addressed,
+    numbers_of,
 )
 from faultline.service.core.j1939.transport import Reassembler
 from faultline.service.core.signals.arrivals import Arrival, Arrivals
@@ -85,6 +86,8 @@ class DecodeTable:
         self._standard = {n: layout for (n, is_extended), layout in layouts.items() if not is_extended}
         self._senders = senders = Senders(j1939)
         self.parts = Reassembler(self._name_of) if any(layout.size > FRAME for layout in j1939) else None
+        groups = {*senders.groups, ADDRESS_CLAIMED} | ({TP_CM, TP_DT} if self.parts is not None else set())
+        self._near = frozenset(number for pgn in groups for number in numbers_of(pgn)) if j1939 else frozenset()
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.repeated = dict(self.taken)
         self.rejected = Rejected(other_source=senders.others, claimed=senders.claimed, senders=senders.other)
@@ -157,7 +160,8 @@ class DecodeTable:
         else:
             layout = self._standard.get(can_id)
         if layout is None:
-            return self._looked_up(can_id, data, t) if is_extended else []
+            is_near = is_extended and can_id >> 8 & 0x3FFFF in self._near
+            return self._looked_up(can_id, data, t) if is_near else []
         if layout.is_from_any and not self._senders.is_sole(layout, can_id & SOURCE_MASK):
             _count(self.rejected.unclear, layout.name)
             return _doubted(layout)
