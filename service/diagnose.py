@@ -66,9 +66,9 @@ def main(argv: list[str]) -> int:
         if second:
             raise InputError(f"{options.log}: {second}, so no alarm is no all-clear; give a log without them")
         _check_conclusive(monitor.decision, blind, bundle, options.log)
-    for loss in ("" if accepted else log.report.summary(), second):
-        if loss:
-            print(f"faultline diagnose: {options.log}: {loss}", file=sys.stderr)
+    for remark in ("" if accepted else log.report.summary(), second, *bundle.table.remarks()):
+        if remark:
+            print(f"faultline diagnose: {options.log}: {remark}", file=sys.stderr)
     verdict = "a fault was found" if found else "no fault: every test could tell at some time, and none alarms"
     loss = ", as far as the damaged log could be read" if log.report.damaged else ""
     print(f"from {log.report.span}{loss}: {verdict}", file=sys.stderr if options.json else sys.stdout)

@@ -314,10 +314,26 @@ def test_a_missing_input_is_named(made: Made, tmp_path: Path, missing: str) -> N
 
 
 def test_a_dbc_that_is_no_text_is_refused(made: Made, tmp_path: Path) -> None:
+    """Every sequence of bytes is text in Windows-1252; not all are a DBC."""
     other = tmp_path / "other.dbc"
     other.write_bytes(DBC.read_bytes() + b"\xff\xfe")
-    with pytest.raises(InputError, match=r"other\.dbc: not a DBC file in UTF-8"):
+    line = DBC.read_bytes().count(b"\n") + 1
+    with pytest.raises(InputError, match=rf"other\.dbc: not a valid DBC file: Invalid syntax at line {line}"):
         made.export(tmp_path / "bundle", dbc=other)
+
+
+def test_the_manifest_says_which_sender_of_a_vendors_message_was_chosen(made: Made, tmp_path: Path) -> None:
+    other = tmp_path / "vendors.dbc"
+    text = DBC.read_text().replace(str(0x98FF103D), str(0x98FF10FE)) + 'CM_ "°C";\n'
+    other.write_bytes(text.encode("cp1252"))
+    assert made.export(tmp_path / "any", dbc=other) == 0
+    assert made.export(tmp_path / "one", "--sender", "UDS_ECU=0x3D", dbc=other) == 0
+    bundles = load_bundle(tmp_path / "any"), load_bundle(tmp_path / "one")
+    assert [bundle.manifest.senders for bundle in bundles] == [{}, {"UDS_ECU": 0x3D}]
+    assert [bundle.table.senders for bundle in bundles] == [{"UDS_ECU": {}}, {}]
+    assert b'"senders"' not in (tmp_path / "any" / "manifest.json").read_bytes()
+    with pytest.raises(InputError, match=r"vendors\.dbc: a sender is chosen for EEC1"):
+        made.export(tmp_path / "other", "--sender", "EEC1=0", dbc=other)
 
 
 @pytest.mark.parametrize(

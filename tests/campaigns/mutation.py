@@ -22,13 +22,26 @@ REASONS = Path(__file__).with_name("mutation_reasons.toml")
 MUTMUT = ROOT / ".venv-mutation" / "bin" / "mutmut"
 CODE = (
     "signals/decode.py",
+    "signals/layout.py",
+    "signals/senders.py",
     "signals/arrivals.py",
     "signals/sampling.py",
     "signals/values.py",
+    "j1939/transport.py",
     "decision/isolation.py",
     "detectors/",
 )
-TESTS = ("sampling", "decode", "arrivals", "detectors", "detector_family", "isolation", "health")
+TESTS = (
+    "sampling",
+    "decode",
+    "senders",
+    "reassembly",
+    "arrivals",
+    "detectors",
+    "detector_family",
+    "isolation",
+    "health",
+)
 COPIED = ("src", "service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
 
 

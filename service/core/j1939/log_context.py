@@ -36,10 +36,9 @@ class LogContext:
 
     def losses(self) -> str:
         """Return what could not be read, in words; nothing where all was."""
-        parts, found = self._tracker.parts, list[str]()
-        for (name, why), count in sorted(parts.losses.items()):
-            found.append(f"{count} {name} in parts not put together ({why})")
-        found += [f"{count} {name} cut off by the end of the log" for name, count in sorted(parts.unfinished.items())]
-        for sender, count in sorted(self._tracker.unreadable.items()):
-            found.append(f"{count} of {named(sender)} that make no sense")
-        return f"trouble codes of other devices: {', '.join(found)}" if found else ""
+        senseless = sorted(self._tracker.unreadable.items())
+        found = [
+            *self._tracker.parts.not_whole(),
+            *(f"{count} of {named(sender)} that make no sense" for sender, count in senseless),
+        ]
+        return f"trouble codes of other devices that could not be read: {', '.join(found)}" if found else ""

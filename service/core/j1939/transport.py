@@ -94,6 +94,13 @@ class Reassembler:
         """Messages by name that are open: where the log has ended, they are incomplete."""
         return Counter(session.name for session in self._open.values())
 
+    def not_whole(self) -> list[str]:
+        """Return what was not put together up to the end of a log, a phrase each; nothing where all was."""
+        lost = [f"{count} {name} in parts ({why})" for (name, why), count in sorted(self.losses.items())]
+        return lost + [
+            f"{count} {name} in parts (cut off by the end)" for name, count in sorted(self.unfinished.items())
+        ]
+
     def take(self, t: float, identifier: int, data: bytes) -> Whole | None:
         """Take a frame of TP.CM or TP.DT that came at log time `t` [s]; return the message that it completes.
 

@@ -140,6 +140,12 @@ class DecodeTable:
         """Frames by source address, of each message that the DBC gives to any sender."""
         return self._senders.counts
 
+    def remarks(self) -> list[str]:
+        """Return what is worth knowing of a log, a sentence each: senders of what the DBC gives to any, lost parts."""
+        sole, not_whole = self._senders.sole(), self.parts.not_whole() if self.parts is not None else []
+        found = [f"of any sender, by the DBC: {', '.join(sole)}"] if sole else []
+        return [*found, f"messages that are not whole, and not used: {', '.join(not_whole)}"] if not_whole else found
+
     def strangers(self) -> list[str]:
         """Return what to decide or mend, a sentence each: messages that several send, or that came from others only."""
         return self._senders.unclear(self.taken)

@@ -124,6 +124,10 @@ class Senders:
                 found.append(f"{own}, its parameter group came from {there}: {remedy}")
         return found
 
+    def sole(self) -> list[str]:
+        """Return from whom the messages came that the DBC gives to any sender, where it was one."""
+        return [f"{name} from {_listed(seen)}" for name, seen in self.counts.items() if len(seen) == 1]
+
     def undecided(self, identifiers: Collection[int]) -> list[str]:
         """Return, of all 29-bit identifiers of a log, which messages come from several senders, a sentence each."""
         seen: dict[str, Counter[int]] = {name: Counter() for name in self.counts}
@@ -138,8 +142,14 @@ def _which(name: str, seen: Mapping[int, int]) -> str:
     """What to choose where a message comes from several senders; nothing where it does not."""
     if len(seen) < 2:
         return ""
-    there = ", ".join(f"{named(each)}{f' ({count} frames)' if count else ''}" for each, count in sorted(seen.items()))
     return (
-        f"{name} comes from {there}, and the DBC does not say which one is meant: choose one, "
+        f"{name} comes from {_listed(seen)}, and the DBC does not say which one is meant: choose one, "
         f"as with --sender {name}={named(min(seen))}"
+    )
+
+
+def _listed(seen: Mapping[int, int]) -> str:
+    """Addresses, with their frames where those are counted."""
+    return ", ".join(
+        f"{named(each)} ({count} frames)" if count else named(each) for each, count in sorted(seen.items())
     )

@@ -141,7 +141,8 @@ def test_along_a_log_records_come_in_order_on_the_time_scale_of_its_events() -> 
     ]
     assert [(r.t_s, r.sender) for r in context.until(9.0, None)] == [(None, 2)]
     assert context.losses() == (
-        "trouble codes of other devices: 1 DM1 cut off by the end of the log, 1 of 0x09 that make no sense"
+        "trouble codes of other devices that could not be read: 1 DM1 in parts (cut off by the end), "
+        "1 of 0x09 that make no sense"
     )
 
 

@@ -243,7 +243,9 @@ def _in_order(run: list[tuple[float, Sent]]) -> list[Sent]:
     last_s, before = run[0]
     kept: list[Sent] = []
     for t, sent in run[1:]:
-        if len(kept) == run[0][1].data[3] or t - last_s > T1_S or sent.data[0] not in (len(kept), len(kept) + 1):
+        if len(kept) == run[0][1].data[3] or t - last_s > T1_S:
+            break
+        if sent != before and sent.data[0] != len(kept) + 1:
             break
         if sent != before:
             kept.append(sent)

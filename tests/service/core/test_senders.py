@@ -246,3 +246,7 @@ def test_parts_that_are_missing_are_a_condition() -> None:
         traffic.note(k)
     assert traffic.look(2.0, None) == {Condition("incomplete", "UDS_ECU")}
     assert table.incomplete() == {"UDS_ECU": 1}
+    assert table.remarks() == [
+        "of any sender, by the DBC: UDS_ECU from 0x3D (2 frames)",
+        "messages that are not whole, and not used: 1 UDS_ECU in parts (lost)",
+    ]

@@ -134,6 +134,14 @@ def test_a_log_with_two_senders_is_refused_until_one_is_chosen(
     assert "fA_du" in capsys.readouterr().out
 
 
+def test_who_is_the_only_sender_is_said(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = log_of(tmp_path / "one.log", open_log(LOG).relative())
+    assert diagnose.main([str(log), "--bundle", str(bundle), "--sender", "UDS_ECU=0x3D"]) == 1
+    assert capsys.readouterr().err == (
+        f"faultline diagnose: {log}: of any sender, by the DBC: UDS_SENSORS from 0xF9 (1192 frames)\n"
+    )
+
+
 def test_a_bundle_may_have_chosen(bundle: Path, tmp_path: Path) -> None:
     log = log_of(tmp_path / "two.log", with_a_second_sender(0x21))
     manifest = json.loads((bundle / "manifest.json").read_bytes())
@@ -210,7 +218,7 @@ def test_and_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert diagnose.main([str(log), "--bundle", str(BUNDLE)]) == 0
     captured = capsys.readouterr()
     assert "another device, 0x00, has SPN 191 FMI 9 (8 times), SPN 84 FMI 9 (8 times), SPN 5357" in captured.out
-    assert "trouble codes of other devices: 1 of 0x33 that make no sense" in captured.err
+    assert "trouble codes of other devices that could not be read: 1 of 0x33 that make no sense" in captured.err
 
 
 def test_a_bus_is_watched_for_trouble_codes_where_it_is_asked_to(tmp_path: Path) -> None:
