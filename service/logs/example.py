@@ -26,8 +26,9 @@ class Fields(NamedTuple):
     """Where the fields of a line are.
 
     `time` are decimal digits with at most one point, nowhere where the line has none: its time is `start` [s] and the
-    number over `divisor`. `identifier` are at most eight hexadecimal digits, `data` as well, two for a byte, and `stride`
-    characters from one byte to the next. `number` are decimal digits and `free` any characters; neither is used.
+    number over `divisor`. `identifier` are at most eight hexadecimal digits, `data` as well, two for a byte, and
+    `stride` characters from one byte to the next. `number` are decimal digits and `free` any characters; neither is
+    used.
     """
 
     time: Span
@@ -72,14 +73,17 @@ class Example:
         self._decimals = NOWHERE if point < 0 else (point + 1, end)
         pairs = [(at, at + 2) for at in range(*self._fields.data, self._fields.stride)]
         varying = (
-            self._seconds, self._decimals, self._fields.identifier, self._fields.number, *self._fields.free, *pairs
+            self._seconds,
+            self._decimals,
+            self._fields.identifier,
+            self._fields.number,
+            *self._fields.free,
+            *pairs,
         )
         keep = bytearray(b"\xff" * len(line))
         for first, beyond in varying:
             keep[first:beyond] = bytes(beyond - first)
-        self._keep, fixed = (
-            np.frombuffer(bytes(each).ljust(self._width, b"\0"), np.uint64) for each in (keep, line)
-        )
+        self._keep, fixed = (np.frombuffer(bytes(each).ljust(self._width, b"\0"), np.uint64) for each in (keep, line))
         self._fixed = fixed & self._keep
         self._top = EXTENDED_TOP if read.flags & EXTENDED else TOP
 
@@ -88,7 +92,8 @@ class Example:
     ) -> Indices:
         """Give the rows of the lines that are like this one with their frames; return the other rows.
 
-        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last. `rows` are in order.
+        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last. `rows` are in
+        order.
         """
         before = WIDTH + self._width
         lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))
@@ -105,7 +110,7 @@ class Example:
         good = bad == 0
         if good.any():
             give(rows[good], self._batch(time[good], identifier[good], data[good]))
-        return rows[~good]
+        return np.asarray(rows[~good])
 
     def _batch(self, time: FloatArray, identifier: npt.NDArray[np.uint32], data: Bytes) -> Batch:
         same = (np.full(len(time), each, np.uint8) for each in (self._channel, self._read.flags, len(self._read.data)))
@@ -124,7 +129,8 @@ class Example:
         """As `float` reads it, of at most `MOST_SECONDS` and `MOST_DECIMALS` digits.
 
         A whole number below 2^53 over a power of ten is rounded once. Beyond, seconds and decimals are added: with nine
-        decimals their sum is never near enough to the middle between two numbers that the decimals' own rounding counts.
+        decimals their sum is never near enough to the middle between two numbers that the decimals' own rounding
+        counts.
         """
         if self._fields.time == NOWHERE:
             return np.full(len(lines), nan)
@@ -139,7 +145,7 @@ class Example:
             number = np.where(is_large, large, small) if is_large.any() else small
         if (self._fields.start, self._fields.divisor) == (0.0, 1.0):
             return number
-        return self._fields.start + number / self._fields.divisor
+        return np.asarray(self._fields.start + number / self._fields.divisor)
 
     def _identifier(self, lines: Lines, bad: Words) -> npt.NDArray[np.uint32]:
         begin, end = self._fields.identifier

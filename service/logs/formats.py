@@ -1,4 +1,4 @@
-"""Known formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing is known."""
+"""The formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing does."""
 
 from collections.abc import Callable, Iterator
 from itertools import chain, islice
@@ -47,8 +47,15 @@ BINARY = (
 _MAGIC = {b"LOGG": "BLF", SQLITE_MAGIC: "DB", **dict.fromkeys(MF4_MAGIC, "MF4"), PARQUET_MAGIC: "PARQUET"}
 _OBJECT = b"LOBJ"
 _SUFFIXES = {
-    ".asc": "ASC", ".blf": "BLF", ".csv": "CSV", ".db": "DB", ".mf4": "MF4", ".mdf": "MF4", ".parquet": "PARQUET",
-    ".sqlite": "DB", ".trc": "TRC",
+    ".asc": "ASC",
+    ".blf": "BLF",
+    ".csv": "CSV",
+    ".db": "DB",
+    ".mf4": "MF4",
+    ".mdf": "MF4",
+    ".parquet": "PARQUET",
+    ".sqlite": "DB",
+    ".trc": "TRC",
 }
 
 

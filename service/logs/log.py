@@ -177,7 +177,8 @@ def open_log(path: Path, channel: str | None = None) -> Log:
     Of one `channel`, where that is given or the recording names it.
 
     Raises:
-        LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or none
+        LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or
+        none
             of the channel, or no times.
     """
     if not path.is_dir():
@@ -227,8 +228,8 @@ def _usable(log: Log) -> Log:
         raise LogError(f"{log.source.path}: {_no_frame(log)}")
     if not log.format.has_times:
         raise LogError(
-            f"{log.source.path}: its frames have no times, which this needs; record it with `candump -L`; `faultline log` "
-            "and `faultline convert` take it as it is"
+            f"{log.source.path}: its frames have no times, which this needs; record it with `candump -L`; "
+            "`faultline log` and `faultline convert` take it as it is"
         )
     return log
 

@@ -1,7 +1,7 @@
 """python-can's SQLite databases. Rows that cannot be read are left out by halving the range of rows around them.
 
-The file itself is never written. A database that is cut off, or whose logger used a write-ahead log, is copied first, as
-SQLite opens neither without changing it.
+The file itself is never written. A database that is cut off, or whose logger used a write-ahead log, is copied first,
+as SQLite opens neither without changing it.
 """
 
 import shutil
@@ -18,7 +18,16 @@ from typing import Any
 import numpy as np
 
 from faultline.service.logs.batch import (
-    CLASSIC_BYTES, ERROR, EXTENDED, EXTENDED_TOP, FD, FD_BYTES, REMOTE, TOP, Batch, Bytes,
+    CLASSIC_BYTES,
+    ERROR,
+    EXTENDED,
+    EXTENDED_TOP,
+    FD,
+    FD_BYTES,
+    REMOTE,
+    TOP,
+    Batch,
+    Bytes,
 )
 from faultline.service.logs.channels import Channels
 from faultline.service.logs.pieces import Source
@@ -54,7 +63,9 @@ def read_sqlite(source: Source, report: LogReport, channels: Channels) -> Iterat
             return
         with closing(sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True)) as connection:
             connection.text_factory = bytes  # damaged text is no error of its own
-            yield from (replace(batch, channel=np.full(len(batch), channel, np.uint8)) for batch in _rows(connection, report))
+            yield from (
+                replace(batch, channel=np.full(len(batch), channel, np.uint8)) for batch in _rows(connection, report)
+            )
 
 
 @contextmanager
@@ -180,9 +191,14 @@ def _are_frames(columns: list[tuple[Any, ...]]) -> bool:
         return False
     _, times, identifiers, extended, remote, error, lengths, data = columns
     return (
-        not any(remote) and not any(error) and set(extended) <= {0, 1} and min(identifiers) >= 0
-        and max(identifiers) <= (TOP if 0 in extended else EXTENDED_TOP) and bool(np.isfinite(times).all())
-        and [*map(len, data)] == [*lengths] and max(lengths) <= FD_BYTES
+        not any(remote)
+        and not any(error)
+        and set(extended) <= {0, 1}
+        and min(identifiers) >= 0
+        and max(identifiers) <= (TOP if 0 in extended else EXTENDED_TOP)
+        and bool(np.isfinite(times).all())
+        and [*map(len, data)] == [*lengths]
+        and max(lengths) <= FD_BYTES
     )
 
 
