@@ -66,6 +66,12 @@ class Batch:
         """Which are data frames (N,): neither remote nor error frames."""
         return np.asarray(self.flags & NO_DATA == 0)
 
+    @property
+    def with_data(self) -> "Batch":
+        """The data frames alone; the batch itself where all are."""
+        has_data = self.has_data
+        return self if has_data.all() else self[has_data]
+
     def frames(self) -> Iterator[Frame]:
         """Each of the frames, whatever its flags."""
         width = self.data.shape[1]

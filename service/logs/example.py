@@ -98,19 +98,25 @@ class Example:
         before = WIDTH + self._width
         lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))
         lines = lines[(starts if len(rows) == len(starts) else starts[rows]) - WIDTH]
-        bad = self._others(lines)
+        alike = self._others(lines) == 0
+        if not alike.any():
+            return rows
+        if not alike.all():
+            lines = lines[alike]
+        bad = np.zeros(len(lines), dtype=np.uint64)
         time = self._time(lines, bad)
         identifier = self._identifier(lines, bad)
         data = self._data(lines, bad)
         if self._fields.number != NOWHERE:
             _decimal(lines, self._fields.number, bad)
-        if not bad.any():
-            give(rows, self._batch(time, identifier, data))
-            return rows[:0]
-        good = bad == 0
-        if good.any():
-            give(rows[good], self._batch(time[good], identifier[good], data[good]))
-        return np.asarray(rows[~good])
+        batch = self._batch(time, identifier, data)
+        if bad.any():
+            good = bad == 0
+            batch = batch[good]
+            alike[alike] = good
+        if len(batch):
+            give(rows if len(batch) == len(rows) else rows[alike], batch)
+        return np.asarray(rows[~alike])
 
     def _batch(self, time: FloatArray, identifier: npt.NDArray[np.uint32], data: Bytes) -> Batch:
         same = (np.full(len(time), each, np.uint8) for each in (self._channel, self._read.flags, len(self._read.data)))

@@ -24,7 +24,7 @@ from faultline.service.logs.trc import Trc
 Reader = Callable[[Source, LogReport, Channels], Iterator[Batch]]
 """Gives the frames of a file in its order, with the times that it has, and reports what is lost."""
 
-_HEAD_LINES = 100
+_HEAD_LINES = 40
 _SEARCHED = 8  # pieces of a text in which a line of any format is looked for
 _RISING = 0.8  # of the times; of those since the frame before, half
 _LEAST = 8  # times by which it is known whether they rise

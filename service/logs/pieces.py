@@ -23,7 +23,7 @@ _FINE = 64  # packed bytes in which damage is looked for byte by byte
 
 
 class Source:
-    """A log file, whose first bytes, unpacked, are its `head`; what is no file, as a pipe, is copied to a temporary one.
+    """A log file; its first bytes, unpacked, are `head`. What is no file, as a pipe, is copied to a temporary one.
 
     Raises:
         LogError: the file cannot be read.

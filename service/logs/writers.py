@@ -1,7 +1,7 @@
 """Writers of logs, by format.
 
-ASC, BLF, CSV and MF4 are python-can's. Its writer of SQLite loses rows when it ends, that of TRC knows no CAN FD, and that
-of candump no flags: those are ours.
+ASC, BLF, CSV and MF4 are python-can's. Its writer of SQLite loses rows when it ends, that of TRC knows no CAN FD, and
+that of candump no flags: those are ours.
 """
 
 import sqlite3
