@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from faultline.service.core.signals.values import FloatArray, Indices
 from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, Bytes
+from faultline.service.logs.channels import Channels
 from faultline.service.logs.digits import WIDTH, Words, decimal, hexadecimal
 
 Span = tuple[int, int]
@@ -63,9 +64,9 @@ def exact(seconds: Span, decimals: Span) -> bool:
 class Example:
     """A line by which others are read."""
 
-    def __init__(self, line: bytes, read: Line, channel: int) -> None:
+    def __init__(self, line: bytes, read: Line, channels: Channels) -> None:
         assert read.fields is not None
-        self._fields, self._read, self._channel = read.fields, read, channel
+        self._fields, self._read, self._channels = read.fields, read, channels
         self._width = -(-len(line) // WIDTH) * WIDTH
         begin, end = self._fields.time
         point = line.find(b".", begin, end)
@@ -119,7 +120,8 @@ class Example:
         return np.asarray(rows[~alike])
 
     def _batch(self, time: FloatArray, identifier: npt.NDArray[np.uint32], data: Bytes) -> Batch:
-        same = (np.full(len(time), each, np.uint8) for each in (self._channel, self._read.flags, len(self._read.data)))
+        index = self._channels.index(self._read.channel)
+        same = (np.full(len(time), each, np.uint8) for each in (index, self._read.flags, len(self._read.data)))
         channel, flags, length = same
         return Batch(time, channel, identifier, flags, length, data)
 

@@ -146,7 +146,7 @@ class TextReader:
         ends = np.flatnonzero(np.frombuffer(text, np.uint8, end - begin, begin) == 0x0A) + begin
         starts = np.concatenate([[begin], ends[:-1] + 1])
         lengths = ends - starts
-        found = _Found(len(ends))
+        found, known = _Found(len(ends)), len(self._channels.names)
         if (lengths == lengths[0]).all():
             self._alike(text, starts, np.arange(len(ends)), int(lengths[0]), found)
         else:
@@ -155,7 +155,10 @@ class TextReader:
             for rows in np.split(order, cuts):
                 self._alike(text, starts, rows, int(lengths[rows[0]]), found)
         self._lines += len(ends)
-        return found.batch()
+        batch = found.batch()
+        if len(self._channels.names) > known + 1:  # lines of one length were read before those of others
+            batch = replace(batch, channel=self._channels.came_in_order(known, batch.channel))
+        return batch
 
     def _alike(self, text: bytes, starts: Ints, rows: Indices, length: int, found: "_Found") -> None:
         """The lines of one length."""
@@ -173,9 +176,7 @@ class TextReader:
             first, rows = int(rows[0]), rows[1:]
             line = self._one(text[starts[first] : starts[first] + length], first, found)
             if line is not None and line.fields is not None and len(rows) >= FEW and misses < EXAMPLES:
-                example = Example(
-                    text[starts[first] : starts[first] + length], line, self._channels.index(line.channel)
-                )
+                example = Example(text[starts[first] : starts[first] + length], line, self._channels)
                 left = example.read(text, starts, rows, found.fill)
                 misses = misses + 1 if len(left) == len(rows) else 0
                 if not misses:
