@@ -105,11 +105,11 @@ def _openable(path: Path, report: LogReport) -> Iterator[str | None]:
 
 def _rows(connection: sqlite3.Connection, report: LogReport) -> Iterator[Batch]:
     try:
-        last = _last_row(connection)
+        last, is_known = _last_row(connection)
     except sqlite3.Error as error:
         report.reject(1, f"the database cannot be read: {error}")
         return
-    failures = 0
+    failures = absent = first_absent = 0
     waiting = [(1, last)]
     while waiting:
         first, last = waiting.pop()
@@ -128,13 +128,19 @@ def _rows(connection: sqlite3.Connection, report: LogReport) -> Iterator[Batch]:
                 middle = (first + end) // 2
                 waiting += [(middle + 1, end), (first, middle)]
             continue
+        if missing := end - first + 1 - len(rows) if is_known else 0:
+            first_absent = first_absent or next(k for k, row in enumerate([*rows, (0,)], first) if row[0] != k)
+            absent += missing
         if rows:
             yield from _batch(rows, report)
     _check(connection, report)
+    if absent and report.bad:  # else they were deleted
+        report.reject(first_absent, f"{absent} rows are not there")
+        report.bad += absent - 1
 
 
-def _last_row(connection: sqlite3.Connection) -> int:
-    """The highest number of a row; what the file has room for, where that row cannot be read."""
+def _last_row(connection: sqlite3.Connection) -> tuple[int, bool]:
+    """The highest number of a row, True; what the file has room for, False, where that row cannot be read."""
     size, pages = (int(connection.execute(f"PRAGMA {name}").fetchone()[0]) for name in ("page_size", "page_count"))
     room = size * pages // _LEAST_ROW
     try:
@@ -142,8 +148,8 @@ def _last_row(connection: sqlite3.Connection) -> int:
     except sqlite3.DatabaseError as error:
         if "no such table" in str(error):
             raise
-        return room
-    return min(int(found or 0), room)
+        return room, False
+    return min(int(found or 0), room), int(found or 0) <= room
 
 
 def _read(connection: sqlite3.Connection, first: int, last: int) -> list[Row]:

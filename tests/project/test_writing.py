@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 from bad_conditions import Condition, Killed, started
 
-from faultline.writing import check_file, check_folder, write_file, write_files, write_folder
+from faultline.writing import check_file, check_folder, write_file, write_files, write_folder, written_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("service", "analysis", "training", "testbench", "dbc", "src/faultline")
 
 OTHERS = {
     "src/faultline/writing.py": "it does",
+    "service/logs/writers.py": "a log, to a path that `written_whole` gives",
     "service/cli.py": "a closed output is given /dev/null",
     "analysis/discrepancy/add/bundle_effect.py": "a bundle in a temporary folder, to be loaded",
     "testbench/can_logger.py": "a log in a temporary folder, for python-can to read",

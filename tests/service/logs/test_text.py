@@ -94,7 +94,8 @@ LINES = {
     "screen": (
         " ({t:.6f})  can0  {i:08X}   [8]  {b}", " ({t:.6f})  can0  {i:08X}   [8]  {b}   '{a}'",
         " ({t:.6f})  can0  TX - -  {s:03X}   [3]  11 22 33", " ({t:.6f})  can0  {s:03X}  [12]  {b} 01 02 03 04",
-        " (2026-01-02 03:{m:02}:{m:02}.{u:06})  can0  {i:08X}   [8]  {b}", " ({t:.6f})  can0  {s:03X}  [4]  remote request",
+        " (2026-01-02 03:{m:02}:{m:02}.{u:06})  can0  {i:08X}   [8]  {b}",
+        " ({t:.6f})  can0  {s:03X}   [4]  remote request",
         "  can0  {i:08X}   [8]  {b}", " ({t:.6f})  can0  20000080   [8]  {b}   ERRORFRAME", "\tproblem{{rx}}",
         " ({t:.6f})  can0  {s:03X}   {{E}}  {b}", "  can0  {s:03X}   [2]  01 02",
     ),
