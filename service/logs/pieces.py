@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile
 from typing import IO
+from weakref import finalize
 
 from faultline.service.logs.report import LogError, LogReport
 
@@ -35,6 +36,7 @@ class Source:
         try:
             if path.exists() and not (path.is_file() or path.is_dir()):
                 self._copy = _copied(path)
+                finalize(self, self._copy.close)
             with self._open() as file:
                 self.size = file.seek(0, os.SEEK_END)
                 file.seek(0)

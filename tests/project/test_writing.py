@@ -59,6 +59,23 @@ def _new_folder(folder: Path, condition: Condition) -> None:
     write_folder(folder, dict.fromkeys("ab", b"new"))
 
 
+def _streamed(folder: Path, condition: Condition) -> None:
+    condition()
+    with written_whole(folder / "a") as path, path.open("a") as file:
+        file.write("new")
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_what_is_streamed_is_the_old_or_the_new_too(tmp_path: Path, number: int) -> None:
+    write_folder(tmp_path / "f", {"a": b"old"})
+    process = started(_streamed, tmp_path / "f", Killed(number))
+    process.join()
+    assert process.exitcode == (0 if number >= 2 else -9)
+    assert (tmp_path / "f" / "a").read_text() == ("old" if number < 1 else "new")
+    _streamed(tmp_path / "f", lambda: None)
+    assert _content(tmp_path) == {"f/a": "new"}
+
+
 @pytest.mark.parametrize("function", [_new_files, _new_folder])
 @pytest.mark.parametrize("number", range(5))
 def test_killed_at_any_time_it_is_the_old_or_the_new(
@@ -109,6 +126,9 @@ def _full(*_: object) -> None:
         (_new_files, (Path, "open"), "a"),
         (_new_files, (os, "fsync"), "a"),
         (_new_files, (Path, "replace"), "a"),
+        (_streamed, (Path, "open"), "a"),
+        (_streamed, (os, "fsync"), "a"),
+        (_streamed, (Path, "replace"), "a"),
         (_new_folder, (Path, "open"), "a"),
         (_new_folder, (os, "fsync"), "a"),
         (_new_folder, (Path, "rename"), ""),
