@@ -84,7 +84,9 @@ def convert(log: Log, target: Target, name: str, out: Path) -> Converted:
             back = open_any(path).report
             wanted, found = ((each.frames, each.remote, each.errors) for each in (report, back))
             if found != wanted or back.bad:
-                raise LogError(f"{out}: {wanted} data, remote and error frames were written, {found} are read back; not kept")
+                raise LogError(
+                    f"{out}: {wanted} data, remote and error frames were written, {found} are read back; not kept"
+                )
     return Converted(str(out), name, report.frames, report.remote, report.errors, lost, report.losses())
 
 

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 
 
 def arrow(batch: Batch) -> "pyarrow.RecordBatch":
-    """View a batch as Arrow's: its columns by their names, data as binary of fixed size. The buffers are the batch's own.
+    """View a batch as Arrow's: its columns by their names, data as binary of fixed size.
+
+    The buffers are the batch's own.
 
     Raises:
         ModuleNotFoundError: pyarrow is not installed.

@@ -31,9 +31,7 @@ _CLASSIC, _FD = (
         ),
     )
 )
-_REMOTE = re.compile(
-    _TIME + rb"(\d+)\s+([0-9a-f]+)(x?)\s+(Rx|Tx)\s+r\b(?:\s+([0-9a-f]+)(?!\S))?.*", re.IGNORECASE
-)
+_REMOTE = re.compile(_TIME + rb"(\d+)\s+([0-9a-f]+)(x?)\s+(Rx|Tx)\s+r\b(?:\s+([0-9a-f]+)(?!\S))?.*", re.IGNORECASE)
 _ERROR = re.compile(_TIME + rb"(?:CANFD\s+)?(\d+)\s+(?:(?:Rx|Tx)\s+)?ErrorFrame\b.*", re.IGNORECASE)
 _EVENT = re.compile(
     _TIME + rb"(?:\d+\s+J1939TP\b[ -~]*|(?!CANFD\b)(?!.*\s(?-i:[dr])\s+[0-9a-f]{1,2}\b)"
@@ -83,7 +81,7 @@ class Asc:
             return self._frame(match, line, (channel, identifier, extended, sent), int(length), kept, 5, 8)
         return self._other(line)
 
-    def _frame(  # noqa: PLR0913
+    def _frame(
         self,
         match: re.Match[bytes],
         line: bytes,

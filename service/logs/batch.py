@@ -29,10 +29,10 @@ Numbers = npt.NDArray[np.uint32]
 class Batch:
     """N frames of a log, in the file's order.
 
-    `time` (N,) [s], float64, and NaN where the log has none; `channel` (N,), uint8: index of the channel in the order in
-    which the log's channels came first; `identifier` (N,), uint32, without flags; `flags` (N,), uint8; `length` (N,),
-    uint8: bytes of data, of a remote frame those it asks for; `data` (N, W), uint8, zero beyond the length, W = 8, or 64
-    where a frame of the batch is longer.
+    `time` (N,) [s], float64, and NaN where the log has none; `channel` (N,), uint8: index of the channel in the order
+    in which the log's channels came first; `identifier` (N,), uint32, without flags; `flags` (N,), uint8; `length`
+    (N,), uint8: bytes of data, of a remote frame those it asks for; `data` (N, W), uint8, zero beyond the length, W =
+    8, or 64 where a frame of the batch is longer.
     """
 
     time: FloatArray
@@ -65,6 +65,12 @@ class Batch:
     def has_data(self) -> Mask:
         """Which are data frames (N,): neither remote nor error frames."""
         return np.asarray(self.flags & NO_DATA == 0)
+
+    @property
+    def with_data(self) -> "Batch":
+        """The data frames alone; the batch itself where all are."""
+        has_data = self.has_data
+        return self if has_data.all() else self[has_data]
 
     def frames(self) -> Iterator[Frame]:
         """Each of the frames, whatever its flags."""
@@ -116,9 +122,7 @@ def batch_of(frames: Iterable[Frame]) -> Batch:
     width = FD_BYTES if any(len(each.data) > CLASSIC_BYTES for each in rows) else CLASSIC_BYTES
     raw = b"".join(each.data.ljust(width, b"\0") for each in rows)
     is_fd = FD if width == FD_BYTES else 0
-    flags = [
-        (EXTENDED if each.is_extended else 0) | (is_fd if len(each.data) > CLASSIC_BYTES else 0) for each in rows
-    ]
+    flags = [(EXTENDED if each.is_extended else 0) | (is_fd if len(each.data) > CLASSIC_BYTES else 0) for each in rows]
     return Batch(
         np.array([each.t for each in rows], dtype=np.float64),
         np.zeros(len(rows), np.uint8),

@@ -87,7 +87,8 @@ class _Blf:
     def __init__(self, window: _Window, report: LogReport, channels: Channels) -> None:
         self._window, self._report, self._channels = window, report, channels
         window.need(_LONGEST_HEADER)
-        self._size = self._count = self._start_s = 0
+        self._size = self._count = 0
+        self._start_s = 0.0
         self._first = self._header()
         self._found = 0
         self._waiting: list[bytes] = []  # bytes of containers
@@ -129,7 +130,9 @@ class _Blf:
                 at = found.begin + len(SIGNATURE)
             else:
                 at = found.end
-                self._loose.append(bytes(self._window.part(found.begin, found.end)).ljust(-(-found.size // 4) * 4, b"\0"))
+                self._loose.append(
+                    bytes(self._window.part(found.begin, found.end)).ljust(-(-found.size // 4) * 4, b"\0")
+                )
                 if len(self._loose) > _BLOCK // 64:
                     yield from self._flushed()
         yield from self._flushed()
@@ -150,7 +153,7 @@ class _Blf:
             self._report.missing = "its last object is incomplete"
 
     def _next(self, at: int) -> _Object | None:
-        """The next object of the file from `at` on, which may end beyond it; what lies before it is padding, or damage."""
+        """The next object of the file from `at` on, which may end beyond it; before it is padding, or damage."""
         while True:
             begin = self._found_at(at)
             if begin is None:

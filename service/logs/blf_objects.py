@@ -8,7 +8,16 @@ import numpy.typing as npt
 
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.logs.batch import (
-    CLASSIC_BYTES, ERROR, EXTENDED, FD, FD_BYTES, REMOTE, SENT, Batch, empty, impossible,
+    CLASSIC_BYTES,
+    ERROR,
+    EXTENDED,
+    FD,
+    FD_BYTES,
+    REMOTE,
+    SENT,
+    Batch,
+    empty,
+    impossible,
 )
 
 SIGNATURE = b"LOBJ"
@@ -28,21 +37,30 @@ _LONGEST_CODE = 15
 
 _TIME = {"unit": ("<u4", 16), "ticks": ("<u8", 24)}
 _BODIES: dict[int, dict[str, tuple[str, int]]] = {
-    **dict.fromkeys(
-        _CLASSIC, {"channel": ("<u2", 0), "flags": ("u1", 2), "code": ("u1", 3), "identifier": ("<u4", 4), "data": ("V8", 8)}
-    ),
+    **{
+        kind: {"channel": ("<u2", 0), "flags": ("u1", 2), "code": ("u1", 3), "identifier": ("<u4", 4)}
+        for kind in _CLASSIC
+    },
     _FD_KIND: {
-        "channel": ("<u2", 0), "flags": ("u1", 2), "identifier": ("<u4", 4), "fd": ("u1", 13), "code": ("u1", 14),
+        "channel": ("<u2", 0),
+        "flags": ("u1", 2),
+        "identifier": ("<u4", 4),
+        "fd": ("u1", 13),
+        "code": ("u1", 14),
     },
     _FD64: {
-        "channel": ("u1", 0), "code": ("u1", 2), "identifier": ("<u4", 4), "flags": ("<u4", 12), "sent": ("u1", 34),
+        "channel": ("u1", 0),
+        "code": ("u1", 2),
+        "identifier": ("<u4", 4),
+        "flags": ("<u4", 12),
+        "sent": ("u1", 34),
         "behind": ("u1", 35),
     },
     2: {"channel": ("<u2", 0)},
     73: {"channel": ("<u2", 0)},
     _ERROR_FD64: {"channel": ("u1", 0)},
 }
-"""Type and place of each field behind the header, by kind. `code` is the length, `behind` the offset of what follows."""
+"""Type and place of each field behind the header, by kind. `code` is the length, `behind` where the data end."""
 _BODY_BYTES = {1: 16, 86: 16, _FD_KIND: 20, _FD64: 40, 2: 2, 73: 2, _ERROR_FD64: 2}
 _REMOTE, _REMOTE_FD64 = 0x80, 0x10
 _IS_FD, _IS_FD64 = 1, 0x1000
@@ -92,7 +110,7 @@ def _of_can(kind: npt.NDArray[np.integer]) -> Mask:
 
 
 class Decoded(NamedTuple):
-    """The frames of objects with raw channel numbers (N,); how many were of another kind, and which could not be read."""
+    """Frames of objects with raw channel numbers (N,); how many are of another kind, and which cannot be read."""
 
     frames: Batch
     channels: npt.NDArray[np.uint16]
@@ -123,7 +141,12 @@ def _width(objects: Objects) -> int:
 
 
 def _group(
-    raw: npt.NDArray[np.void], kind: int, header: int, start_s: float, rows: Indices, batch: Batch,
+    raw: npt.NDArray[np.void],
+    kind: int,
+    header: int,
+    start_s: float,
+    rows: Indices,
+    batch: Batch,
     channels: npt.NDArray[np.uint16],
 ) -> Mask:
     """Put objects of one kind and size into rows of the batch; which of them are frames (N,)."""

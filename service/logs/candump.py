@@ -4,7 +4,8 @@ Of `candump -L` and `-l` a line is `(1767225600.123456) can0 18FF103D#0011223344
 11-bit frame, 8 are a 29-bit one; `##F` with flags F before the data is CAN FD. On the screen it is
 `(1767225600.123456)  can0  RX - -  18FF103D   [8]  00 11 22 33 44 55 66 77   '..."3DUfw'`, where all but channel,
 identifier, length and data are options. The time of either may be a date (`-t A`), taken as UTC as nothing says its
-zone, or that after the frame before (`-t d`), or on the screen absent. Source of the formats: can-utils, candump.c, lib.c.
+zone, or that after the frame before (`-t d`), or on the screen absent. Source of the formats: can-utils, candump.c,
+lib.c.
 """
 
 import re
@@ -22,14 +23,19 @@ EXAMPLE = "(1767225600.123456) can0 18FF103D#0011223344556677"
 _TIME = rb"\((?:(\d+)\.(\d+)|(\d{4}-\d\d-\d\d \d\d:\d\d):(\d\d)\.(\d+))\) +"
 _ID = rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
 _LOG = re.compile(
-    _TIME + rb"(\S+) +" + _ID
+    _TIME
+    + rb"(\S+) +"
+    + _ID
     + rb"(?:#([0-9A-Fa-f]{0,16})(?:_[0-9A-Fa-f])?|##[0-9A-Fa-f]([0-9A-Fa-f]{0,128})|#R([0-9A-Fa-f]?)(?:_[0-9A-Fa-f])?)"
     + rb"(?: ([RT]))?\s*"
 )
 """Time, channel, identifier, data of a classic or of an FD frame, length of a remote frame, direction."""
 _STAMP = re.compile(_TIME + rb"\S+ +")
 _SCREEN = re.compile(
-    rb"\s*(?:" + _TIME + rb")?(\S+) +(?:(RX|TX) +[B-] +[E-] +)?" + _ID
+    rb"\s*(?:"
+    + _TIME
+    + rb")?(\S+) +(?:(RX|TX) +[B-] +[E-] +)?"
+    + _ID
     + rb" +(?:\[(\d{1,2})\]|\{([0-9A-Fa-f])\}) {0,80}((?:[0-9A-Fa-f]{2}(?: {1,80}|$))*)"
     + rb"(remote request|ERRORFRAME)?(?: {0,80}'(.*)')?"
 )
@@ -70,7 +76,9 @@ class CandumpLog:
         flags = (EXTENDED if len(identifier) == 8 else 0) | (SENT if sent == b"T" else 0)
         time, fields = _time(match, 7, 9 if fd is not None else 8, 2)
         if asked is not None:
-            return Line(channel, time, can_id & EXTENDED_TOP, flags | REMOTE, bytes(min(_LONGEST, int(asked or b"0", 16))))
+            return Line(
+                channel, time, can_id & EXTENDED_TOP, flags | REMOTE, bytes(min(_LONGEST, int(asked or b"0", 16)))
+            )
         if fd is not None:
             if len(fd) / 2 not in FD_SIZES or can_id > EXTENDED_TOP:
                 raise ValueError(f"no CAN FD frame has {len(fd) / 2:g} bytes under identifier {identifier.decode()}")
@@ -105,7 +113,8 @@ class CandumpScreen:
         line = (_COLOUR.sub(b"", line) if coloured else line).rstrip()
         match = _SCREEN.fullmatch(line)
         if match is None:
-            return _no_frame(line)
+            _check_no_frame(line)
+            return None
         channel, sent, identifier, digits, code, raw, other, characters = match.groups()[5:]
         if self.has_times == (match[1] is None and match[3] is None):
             raise ValueError(f"{'no' if self.has_times else 'a'} time, unlike the first frame: {shown(line)}")
@@ -128,7 +137,7 @@ class CandumpScreen:
         return Line(channel, time, can_id, flags, data, None if coloured else fields)
 
 
-def _no_frame(line: bytes) -> None:
+def _check_no_frame(line: bytes) -> None:
     if _DROPPED.fullmatch(line):
         raise ValueError(f"candump says: {line.decode(errors='replace')}")
     if line.strip() and not _COMMENT.fullmatch(line):

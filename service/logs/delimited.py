@@ -1,10 +1,10 @@
 """Frames as CSV: python-can's own, and tables of other loggers whose header names their columns.
 
-Columns are known by their names (`_NAMES`), whatever their case, spaces and units; data are hexadecimal, in one column or
-in a column a byte. An identifier is hexadecimal where the header or `0x` says so, or any of the first rows has a letter or
-a leading zero, else decimal; it has 29 bits where a column says so, else where it needs them or has eight digits. A time
-is in seconds, or in the unit that the header names; whole numbers without a unit are in the one that makes them a date,
-or in microseconds where they are none, as in SavvyCAN's tables.
+Columns are known by their names (`_NAMES`), whatever their case, spaces and units; data are hexadecimal, in one column
+or in a column a byte. An identifier is hexadecimal where the header or `0x` says so, or any of the first rows has a
+letter or a leading zero, else decimal; it has 29 bits where a column says so, else where it needs them or has eight
+digits. A time is in seconds, or in the unit that the header names; whole numbers without a unit are in the one that
+makes them a date, or in microseconds where they are none, as in SavvyCAN's tables.
 """
 
 import re
@@ -89,8 +89,8 @@ class _Cell(NamedTuple):
 class Table(NamedTuple):
     """A header: its line, the delimiter, and the number of each column that matters, by what it holds.
 
-    `each_byte` are the columns of the data where each byte has its own; `unit` is that of the times, as the header names
-    it, and `is_hex` says that it names the identifier's base.
+    `each_byte` are the columns of the data where each byte has its own; `unit` is that of the times, as the header
+    names it, and `is_hex` says that it names the identifier's base.
     """
 
     line: bytes
@@ -194,7 +194,9 @@ class TableCsv:
         fields = self._fields(row, identifier, inner) if inner is not None else None
         return Line(channel, time, can_id, flags, data, fields)
 
-    def _data(self, row: dict[str, _Cell], cells: list[_Cell], length: int | None) -> tuple[bytes, tuple[Span, int] | None]:
+    def _data(
+        self, row: dict[str, _Cell], cells: list[_Cell], length: int | None
+    ) -> tuple[bytes, tuple[Span, int] | None]:
         """The data, and where they are and with which stride, where they are in one column."""
         if "data" not in row:
             texts = [cells[k].text for k in self._table.each_byte if k < len(cells)]

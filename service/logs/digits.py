@@ -1,4 +1,4 @@
-"""Digits to numbers, eight characters at a time: each character is a byte of a number of 64 bits, and none carries over.
+"""Digits to numbers, eight characters at a time: each is a byte of a number of 64 bits, and none carries over.
 
 Words are arrays of unsigned numbers of 64 bits, the first character in the lowest byte. All operations are of whole
 arrays. The method is known as SIMD within a register.
@@ -33,8 +33,9 @@ def decimal(words: Words, count: int) -> tuple[Words, Words]:
 
 
 def hexadecimal(words: Words, count: int) -> tuple[npt.NDArray[np.uint32], Words]:
-    """The four bytes (N,), the first one lowest, that the words' hexadecimal digits are; and what is not zero where
-    their last `count` characters are none. Characters before those count as zeros.
+    """The four bytes (N,), first one lowest, of the last `count` characters, and what is not zero where they are none.
+
+    Characters before those count as zeros.
     """
     kept = _last(count)
     words = words & kept  # so that nothing before them carries over
@@ -42,7 +43,7 @@ def hexadecimal(words: Words, count: int) -> tuple[npt.NDArray[np.uint32], Words
     digit = (words + _each(0x80 - 0x30)) & ~(words + _each(0x80 - 0x3A))
     letter = (lower + _each(0x80 - 0x61)) & ~(lower + _each(0x80 - 0x67))
     bad = (words | ~(digit | letter)) & _TOP & kept
-    nibbles = ((words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _U(9))
+    nibbles = (words & _NIBBLE) + ((words >> _U(6)) & _ONE) * _U(9)
     two = ((nibbles << _U(4)) | (nibbles >> _U(8))) & _U(0x00FF_00FF_00FF_00FF)
     four = (two | (two >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
     return (four | (four >> _U(16))).astype(np.uint32), bad

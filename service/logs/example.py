@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from faultline.service.core.signals.values import FloatArray, Indices
 from faultline.service.logs.batch import CLASSIC_BYTES, EXTENDED, EXTENDED_TOP, FD_BYTES, TOP, Batch, Bytes
+from faultline.service.logs.channels import Channels
 from faultline.service.logs.digits import WIDTH, Words, decimal, hexadecimal
 
 Span = tuple[int, int]
@@ -26,8 +27,9 @@ class Fields(NamedTuple):
     """Where the fields of a line are.
 
     `time` are decimal digits with at most one point, nowhere where the line has none: its time is `start` [s] and the
-    number over `divisor`. `identifier` are at most eight hexadecimal digits, `data` as well, two for a byte, and `stride`
-    characters from one byte to the next. `number` are decimal digits and `free` any characters; neither is used.
+    number over `divisor`. `identifier` are at most eight hexadecimal digits, `data` as well, two for a byte, and
+    `stride` characters from one byte to the next. `number` are decimal digits and `free` any characters; neither is
+    used.
     """
 
     time: Span
@@ -62,9 +64,9 @@ def exact(seconds: Span, decimals: Span) -> bool:
 class Example:
     """A line by which others are read."""
 
-    def __init__(self, line: bytes, read: Line, channel: int) -> None:
+    def __init__(self, line: bytes, read: Line, channels: Channels) -> None:
         assert read.fields is not None
-        self._fields, self._read, self._channel = read.fields, read, channel
+        self._fields, self._read, self._channels = read.fields, read, channels
         self._width = -(-len(line) // WIDTH) * WIDTH
         begin, end = self._fields.time
         point = line.find(b".", begin, end)
@@ -72,14 +74,17 @@ class Example:
         self._decimals = NOWHERE if point < 0 else (point + 1, end)
         pairs = [(at, at + 2) for at in range(*self._fields.data, self._fields.stride)]
         varying = (
-            self._seconds, self._decimals, self._fields.identifier, self._fields.number, *self._fields.free, *pairs
+            self._seconds,
+            self._decimals,
+            self._fields.identifier,
+            self._fields.number,
+            *self._fields.free,
+            *pairs,
         )
         keep = bytearray(b"\xff" * len(line))
         for first, beyond in varying:
             keep[first:beyond] = bytes(beyond - first)
-        self._keep, fixed = (
-            np.frombuffer(bytes(each).ljust(self._width, b"\0"), np.uint64) for each in (keep, line)
-        )
+        self._keep, fixed = (np.frombuffer(bytes(each).ljust(self._width, b"\0"), np.uint64) for each in (keep, line))
         self._fixed = fixed & self._keep
         self._top = EXTENDED_TOP if read.flags & EXTENDED else TOP
 
@@ -88,27 +93,35 @@ class Example:
     ) -> Indices:
         """Give the rows of the lines that are like this one with their frames; return the other rows.
 
-        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last. `rows` are in order.
+        `text` has `WIDTH` bytes before the first line and at least a line's length behind the last. `rows` are in
+        order.
         """
         before = WIDTH + self._width
         lines = np.ndarray((len(text) - before + 1,), f"V{before}", text, strides=(1,))
         lines = lines[(starts if len(rows) == len(starts) else starts[rows]) - WIDTH]
-        bad = self._others(lines)
+        alike = self._others(lines) == 0
+        if not alike.any():
+            return rows
+        if not alike.all():
+            lines = lines[alike]
+        bad = np.zeros(len(lines), dtype=np.uint64)
         time = self._time(lines, bad)
         identifier = self._identifier(lines, bad)
         data = self._data(lines, bad)
         if self._fields.number != NOWHERE:
             _decimal(lines, self._fields.number, bad)
-        if not bad.any():
-            give(rows, self._batch(time, identifier, data))
-            return rows[:0]
-        good = bad == 0
-        if good.any():
-            give(rows[good], self._batch(time[good], identifier[good], data[good]))
-        return rows[~good]
+        batch = self._batch(time, identifier, data)
+        if bad.any():
+            good = bad == 0
+            batch = batch[good]
+            alike[alike] = good
+        if len(batch):
+            give(rows if len(batch) == len(rows) else rows[alike], batch)
+        return np.asarray(rows[~alike])
 
     def _batch(self, time: FloatArray, identifier: npt.NDArray[np.uint32], data: Bytes) -> Batch:
-        same = (np.full(len(time), each, np.uint8) for each in (self._channel, self._read.flags, len(self._read.data)))
+        index = self._channels.index(self._read.channel)
+        same = (np.full(len(time), each, np.uint8) for each in (index, self._read.flags, len(self._read.data)))
         channel, flags, length = same
         return Batch(time, channel, identifier, flags, length, data)
 
@@ -124,7 +137,8 @@ class Example:
         """As `float` reads it, of at most `MOST_SECONDS` and `MOST_DECIMALS` digits.
 
         A whole number below 2^53 over a power of ten is rounded once. Beyond, seconds and decimals are added: with nine
-        decimals their sum is never near enough to the middle between two numbers that the decimals' own rounding counts.
+        decimals their sum is never near enough to the middle between two numbers that the decimals' own rounding
+        counts.
         """
         if self._fields.time == NOWHERE:
             return np.full(len(lines), nan)
@@ -139,7 +153,7 @@ class Example:
             number = np.where(is_large, large, small) if is_large.any() else small
         if (self._fields.start, self._fields.divisor) == (0.0, 1.0):
             return number
-        return self._fields.start + number / self._fields.divisor
+        return np.asarray(self._fields.start + number / self._fields.divisor)
 
     def _identifier(self, lines: Lines, bad: Words) -> npt.NDArray[np.uint32]:
         begin, end = self._fields.identifier

@@ -1,4 +1,4 @@
-"""Known formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing is known."""
+"""The formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing does."""
 
 from collections.abc import Callable, Iterator
 from itertools import chain, islice
@@ -24,7 +24,7 @@ from faultline.service.logs.trc import Trc
 Reader = Callable[[Source, LogReport, Channels], Iterator[Batch]]
 """Gives the frames of a file in its order, with the times that it has, and reports what is lost."""
 
-_HEAD_LINES = 100
+_HEAD_LINES = 40
 _SEARCHED = 8  # pieces of a text in which a line of any format is looked for
 _RISING = 0.8  # of the times; of those since the frame before, half
 _LEAST = 8  # times by which it is known whether they rise
@@ -47,8 +47,15 @@ BINARY = (
 _MAGIC = {b"LOGG": "BLF", SQLITE_MAGIC: "DB", **dict.fromkeys(MF4_MAGIC, "MF4"), PARQUET_MAGIC: "PARQUET"}
 _OBJECT = b"LOBJ"
 _SUFFIXES = {
-    ".asc": "ASC", ".blf": "BLF", ".csv": "CSV", ".db": "DB", ".mf4": "MF4", ".mdf": "MF4", ".parquet": "PARQUET",
-    ".sqlite": "DB", ".trc": "TRC",
+    ".asc": "ASC",
+    ".blf": "BLF",
+    ".csv": "CSV",
+    ".db": "DB",
+    ".mf4": "MF4",
+    ".mdf": "MF4",
+    ".parquet": "PARQUET",
+    ".sqlite": "DB",
+    ".trc": "TRC",
 }
 
 

@@ -60,12 +60,12 @@ class Log:
     def frames(self) -> Iterator[Frame]:
         """The data frames one by one."""
         for batch in self.batches():
-            yield from batch[batch.has_data].frames()
+            yield from batch.with_data.frames()
 
     def relative(self) -> Iterator[Frame]:
         """The same with times after the first one [s]."""
         for batch in self.batches():
-            yield from replace(batch, time=batch.time - self.start_s)[batch.has_data].frames()
+            yield from replace(batch, time=batch.time - self.start_s).with_data.frames()
 
     @property
     def duration_s(self) -> float:
@@ -165,7 +165,7 @@ class _Pass:
         """The frames of the channel in order of time."""
         try:
             for batch in self._format.read(self._source, self.report, self.channels):
-                self._seen.add(batch[batch.has_data])
+                self._seen.add(batch.with_data)
                 chosen = batch if self._channel is None else batch[batch.channel == self._chosen()]
                 yield self._ordering.ordered(chosen) if self._format.has_times else chosen
         except LogError as error:
@@ -191,14 +191,14 @@ class _Pass:
         return names.index(self._channel) if self._channel in names else len(names)
 
     def _count(self, batch: Batch) -> None:
-        rows = np.flatnonzero(batch.has_data)
-        self.report.frames += len(rows)
-        if len(rows) < len(batch):
-            self.report.remote += int(np.count_nonzero(batch.flags & REMOTE))
-            self.report.errors += int(np.count_nonzero(batch.flags & NO_DATA == ERROR))
-        if len(rows) and self._format.has_times:
-            self.first_s = float(batch.time[rows[0]]) if self.first_s is None else self.first_s
-            self.report.length_s = float(batch.time[rows[-1]]) - self.first_s
+        frames = batch.with_data
+        self.report.frames += len(frames)
+        if len(frames) < len(batch):
+            self.report.remote += int(np.count_nonzero(batch.flags & NO_DATA == REMOTE))
+            self.report.errors += int(np.count_nonzero(batch.flags & ERROR))
+        if len(frames) and self._format.has_times:
+            self.first_s = float(frames.time[0]) if self.first_s is None else self.first_s
+            self.report.length_s = float(frames.time[-1]) - self.first_s
 
 
 def open_log(path: Path, channel: str | None = None) -> Log:
@@ -207,7 +207,8 @@ def open_log(path: Path, channel: str | None = None) -> Log:
     Of one `channel`, where that is given or the recording names it.
 
     Raises:
-        LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or none
+        LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or
+        none
             of the channel, or no times.
     """
     if not path.is_dir():
@@ -257,8 +258,8 @@ def _usable(log: Log) -> Log:
         raise LogError(f"{log.source.path}: {_no_frame(log)}")
     if not log.format.has_times:
         raise LogError(
-            f"{log.source.path}: its frames have no times, which this needs; record it with `candump -L`; `faultline log` "
-            "and `faultline convert` take it as it is"
+            f"{log.source.path}: its frames have no times, which this needs; record it with `candump -L`; "
+            "`faultline log` and `faultline convert` take it as it is"
         )
     return log
 

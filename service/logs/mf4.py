@@ -1,7 +1,7 @@
 """MF4 logs (ASAM MDF 4), by asammdf (extra `mf4`) in a process of its own.
 
-asammdf trusts what a file says of itself: a damaged one may make it loop, take all memory or crash. So it runs in another
-process (`logs.mf4_worker`), whose memory is limited and which is stopped when it says nothing for long.
+asammdf trusts what a file says of itself: a damaged one may make it loop, take all memory or crash. So it runs in
+another process (`logs.mf4_worker`), whose memory is limited and which is stopped when it says nothing for long.
 """
 
 import os
@@ -66,7 +66,9 @@ def _messages(path: Path, errors: IO[bytes], report: LogReport) -> Iterator[Part
     if process.returncode not in (0, -9) and not report.missing:
         errors.seek(0)
         said = errors.read()[-_ERRORS:].decode(errors="replace").strip().splitlines()
-        report.missing = f"asammdf cannot read it further: {said[-1] if said else f'it ended with {process.returncode}'}"
+        report.missing = (
+            f"asammdf cannot read it further: {said[-1] if said else f'it ended with {process.returncode}'}"
+        )
 
 
 def _taken(pipe: IO[bytes], size: int) -> bytes:
@@ -96,8 +98,11 @@ def _batch(part: Part, report: LogReport, channels: Channels) -> Iterator[Batch]
     for number in np.flatnonzero(np.bincount(numbers)).tolist():
         index[number] = channels.index(str(number).encode())
     batch = Batch(
-        np.frombuffer(part.time, np.float64), index[numbers], np.frombuffer(part.identifier, np.uint32),
-        np.frombuffer(part.flags, np.uint8), np.frombuffer(part.length, np.uint8),
+        np.frombuffer(part.time, np.float64),
+        index[numbers],
+        np.frombuffer(part.identifier, np.uint32),
+        np.frombuffer(part.flags, np.uint8),
+        np.frombuffer(part.length, np.uint8),
         np.frombuffer(part.data, np.uint8).reshape(count, -1),
     )
     bad = impossible(batch)

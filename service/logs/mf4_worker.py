@@ -15,7 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.service.logs.batch import (
-    CLASSIC_BYTES, ERROR, EXTENDED, FD, FD_BYTES, REMOTE, SENT, Batch, joined, widened,
+    CLASSIC_BYTES,
+    ERROR,
+    EXTENDED,
+    FD,
+    FD_BYTES,
+    REMOTE,
+    SENT,
+    Batch,
+    joined,
 )
 
 LENGTH = 4
@@ -32,7 +40,7 @@ _TOP = np.uint32(0x7FF)
 
 
 class Part(msgspec.Struct, tag=True):
-    """Columns of `logs.batch` as bytes; `channel` are the numbers of the file; `first` is the number of the first record."""
+    """Columns of `logs.batch` as bytes, with the file's numbers of channels; `first` is the first record's number."""
 
     time: bytes
     channel: bytes
@@ -44,7 +52,7 @@ class Part(msgspec.Struct, tag=True):
 
 
 class Ended(msgspec.Struct, tag=True):
-    """All was read: how the file shows that its end is missing, and (record, reason, count) of what could not be read."""
+    """All was read. How the file shows that its end is missing; (record, reason, count) of what cannot be read."""
 
     missing: str
     bad: list[tuple[int, str, int]]
@@ -56,7 +64,7 @@ class _Group(NamedTuple):
     number: int
     channel: int
     name: str
-    count: int
+    records: int
 
 
 class _Reader:
@@ -94,7 +102,7 @@ class _Reader:
 
     def _of(self, group: _Group, size: int) -> Iterator[Batch]:
         """The frames of a group. Ranges that cannot be read are halved."""
-        waiting = [(begin, min(group.count, begin + size)) for begin in range(0, group.count, size)][::-1]
+        waiting = [(begin, min(group.records, begin + size)) for begin in range(0, group.records, size)][::-1]
         failures = 0
         last = -np.inf
         while waiting:
@@ -112,7 +120,9 @@ class _Reader:
             if len(batch) < end - begin:
                 self.bad.append((begin + len(batch), "it is not there", end - begin - len(batch)))
             if len(batch):
-                batch.time[:] = np.maximum.accumulate(np.maximum(batch.time, last)) if len(self.groups) > 1 else batch.time
+                batch.time[:] = (
+                    np.maximum.accumulate(np.maximum(batch.time, last)) if len(self.groups) > 1 else batch.time
+                )
                 last = float(batch.time[-1])
                 yield batch
 
@@ -135,9 +145,13 @@ class _Reader:
         channel = columns.get("BusChannel", np.zeros(n, np.uint8)).astype(np.uint8)
         return Batch(times + self._start_s, channel, identifier, flags, length, data)
 
-    def _columns(self, group: _Group, begin: int, count: int) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64]]:
+    def _columns(
+        self, group: _Group, begin: int, count: int
+    ) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64]]:
         """The parts of a frame by their names, and the times [s] after the start."""
-        found = self._mdf.get(group=group.number, index=group.channel, raw=True, record_offset=begin, record_count=count)
+        found = self._mdf.get(
+            group=group.number, index=group.channel, raw=True, record_offset=begin, record_count=count
+        )
         if found.samples.dtype.names:
             names = {name.rpartition(".")[2]: name for name in found.samples.dtype.names}
             return {name: found.samples[each] for name, each in names.items()}, found.timestamps
@@ -152,8 +166,8 @@ class _Reader:
 def _length(columns: dict[str, npt.NDArray[Any]], count: int) -> npt.NDArray[np.uint8]:
     """The bytes of data (N,)."""
     if "DataLength" in columns:
-        return np.minimum(columns["DataLength"], FD_BYTES).astype(np.uint8)
-    return _LENGTHS[np.minimum(columns.get("DLC", np.zeros(count, np.uint8)), len(_LENGTHS) - 1)]
+        return np.asarray(np.minimum(columns["DataLength"], FD_BYTES), dtype=np.uint8)
+    return np.asarray(_LENGTHS[np.minimum(columns.get("DLC", np.zeros(count, np.uint8)), len(_LENGTHS) - 1)])
 
 
 def missing(path: Path) -> str:
@@ -161,7 +175,8 @@ def missing(path: Path) -> str:
     size = path.stat().st_size
     with path.open("rb") as file:
         unfinished = file.read(5) == b"UnFin"
-        seen, waiting = set(), [_HEADER]
+        seen: set[int] = set()
+        waiting = [_HEADER]
         while waiting and len(seen) < _BLOCKS:
             at = waiting.pop()
             if at in seen or not at:
@@ -190,9 +205,10 @@ def main(path: Path) -> None:
     reader = _Reader(MDF(path, use_display_names=False))
     first = 0
     for batch in reader.parts():
-        wide = widened(batch, CLASSIC_BYTES)
-        columns = (wide.time, wide.channel, wide.identifier, wide.flags, wide.length, wide.data)
-        _write(Part(*(np.ascontiguousarray(each).tobytes() for each in columns), first))
+        time, channel, identifier, flags, length, data = (
+            np.ascontiguousarray(getattr(batch, name)).tobytes() for name in Batch.__slots__
+        )
+        _write(Part(time, channel, identifier, flags, length, data, first))
         first += len(batch)
     _write(Ended(cut, reader.bad))
 

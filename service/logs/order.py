@@ -32,16 +32,15 @@ class Ordering:
         """The batch with such times."""
         if not len(batch):
             return batch
-        has_data = batch.has_data
-        rows = np.flatnonzero(has_data)
-        if self._last is None and len(rows):
-            self._last = float(batch.time[rows[0]])
+        frames = batch.with_data
+        if self._last is None and len(frames):
+            self._last = float(frames.time[0])
         if self._last is None:
             return batch
-        last = self._last
-        if len(rows) == len(batch):
+        last, has_data = self._last, batch.has_data
+        if frames is batch:
             return replace(batch, time=self._times(batch.time, last))
-        before = np.concatenate([[last], self._times(batch.time[rows], last)])
+        before = np.concatenate([[last], self._times(frames.time, last)])
         after = np.append(before[1:], before[-1] + STEP_AHEAD_S)
         place = np.cumsum(has_data)
         time = np.clip(batch.time + self._shift, before[place], after[place])

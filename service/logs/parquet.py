@@ -1,8 +1,8 @@
 """Frames as Parquet (extra `columns`), a row group at a time.
 
 Columns: `time` [s] float64, `channel` text, `identifier` uint32 without flags, `flags` uint8 (1: 29 bits, 2: CAN FD,
-4: remote, 8: error, 16: sent), `length` uint8, of a remote frame what it asks for, and `data` binary. The times are null
-where the log had none.
+4: remote, 8: error, 16: sent), `length` uint8, of a remote frame what it asks for, and `data` binary. The times are
+null where the log had none.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -95,8 +95,11 @@ def parquet_writer(path: Path) -> Iterator[Any]:
 
     schema = pyarrow.schema(
         [
-            ("time", pyarrow.float64()), ("channel", pyarrow.dictionary(pyarrow.int32(), pyarrow.string())),
-            ("identifier", pyarrow.uint32()), ("flags", pyarrow.uint8()), ("length", pyarrow.uint8()),
+            ("time", pyarrow.float64()),
+            ("channel", pyarrow.dictionary(pyarrow.int32(), pyarrow.string())),
+            ("identifier", pyarrow.uint32()),
+            ("flags", pyarrow.uint8()),
+            ("length", pyarrow.uint8()),
             ("data", pyarrow.binary()),
         ],
         metadata={"schema": "faultline.frames/1"},

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile
 from typing import IO
+from weakref import finalize
 
 from faultline.service.logs.report import LogError, LogReport
 
@@ -23,7 +24,7 @@ _FINE = 64  # packed bytes in which damage is looked for byte by byte
 
 
 class Source:
-    """A log file. `head` are its first bytes, unpacked; what is no regular file, as a pipe, is copied to a temporary one.
+    """A log file; its first bytes, unpacked, are `head`. What is no file, as a pipe, is copied to a temporary one.
 
     Raises:
         LogError: the file cannot be read.
@@ -35,6 +36,7 @@ class Source:
         try:
             if path.exists() and not (path.is_file() or path.is_dir()):
                 self._copy = _copied(path)
+                finalize(self, self._copy.close)
             with self._open() as file:
                 self.size = file.seek(0, os.SEEK_END)
                 file.seek(0)

@@ -36,12 +36,12 @@ class LogReport:
     """What was read and what was not.
 
     `bad` are places that could not be read, of `lost_bytes` bytes together where that is known, `places` the first few
-    of them as (number, reason), numbered by `unit`: line, byte or row. `truncated`: the last line has no end and was not
-    used, as a frame cut short may look whole. `missing` says how the file itself shows that its end is missing, `packing`
-    how its compression is damaged; empty where they are not. `frames` have data; `remote`, `errors` are frames without,
-    and `others` objects that are no frames. `clock_steps`: times of the log that the reader moved, because the clock was
-    set while it was recorded. `length_s` [s] was read, of `said_s` [s] by the file's own header if that says so.
-    `channels` are the (identifier, has 29 bits) of data frames that came on each channel of the file.
+    of them as (number, reason), numbered by `unit`: line, byte or row. `truncated`: the last line has no end and was
+    not used, as a frame cut short may look whole. `missing` says how the file itself shows that its end is missing,
+    `packing` how its compression is damaged; empty where they are not. `frames` have data; `remote`, `errors` are
+    frames without, and `others` objects that are no frames. `clock_steps`: times of the log that the reader moved,
+    because the clock was set while it was recorded. `length_s` [s] was read, of `said_s` [s] by the file's own header
+    if that says so. `channels` are the (identifier, has 29 bits) of data frames that came on each channel of the file.
     """
 
     frames: int = 0

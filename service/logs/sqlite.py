@@ -1,7 +1,7 @@
 """python-can's SQLite databases. Rows that cannot be read are left out by halving the range of rows around them.
 
-The file itself is never written. A database that is cut off, or whose logger used a write-ahead log, is copied first, as
-SQLite opens neither without changing it.
+The file itself is never written. A database that is cut off, or whose logger used a write-ahead log, is copied first,
+as SQLite opens neither without changing it.
 """
 
 import shutil
@@ -18,7 +18,16 @@ from typing import Any
 import numpy as np
 
 from faultline.service.logs.batch import (
-    CLASSIC_BYTES, ERROR, EXTENDED, EXTENDED_TOP, FD, FD_BYTES, REMOTE, TOP, Batch, Bytes,
+    CLASSIC_BYTES,
+    ERROR,
+    EXTENDED,
+    EXTENDED_TOP,
+    FD,
+    FD_BYTES,
+    REMOTE,
+    TOP,
+    Batch,
+    Bytes,
 )
 from faultline.service.logs.channels import Channels
 from faultline.service.logs.pieces import Source
@@ -54,7 +63,9 @@ def read_sqlite(source: Source, report: LogReport, channels: Channels) -> Iterat
             return
         with closing(sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True)) as connection:
             connection.text_factory = bytes  # damaged text is no error of its own
-            yield from (replace(batch, channel=np.full(len(batch), channel, np.uint8)) for batch in _rows(connection, report))
+            yield from (
+                replace(batch, channel=np.full(len(batch), channel, np.uint8)) for batch in _rows(connection, report)
+            )
 
 
 @contextmanager
@@ -94,11 +105,11 @@ def _openable(path: Path, report: LogReport) -> Iterator[str | None]:
 
 def _rows(connection: sqlite3.Connection, report: LogReport) -> Iterator[Batch]:
     try:
-        last = _last_row(connection)
+        last, is_known = _last_row(connection)
     except sqlite3.Error as error:
         report.reject(1, f"the database cannot be read: {error}")
         return
-    failures = 0
+    failures = absent = first_absent = 0
     waiting = [(1, last)]
     while waiting:
         first, last = waiting.pop()
@@ -117,13 +128,19 @@ def _rows(connection: sqlite3.Connection, report: LogReport) -> Iterator[Batch]:
                 middle = (first + end) // 2
                 waiting += [(middle + 1, end), (first, middle)]
             continue
+        if missing := end - first + 1 - len(rows) if is_known else 0:
+            first_absent = first_absent or next(k for k, row in enumerate([*rows, (0,)], first) if row[0] != k)
+            absent += missing
         if rows:
             yield from _batch(rows, report)
     _check(connection, report)
+    if absent and report.bad:  # else they were deleted
+        report.reject(first_absent, f"{absent} rows are not there")
+        report.bad += absent - 1
 
 
-def _last_row(connection: sqlite3.Connection) -> int:
-    """The highest number of a row; what the file has room for, where that row cannot be read."""
+def _last_row(connection: sqlite3.Connection) -> tuple[int, bool]:
+    """The highest number of a row, True; what the file has room for, False, where that row cannot be read."""
     size, pages = (int(connection.execute(f"PRAGMA {name}").fetchone()[0]) for name in ("page_size", "page_count"))
     room = size * pages // _LEAST_ROW
     try:
@@ -131,8 +148,8 @@ def _last_row(connection: sqlite3.Connection) -> int:
     except sqlite3.DatabaseError as error:
         if "no such table" in str(error):
             raise
-        return room
-    return min(int(found or 0), room)
+        return room, False
+    return min(int(found or 0), room), int(found or 0) <= room
 
 
 def _read(connection: sqlite3.Connection, first: int, last: int) -> list[Row]:
@@ -180,9 +197,14 @@ def _are_frames(columns: list[tuple[Any, ...]]) -> bool:
         return False
     _, times, identifiers, extended, remote, error, lengths, data = columns
     return (
-        not any(remote) and not any(error) and set(extended) <= {0, 1} and min(identifiers) >= 0
-        and max(identifiers) <= (TOP if 0 in extended else EXTENDED_TOP) and bool(np.isfinite(times).all())
-        and [*map(len, data)] == [*lengths] and max(lengths) <= FD_BYTES
+        not any(remote)
+        and not any(error)
+        and set(extended) <= {0, 1}
+        and min(identifiers) >= 0
+        and max(identifiers) <= (TOP if 0 in extended else EXTENDED_TOP)
+        and bool(np.isfinite(times).all())
+        and [*map(len, data)] == [*lengths]
+        and max(lengths) <= FD_BYTES
     )
 
 

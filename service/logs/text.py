@@ -1,12 +1,12 @@
 """Lines of a text log to columns: one line is read by its format's grammar, and all that are alike by its example.
 
 A logger writes line after line with its fields in the same places. So the grammar (a regular expression, strict) reads
-one line and says where its fields are; every other line of the same length that has the same characters outside of them,
-and digits inside, is read with array operations (`logs.example`). A line that is not like any before is read by the
-grammar, and becomes an example. The result is what the grammar alone gives, line by line.
+one line and says where its fields are; every other line of the same length that has the same characters outside of
+them, and digits inside, is read with array operations (`logs.example`). A line that is not like any before is read by
+the grammar, and becomes an example. The result is what the grammar alone gives, line by line.
 
-Lines that change how those behind them are read, as a header does, divide the text into sections that are read one after
-the other.
+Lines that change how those behind them are read, as a header does, divide the text into sections that are read one
+after the other.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ from faultline.service.logs.channels import Channels
 from faultline.service.logs.example import Example, Line, Span
 from faultline.service.logs.lines import BEFORE, BEHIND, LONGEST_LINE, WholeLines
 from faultline.service.logs.pieces import Source
-from faultline.service.logs.report import LogReport, shown
+from faultline.service.logs.report import LogReport
 
 EXAMPLES = 12
 """Lines of one length that are kept as examples: those that were of use last."""
@@ -146,7 +146,7 @@ class TextReader:
         ends = np.flatnonzero(np.frombuffer(text, np.uint8, end - begin, begin) == 0x0A) + begin
         starts = np.concatenate([[begin], ends[:-1] + 1])
         lengths = ends - starts
-        found = _Found(len(ends))
+        found, known = _Found(len(ends)), len(self._channels.names)
         if (lengths == lengths[0]).all():
             self._alike(text, starts, np.arange(len(ends)), int(lengths[0]), found)
         else:
@@ -155,7 +155,10 @@ class TextReader:
             for rows in np.split(order, cuts):
                 self._alike(text, starts, rows, int(lengths[rows[0]]), found)
         self._lines += len(ends)
-        return found.batch()
+        batch = found.batch()
+        if len(self._channels.names) > known + 1:  # lines of one length were read before those of others
+            batch = replace(batch, channel=self._channels.came_in_order(known, batch.channel))
+        return batch
 
     def _alike(self, text: bytes, starts: Ints, rows: Indices, length: int, found: "_Found") -> None:
         """The lines of one length."""
@@ -173,7 +176,7 @@ class TextReader:
             first, rows = int(rows[0]), rows[1:]
             line = self._one(text[starts[first] : starts[first] + length], first, found)
             if line is not None and line.fields is not None and len(rows) >= FEW and misses < EXAMPLES:
-                example = Example(text[starts[first] : starts[first] + length], line, self._channels.index(line.channel))
+                example = Example(text[starts[first] : starts[first] + length], line, self._channels)
                 left = example.read(text, starts, rows, found.fill)
                 misses = misses + 1 if len(left) == len(rows) else 0
                 if not misses:
@@ -261,7 +264,10 @@ class _Found:
         if len(self._parts) == 1:
             return self._parts[0][1]
         width = max((part.data.shape[1] for _, part in self._parts), default=0)
-        batch, there = empty(self._count, FD_BYTES if width > CLASSIC_BYTES else CLASSIC_BYTES), np.zeros(self._count, dtype=np.bool_)
+        batch, there = (
+            empty(self._count, FD_BYTES if width > CLASSIC_BYTES else CLASSIC_BYTES),
+            np.zeros(self._count, dtype=np.bool_),
+        )
         for rows, part in self._parts:
             batch.put(rows, part)
             there[rows] = True

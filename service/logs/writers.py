@@ -1,4 +1,8 @@
-"""Writers of logs, by format. ASC, BLF, CSV and MF4 are python-can's; the others are ours, as python-can's lose frames or channels."""
+"""Writers of logs, by format.
+
+ASC, BLF, CSV and MF4 are python-can's. Its writer of SQLite loses rows when it ends, that of TRC knows no CAN FD, and
+that of candump no flags: those are ours.
+"""
 
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -36,7 +40,8 @@ def rows(batch: Batch) -> Iterator[Row]:
     there = np.where(batch.has_data, batch.length, 0).tolist()
     names = ("time", "channel", "identifier", "flags", "length")
     for k, (count, *values) in enumerate(zip(there, *(getattr(batch, name).tolist() for name in names), strict=True)):
-        yield Row(*values, raw[width * k : width * k + count])
+        t, channel, identifier, flags, length = values
+        yield Row(t, channel, identifier, flags, length, raw[width * k : width * k + count])
 
 
 def _all_rows(log: Log) -> Iterator[Row]:
@@ -93,9 +98,8 @@ def write_trc(log: Log, path: Path) -> None:
             sent = "Tx" if row.flags & SENT else "Rx"
             offset = max(0.0, 1000.0 * (row.t - begin))
             data = " ".join(f"{byte:02X}" for byte in row.data)
-            file.write(
-                f"{number:7} {offset:13.3f} {kind} {row.channel + 1:2} {name:>8} {sent} -  {_CODES[row.length]:2}    {data}\n"
-            )
+            head = f"{number:7} {offset:13.3f} {kind} {row.channel + 1:2} {name:>8} {sent}"
+            file.write(f"{head} -  {_CODES[row.length]:2}    {data}\n")
 
 
 def write_db(log: Log, path: Path) -> None:
@@ -110,7 +114,15 @@ def write_db(log: Log, path: Path) -> None:
             connection.executemany(
                 "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)",
                 (
-                    (r.t, r.identifier, r.flags & EXTENDED, bool(r.flags & REMOTE), bool(r.flags & ERROR), r.length, r.data)
+                    (
+                        r.t,
+                        r.identifier,
+                        r.flags & EXTENDED,
+                        bool(r.flags & REMOTE),
+                        bool(r.flags & ERROR),
+                        r.length,
+                        r.data,
+                    )
                     for r in _all_rows(log)
                 ),
             )
@@ -129,7 +141,10 @@ def _through_python_can(kind: str) -> Callable[[Log, Path], None]:
         import can
 
         writers: dict[str, Callable[[Path], Any]] = {
-            "asc": can.ASCWriter, "blf": can.BLFWriter, "csv": can.CSVWriter, "mf4": can.io.MF4Writer,
+            "asc": can.ASCWriter,
+            "blf": can.BLFWriter,
+            "csv": can.CSVWriter,
+            "mf4": can.io.MF4Writer,
         }
         if kind == "mf4":
             import asammdf  # noqa: F401 python-can says less of what is missing

@@ -4,10 +4,10 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
-from cantools.database import Error as DatabaseError
 from cantools.database import load_string
 from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
+from cantools.database.errors import Error as DatabaseError
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.decode import PRIORITY_MASK
@@ -88,7 +88,15 @@ def _of_message(message: DbcMessage, signals: Sequence[str], traffic: Traffic) -
         total = sum(each.count for each in same)
         why = f"all {total} frames are shorter than the {message.length} bytes of the DBC"
     return [
-        Found(name, message.name, identifier, not why and name in valid, channels, senders, why or _never(name, valid, is_j1939))
+        Found(
+            name,
+            message.name,
+            identifier,
+            not why and name in valid,
+            channels,
+            senders,
+            why or _never(name, valid, is_j1939),
+        )
         for name in signals
     ]
 
@@ -134,12 +142,12 @@ def _valid(message: DbcMessage, signals: Sequence[str], is_j1939: bool, same: Se
     numbers = {each.name for each in message.signals if not each.is_float and is_j1939}
     for data in {data for each in same for data in each.data if len(data) >= message.length}:
         try:
-            values = message.decode(data[: message.length], decode_choices=False, scaling=False)
+            values = message.decode_simple(data[: message.length], decode_choices=False, scaling=False)
         except (DatabaseError, ValueError):  # multiplexed by a value that the DBC does not know
             continue
         for name in signals:
             if name in values and name not in found:
-                raw = int(values[name]) & (1 << lengths[name]) - 1 if name in numbers else 0
+                raw = int(str(values[name])) & (1 << lengths[name]) - 1 if name in numbers else 0
                 if name not in numbers or j1939_quality(raw, lengths[name]) is Quality.GOOD:
                     found.add(name)
         if len(found) == len(signals):

@@ -11,7 +11,9 @@ def text_of(survey: Survey) -> str:
     """The text, of several lines."""
     parts = [_head(survey), _table("messages", _messages(survey.messages, survey.has_times))]
     if survey.senders:
-        rows = [[each.channel, f"0x{each.address:02X}", str(each.frames), str(len(each.groups))] for each in survey.senders]
+        rows = [
+            [each.channel, f"0x{each.address:02X}", str(each.frames), str(len(each.groups))] for each in survey.senders
+        ]
         parts.append(_table("senders (J1939)", [["channel", "address", "frames", "groups"], *rows]))
     gaps = [
         [each.channel, each.identifier, f"{gap.at_s:.1f}", f"{gap.for_s:.1f}", f"{each.period_s or 0.0:.3f}"]
@@ -22,8 +24,14 @@ def text_of(survey: Survey) -> str:
         parts.append(_table("gaps", [["channel", "identifier", "from s", "for s", "period s"], *gaps]))
     if survey.signals:
         rows = [
-            [each.signal, each.message, "yes" if each.is_there else "no", " ".join(each.channels),
-             " ".join(f"0x{sender:02X}" for sender in each.senders), each.why]
+            [
+                each.signal,
+                each.message,
+                "yes" if each.is_there else "no",
+                " ".join(each.channels),
+                " ".join(f"0x{sender:02X}" for sender in each.senders),
+                each.why,
+            ]
             for each in sorted(survey.signals, key=lambda each: (each.is_there, each.message, each.signal))
         ]
         there = sum(each.is_there for each in survey.signals)
@@ -35,8 +43,9 @@ def text_of(survey: Survey) -> str:
 def _head(survey: Survey) -> str:
     span = f"0.0 to {survey.length_s:.1f} s" if survey.has_times else "without times"
     channels = ", ".join(f"{each.name} ({each.frames})" for each in survey.channels)
+    counts = f"{survey.frames} data, {survey.remote} remote and {survey.errors} error frames"
     lines = [
-        f"{survey.file}: {survey.format}, {survey.frames} data, {survey.remote} remote and {survey.errors} error frames, {span}",
+        f"{survey.file}: {survey.format}, {counts}, {span}",
         f"channels: {channels}",
         *(f"damage: {sentence}" for sentence in survey.damage.sentences),
     ]

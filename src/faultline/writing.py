@@ -59,7 +59,7 @@ def write_files(files: Mapping[Path, bytes | str], mode: int | None = None) -> N
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A path to write to: once the context ends without an error, what is there is on the disk and gets the name `path`.
+    """A path to write to: what is there when the context ends without an error gets the name `path`.
 
     For content that is too large to be held. A link is followed, a device is written as it is.
 

@@ -73,6 +73,7 @@ ROWS = {
         "--help", (Writes(f"{{in}}/pipe {LOG} --out {{out}}/m.toml --report {{out}}/r", "m.toml", lasting=True),)
     ),
     "code": Row("--help", (Writes("rc --out {out}", "rc_t01.py"),)),
+    "convert": Row("--help", (Writes(f"{LOG} --to candump --out {{out}}/c.log", "c.log"),)),
     "demo": Row("--out {out}/demo", (Writes("--out {out}/demo", "", lasting=True),)),
     "diagnose": Row(f"{LOG} --bundle {BUNDLE}"),
     "discover": Row(
@@ -103,6 +104,7 @@ ROWS = {
     ),
     "ingest": Row("--help", (Writes("{in}/bench/drive --offset 0.1 --out {out} --force", "drive/recording.toml"),)),
     "j1939": Row("--help", interrupted=0),
+    "log": Row(f"{LOG} --json"),
     "mqtt": Row("--help", interrupted=0),
     "replay": Row(f"{LOG} --bus {{bus}} --speed 1000 --json"),
     "rig": Row(

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reading import parse_log
 
 from faultline.service.logs import Frame, LogError, read_log
-from reading import parse_log
 
 X = Path("x.log")
 LINE = b"(1767225600.123456) can0 18FF103D#0011223344556677\n"

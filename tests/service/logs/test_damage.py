@@ -9,9 +9,9 @@ from pathlib import Path
 
 import can
 import pytest
+from reading import parse_log
 
 from faultline.service.logs import Frame, LogError, LogReport, read_log
-from reading import parse_log
 
 START = 1_767_225_600.0
 IDS = ((0x18FF103D, True), (0x0CF00400, True), (0x123, False))
