@@ -60,7 +60,7 @@ class Senders:
         seen[address] += 1
         return len(seen) == 1
 
-    def sole(self, layout: Layout, addresses: Indices) -> int:
+    def count_sole(self, layout: Layout, addresses: Indices) -> int:
         """Count frames (K,) of a message that is taken from any; return how many came before a second one sent it."""
         seen = self.counts[layout.name]
         first = next(iter(seen), int(addresses[0]))
