@@ -106,7 +106,7 @@ class BundleEffect:
 
 @dataclass(frozen=True)
 class Trial:
-    """What bundles are made and judged with: fault-free recordings to tune on, and logs with their truths.
+    """Recordings by which bundles are made and judged: fault-free recordings to tune on, and logs with their truths.
 
     `dbc` and `senders` are those of the first recording.
     """

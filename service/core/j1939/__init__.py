@@ -1,1 +1,1 @@
-"""What a listener needs to know of SAE J1939: identifiers, messages in parts, trouble codes of other devices."""
+"""Reception of SAE J1939: identifiers, messages in parts, trouble codes of other devices."""

@@ -56,11 +56,11 @@ class Change(NamedTuple):
 
 @dataclass(slots=True)
 class _Sender:
-    """What a sender's message said last and when it came [s], and what was told of it and when."""
+    """State of a sender's message: when it came last [s], the lamps and codes last reported, and when [s]."""
 
     came: float
-    told: object = None
-    told_at: float = -float("inf")
+    reported: object = None
+    reported_at: float = -float("inf")
 
 
 class CodeTracker:
@@ -107,15 +107,15 @@ class CodeTracker:
         state = self._senders.setdefault((sender, message), _Sender(t))
         state.came = t
         now = said.lamps, frozenset((code.spn, code.fmi, code.is_old) for code in said.codes)
-        if now == state.told or 0.0 <= t - state.told_at < GAP_S * self._speed:
+        if now == state.reported or 0.0 <= t - state.reported_at < GAP_S * self._speed:
             return []
-        state.told, state.told_at = now, t
+        state.reported, state.reported_at = now, t
         return [Change(t, sender, message, said)]
 
     def _silent(self, t: float) -> Iterator[Change]:
         for (sender, message), state in self._senders.items():
-            if message == "DM1" and state.told is not None and t - state.came > SILENT_S * self._speed:
-                state.told = None
+            if message == "DM1" and state.reported is not None and t - state.came > SILENT_S * self._speed:
+                state.reported = None
                 yield Change(t, sender, message, None)
 
 

@@ -25,7 +25,7 @@ SOURCE_MASK, DESTINATION_MASK = 0xFF, 0xFF00
 
 
 class Address(NamedTuple):
-    """What an identifier says, but for the priority; `destination` is `GLOBAL` where the group addresses all."""
+    """Fields of an identifier but for the priority; `destination` is `GLOBAL` where the group addresses all."""
 
     pgn: int
     source: int

@@ -33,7 +33,7 @@ LARGEST = 1785
 RTS, CTS, END, BAM, ABORT = 0x10, 0x11, 0x13, 0x20, 0xFF
 """Kinds: request to send, clear to send, end of message acknowledged, broadcast announcement, connection abort."""
 T1_S, T2_S = 0.75, 1.25
-"""How long the next part may take [s]: of a broadcast; and after a CTS, which the receiver may take as long to send."""
+"""Longest time to the next part [s]: of a broadcast; and after a CTS, which the receiver may take as long to send."""
 SESSIONS = 64
 """Messages that may be open at once, of 1785 bytes each."""
 

@@ -45,7 +45,7 @@ class LampStates(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Context(msgspec.Struct, frozen=True, kw_only=True):
-    """What another device says of itself, when it has changed."""
+    """Trouble codes and lamps of another device, when they have changed."""
 
     schema: Annotated[str, Meta(description=f"`{SCHEMA}`")]
     id: Annotated[
