@@ -60,6 +60,34 @@ def write_files(files: Mapping[Path, bytes | str], mode: int | None = None) -> N
                 partial.unlink(missing_ok=True)
 
 
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A path to write to: what is there when the context ends without an error gets the name `path`.
+
+    For content that is too large to be held. A link is followed, a device is written as it is.
+
+    Raises:
+        OSError: it cannot be written, `filename` is `path`. What was there before is unchanged.
+    """
+    with _naming(path):
+        target = Path(os.path.realpath(path))
+        if target.exists() and not target.is_file():
+            yield target
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = _partial(target)
+        try:
+            partial.touch(exist_ok=False)
+            if target.exists():
+                shutil.copymode(target, partial)
+            yield partial
+            sync(partial)
+            partial.replace(target)
+            sync(target.parent)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
 def write_folder(
     folder: Path, files: Mapping[str, bytes], check: Callable[[Path], object] | None = None, mode: int | None = None
 ) -> None:

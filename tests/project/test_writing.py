@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from bad_conditions import Condition, Killed, started
 
-from faultline.writing import check_file, check_folder, write_file, write_files, write_folder
+from faultline.writing import check_file, check_folder, write_file, write_files, write_folder, written_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("service", "analysis", "training", "testbench", "dbc", "src/faultline")
@@ -56,6 +56,23 @@ def _new_files(folder: Path, condition: Condition) -> None:
 def _new_folder(folder: Path, condition: Condition) -> None:
     condition()
     write_folder(folder, dict.fromkeys("ab", b"new"))
+
+
+def _streamed(folder: Path, condition: Condition) -> None:
+    condition()
+    with written_whole(folder / "a") as path, path.open("a") as file:
+        file.write("new")
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_what_is_streamed_is_the_old_or_the_new_too(tmp_path: Path, number: int) -> None:
+    write_folder(tmp_path / "f", {"a": b"old"})
+    process = started(_streamed, tmp_path / "f", Killed(number))
+    process.join()
+    assert process.exitcode == (0 if number >= 2 else -9)
+    assert (tmp_path / "f" / "a").read_text() == ("old" if number < 1 else "new")
+    _streamed(tmp_path / "f", lambda: None)
+    assert _content(tmp_path) == {"f/a": "new"}
 
 
 @pytest.mark.parametrize("function", [_new_files, _new_folder])
@@ -108,6 +125,9 @@ def _full(*_: object) -> None:
         (_new_files, (Path, "open"), "a"),
         (_new_files, (os, "fsync"), "a"),
         (_new_files, (Path, "replace"), "a"),
+        (_streamed, (Path, "open"), "a"),
+        (_streamed, (os, "fsync"), "a"),
+        (_streamed, (Path, "replace"), "a"),
         (_new_folder, (Path, "open"), "a"),
         (_new_folder, (os, "fsync"), "a"),
         (_new_folder, (Path, "rename"), ""),
