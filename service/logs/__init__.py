@@ -1,8 +1,7 @@
 """Logs and recordings: salvaging readers, and the recording folder's description."""
 
-from faultline.service.logs.formats import read_log
-from faultline.service.logs.log import Log, open_log
+from faultline.service.logs.log import Log, open_any, open_log, read_log
 from faultline.service.logs.recording import Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport
 
-__all__ = ["Frame", "Log", "LogError", "LogReport", "Recording", "load_recording", "open_log", "read_log"]
+__all__ = ["Frame", "Log", "LogError", "LogReport", "Recording", "load_recording", "open_any", "open_log", "read_log"]

@@ -1,66 +1,149 @@
-"""Logs in the formats that loggers write, distinguished by the file's ending: any other ending is candump's text."""
+"""The formats of logs. A file's content says which it is; its name breaks a tie, and decides where nothing does."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
-from faultline.service.logs.asc import read_asc
+import numpy as np
+
+from faultline.service.logs.asc import Asc
+from faultline.service.logs.batch import Batch
 from faultline.service.logs.blf import read_blf
-from faultline.service.logs.candump import no_candump, read_candump
-from faultline.service.logs.report import Frame, LogError, LogReport, OnChannel, in_order
-from faultline.service.logs.tables import read_csv, read_sqlite
-from faultline.service.logs.trc import read_trc
+from faultline.service.logs.candump import CandumpLog, CandumpScreen
+from faultline.service.logs.channels import Channels
+from faultline.service.logs.delimited import PythonCanCsv, TableCsv, find_table
+from faultline.service.logs.mf4 import MF4_MAGIC, read_mf4
+from faultline.service.logs.parquet import PARQUET_MAGIC, read_parquet
+from faultline.service.logs.pieces import Source
+from faultline.service.logs.report import LogError, LogReport
+from faultline.service.logs.sqlite import SQLITE_MAGIC, read_sqlite
+from faultline.service.logs.text import Dialect, read_text
+from faultline.service.logs.trc import Trc
 
-READERS: Mapping[str, Callable[[bytes, LogReport], Iterator[OnChannel]]] = {
-    ".asc": read_asc,
-    ".blf": read_blf,
-    ".csv": read_csv,
-    ".db": read_sqlite,
-    ".trc": read_trc,
+Reader = Callable[[Source, LogReport, Channels], Iterator[Batch]]
+"""Gives the frames of a file in its order, with the times that it has, and reports what is lost."""
+
+_HEAD_LINES = 40
+_SEARCHED = 8  # pieces of a text in which a line of any format is looked for
+_RISING = 0.8  # of the times; of those since the frame before, half
+_LEAST = 8  # times by which it is known whether they rise
+
+
+class Format(NamedTuple):
+    """A format: its name, how it is read, and whether its frames have times."""
+
+    name: str
+    read: Reader
+    has_times: bool = True
+
+
+BINARY = (
+    Format("BLF", read_blf),
+    Format("DB", read_sqlite),
+    Format("MF4", read_mf4),
+    Format("PARQUET", read_parquet),
+)
+_MAGIC = {b"LOGG": "BLF", SQLITE_MAGIC: "DB", **dict.fromkeys(MF4_MAGIC, "MF4"), PARQUET_MAGIC: "PARQUET"}
+_OBJECT = b"LOBJ"
+_SUFFIXES = {
+    ".asc": "ASC",
+    ".blf": "BLF",
+    ".csv": "CSV",
+    ".db": "DB",
+    ".mf4": "MF4",
+    ".mdf": "MF4",
+    ".parquet": "PARQUET",
+    ".sqlite": "DB",
+    ".trc": "TRC",
 }
-"""Vector's ASC and BLF, python-can's CSV and SQLite, PEAK's TRC."""
 
 
-def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
-    """Return the data frames of a log in time order, and what was lost; of one channel, if that is given.
-
-    Raises:
-        LogError: the file cannot be read, or holds no frame, or none of the channel.
-    """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    return parse_log(content, path, channel)
-
-
-def parse_log(content: bytes, path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
-    """Parse the content of the file at `path`, whose ending gives the format, as `read_log`."""
-    report = LogReport()
-    reader = READERS.get(path.suffix.lower(), read_candump)
-    chosen = None if channel is None else channel.encode()
-    seen: dict[bytes, set[tuple[int, bool]]] = {}
-    frames: list[Frame] = []
-    try:
-        for name, frame in reader(content, report):
-            seen.setdefault(name, set()).add((frame.can_id, frame.is_extended))
-            if chosen is None or name == chosen:
-                frames.append(frame)
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from error
-    report.channels = {name.decode(errors="replace"): found for name, found in sorted(seen.items())}
-    if not frames:
-        raise LogError(f"{path}: {_no_frame(content, path, report, channel)}")
-    report.frames = len(frames)
-    frames = in_order(frames, report)
-    report.length_s = frames[-1].t - frames[0].t
-    return frames, report
+def format_of(source: Source) -> Format:
+    """The format of a log file."""
+    binary = {each.name: each for each in BINARY}
+    name = next((name for magic, name in _MAGIC.items() if source.head.startswith(magic)), None)
+    if name is not None:
+        return binary[name]
+    named = _SUFFIXES.get(ending(source.path), "candump")
+    for head in chain([source.head], islice(source.pieces(LogReport()), _SEARCHED)):
+        candidates = _candidates(head)
+        lines = _lines(head)
+        scores = {}
+        for name in sorted(candidates, key=lambda each: not each.startswith(named)):
+            scores[name] = _score(candidates[name](), lines)
+            if scores[name][1] == len(lines):  # as of nearly all files under their own name
+                break
+        best = max(scores.values())
+        if best > (0, 0):
+            likely = [name for name, score in scores.items() if score == best]
+            name = next((each for each in likely if each.startswith(named)), likely[0])
+            return _text(name, candidates[name])
+    if named in binary or _OBJECT in source.head:
+        return binary.get(named, binary["BLF"])
+    return _text(named, _candidates(source.head)[named])
 
 
-def _no_frame(content: bytes, path: Path, report: LogReport, channel: str | None) -> str:
-    if report.channels:
-        there = ", ".join(report.channels)
-        return f"has no frame of channel {channel}; " + (f"it has {there}" if there else "it names no channels")
-    if path.suffix.lower() not in READERS:
-        return no_candump(content, report)
-    reason = f"{report.unit} {report.told[0][0]}: {report.told[0][1]}" if report.told else report.missing
-    return f"no frame could be read ({reason or 'it holds none'}); is it really a {path.suffix[1:].upper()} log?"
+def ending(path: Path) -> str:
+    """The ending of a file's name, without that of its compression."""
+    return (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower()
+
+
+def _text(name: str, make: Callable[[], Dialect]) -> Format:
+    def read(source: Source, report: LogReport, channels: Channels) -> Iterator[Batch]:
+        return read_text(source, report, channels, make())
+
+    return Format(name, read, getattr(make(), "has_times", True))
+
+
+def _candidates(head: bytes) -> dict[str, Callable[[], Dialect]]:
+    """Each text format as its head shows it."""
+    found: dict[str, Callable[[], Dialect]] = {
+        "candump": lambda: CandumpLog(is_relative=_sums_up(head, CandumpLog())),
+        "candump screen": lambda: CandumpScreen(is_relative=_sums_up(head, CandumpScreen())),
+        "candump screen without times": lambda: CandumpScreen(has_times=False),
+        "ASC": Asc,
+        "TRC": Trc,
+        "CSV": PythonCanCsv,
+    }
+    table = find_table(head)
+    if table is not None:
+        found["CSV table"] = lambda: TableCsv(table, head)
+    return found
+
+
+def _lines(head: bytes) -> list[bytes]:
+    """The first lines that are not blank; the last one may be cut off."""
+    lines = head.split(b"\n", _HEAD_LINES)[:-1] or [head]
+    return [line for line in lines if line.strip(b"\0 \t\r")]
+
+
+def _score(dialect: Dialect, lines: list[bytes]) -> tuple[int, int]:
+    """How many of the lines hold a frame, and how many it knows at all."""
+    frames = known = 0
+    for line in lines:
+        try:
+            if line.startswith(dialect.headers):
+                dialect.header(line.strip())
+            else:
+                frames += dialect.read(line.lstrip(b"\0")) is not None
+        except ValueError:
+            continue
+        except LogError:  # of a version that is not known
+            pass
+        known += 1
+    return frames, known
+
+
+def _sums_up(head: bytes, dialect: Dialect) -> bool:
+    """True if candump's times are those since the frame before (`-t d`): they do not rise from frame to frame."""
+    times = []
+    for line in _lines(head):
+        try:
+            found = dialect.read(line)
+        except ValueError:
+            continue
+        times += [found.time] if found is not None else []
+    steps = np.diff(times)
+    is_small = bool(times) and max(times) < 1e6  # not since 1970
+    return is_small and len(times) >= _LEAST and bool(np.mean(steps > 0) < _RISING) and max(times) > 0

@@ -2,32 +2,83 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from faultline.service.core.signals.dbc import NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.logs.formats import parse_log
+from faultline.service.logs.batch import ERROR, NO_DATA, REMOTE, Batch
+from faultline.service.logs.candump import EXAMPLE
+from faultline.service.logs.channels import Channels
+from faultline.service.logs.formats import Format, format_of
+from faultline.service.logs.order import Ordering
+from faultline.service.logs.pieces import Source
 from faultline.service.logs.recording import Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
+from faultline.service.logs.seen import Seen
+
+KEPT = 8 << 20
+"""Bytes of batches that are kept from the first pass, so that a short log is read once."""
 
 
 @dataclass(frozen=True)
 class Log:
-    """Frames in time order under an id; `sha256` is the hash of the log's bytes.
+    """Frames in time order under an id. The file is read anew for each pass over them: nothing of it is in memory.
 
-    Of a bare file neither its DBC is known nor what `recording.toml` says: they are None. `channel` is the bus whose
-    frames they are, None where the frames of all buses in the log are merged.
+    `report` says what a first pass over all of it found. `channels` are the names of the file's channels, by the index
+    that batches have; `start_s` is the time of the first data frame. Of a bare file neither its DBC is known nor what
+    `recording.toml` says: they are None. `channel` is the bus whose frames they are, None where the frames of all buses
+    in the log are merged.
     """
 
     id: str
-    frames: list[Frame]
+    source: Source = field(repr=False)
+    format: Format
     report: LogReport
-    sha256: str
+    channels: tuple[str, ...]
+    start_s: float
     dbc_path: Path | None = None
     recording: Recording | None = None
     channel: str | None = None
+    kept: tuple[Batch, ...] | None = field(default=None, repr=False)
+
+    def batches(self) -> Iterator[Batch]:
+        """All frames of the channel, with times in order, as columns: remote and error frames too.
+
+        Raises:
+            LogError: the file cannot be read any more.
+        """
+        if self.kept is not None:
+            yield from self.kept
+        else:
+            yield from _Pass(self.source, self.format, self.channel).batches()
+
+    def frames(self) -> Iterator[Frame]:
+        """The data frames one by one."""
+        for batch in self.batches():
+            yield from batch.with_data.frames()
+
+    def relative(self) -> Iterator[Frame]:
+        """Return the data frames with times after the first one [s]."""
+        for batch in self.batches():
+            yield from replace(batch, time=batch.time - self.start_s).with_data.frames()
+
+    @property
+    def duration_s(self) -> float:
+        """Return the time from the first data frame to the last [s]."""
+        return self.report.length_s
+
+    @cached_property
+    def sha256(self) -> str:
+        """The hash of the file's bytes."""
+        found = hashlib.sha256()
+        for piece in self.source.packed():
+            found.update(piece)
+        return found.hexdigest()
 
     @property
     def drive(self) -> str:
@@ -99,38 +150,145 @@ class Log:
             how = "--channel" if self.recording is None else "`channel` under [can] in recording.toml"
             raise LogError(f"{self.id}: the same messages come on {' and '.join(both)}: say which bus with {how}")
 
-    @property
-    def duration_s(self) -> float:
-        """Return the time from the first frame to the last [s]."""
-        return self.frames[-1].t - self.frames[0].t
 
-    def relative(self) -> Iterator[Frame]:
-        """Return the frames with times after the first one [s]."""
-        start = self.frames[0].t
-        return (Frame(t - start, can_id, extended, data) for t, can_id, extended, data in self.frames)
+class _Pass:
+    """One pass over the file. State: its report, and what came so far."""
+
+    def __init__(self, source: Source, form: Format, channel: str | None) -> None:
+        self.report, self.channels = LogReport(), Channels()
+        self.first_s: float | None = None
+        self._source, self._format = source, form
+        self._channel = None if channel is None else channel.encode()
+        self._ordering, self._seen = Ordering(self.report), Seen()
+
+    def batches(self) -> Iterator[Batch]:
+        """The frames of the channel in order of time."""
+        try:
+            for batch in self._format.read(self._source, self.report, self.channels):
+                self._seen.add(batch.with_data)
+                chosen = batch if self._channel is None else batch[batch.channel == self._chosen()]
+                yield self._ordering.ordered(chosen) if self._format.has_times else chosen
+        except LogError as error:
+            raise LogError(f"{self._source.path}: {error}") from error
+
+    def all(self) -> tuple[Batch, ...] | None:
+        """Read all, for the report; return the batches, None where they are too many to be kept."""
+        kept: list[Batch] = []
+        size = 0
+        for batch in self.batches():
+            self._count(batch)
+            size += sum(getattr(batch, name).nbytes for name in Batch.__slots__)
+            if size > KEPT:
+                kept.clear()
+            else:
+                kept.append(batch)
+        self.report.channels = self._seen.by_channel(self.channels.names)
+        return tuple(kept) if size <= KEPT else None
+
+    def _chosen(self) -> int:
+        """The index of the channel, or one that no frame has."""
+        names = self.channels.names
+        return names.index(self._channel) if self._channel in names else len(names)
+
+    def _count(self, batch: Batch) -> None:
+        frames = batch.with_data
+        self.report.frames += len(frames)
+        if len(frames) < len(batch):
+            self.report.remote += int(np.count_nonzero(batch.flags & NO_DATA == REMOTE))
+            self.report.errors += int(np.count_nonzero(batch.flags & ERROR))
+        if len(frames) and self._format.has_times:
+            self.first_s = float(frames.time[0]) if self.first_s is None else self.first_s
+            self.report.length_s = float(frames.time[-1]) - self.first_s
 
 
 def open_log(path: Path, channel: str | None = None) -> Log:
-    """Open the log at `path`: the folder of an instrumented recording, or a log file that `read_log` takes.
+    """Open the log at `path`: the folder of an instrumented recording, or a log file in any format.
 
     Of one `channel`, where that is given or the recording names it.
 
     Raises:
-        LogError: it is neither, or a bench recording, which has first to be ingested.
+        LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or
+        none
+            of the channel, or no times.
     """
     if not path.is_dir():
-        return _bare(path, channel)
+        return _usable(_file(path, channel))
     recording = load_recording(path)
     if recording.kind == "bench":
         raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
-    log = _bare(path / recording.can.file, channel or recording.can.channel)
+    log = _usable(_file(path / recording.can.file, channel or recording.can.channel))
     return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
 
 
-def _bare(path: Path, channel: str | None) -> Log:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    frames, report = parse_log(content, path, channel)
-    return Log(path.stem, frames, report, hashlib.sha256(content).hexdigest(), channel=channel)
+def open_any(path: Path, channel: str | None = None) -> Log:
+    """The same of a log file, or a recording of either kind, whose frames need neither times nor data.
+
+    Raises:
+        LogError: no frame could be read, or none of the channel.
+    """
+    if not path.is_dir():
+        return _some(_file(path, channel))
+    recording = load_recording(path)
+    log = _some(_file(path / recording.can.file, channel or recording.can.channel))
+    return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
+
+
+def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
+    """The data frames of a log file that is small, in time order, and what was lost.
+
+    Raises:
+        LogError: the file cannot be read, or holds no frame, or none of the channel, or no times.
+    """
+    log = _usable(_file(path, channel))
+    return list(log.frames()), log.report
+
+
+def _file(path: Path, channel: str | None) -> Log:
+    source = Source(path)
+    form = format_of(source)
+    first = _Pass(source, form, channel)
+    kept = first.all()
+    names = tuple(name.decode(errors="replace") for name in first.channels.names)
+    return Log(path.stem, source, form, first.report, names, first.first_s or 0.0, channel=channel, kept=kept)
+
+
+def _usable(log: Log) -> Log:
+    """A log that signals can be read from."""
+    if not log.report.frames:
+        raise LogError(f"{log.source.path}: {_no_frame(log)}")
+    if not log.format.has_times:
+        raise LogError(
+            f"{log.source.path}: its frames have no times, which this needs; record it with `candump -L`; "
+            "`faultline log` and `faultline convert` take it as it is"
+        )
+    return log
+
+
+def _some(log: Log) -> Log:
+    if not log.report.frames + log.report.remote + log.report.errors:
+        raise LogError(f"{log.source.path}: {_no_frame(log)}")
+    return log
+
+
+def _no_frame(log: Log) -> str:
+    report, name = log.report, log.format.name
+    if report.channels:
+        there = ", ".join(each for each in report.channels if each)
+        return f"has no frame of channel {log.channel}; " + (f"it has {there}" if there else "it names no channels")
+    if name.startswith("candump"):
+        return _no_candump(log.source.head, report)
+    reason = f"{report.unit} {report.places[0][0]}: {report.places[0][1]}" if report.places else report.missing
+    return f"no frame could be read ({reason or 'it holds none'}); is it really a {name} log?"
+
+
+def _no_candump(head: bytes, report: LogReport) -> str:
+    """Why a file without a frame is no log of this format, and what one looks like."""
+    remedy = f"a candump line looks like `{EXAMPLE}`"
+    if not head.strip():
+        return f"is empty; {remedy}"
+    if report.places:
+        number, reason = report.places[0]
+        return f"line {number}: not a CAN log, {reason}; {remedy}"
+    if report.truncated and not (report.remote or report.errors):
+        return f"line 1: its only line is cut off; {remedy}"
+    return f"holds no data frame; {remedy}"

@@ -62,7 +62,7 @@ def test_a_production_vehicle_has_all_but_the_added_sensors(recording: Path, tmp
     folder = made(tmp_path, kind="production")
     loaded = load_recording(folder)
     assert (loaded.kind, loaded.sensor_set, loaded.external) == ("instrumented", "production", None)
-    ids = [{frame.can_id for frame in open_log(each).frames} for each in (recording, folder)]
+    ids = [{frame.can_id for frame in open_log(each).frames()} for each in (recording, folder)]
     assert ids[0] - ids[1] == {load_dbc().sensor_box.message.frame_id}
     assert not ids[1] - ids[0]
 
@@ -71,7 +71,7 @@ def test_sensor_frames_come_at_ten_hertz_with_jitter(recording: Path) -> None:
     gaps = np.diff(sensors(recording)[:, 0])
     assert gaps.mean() == pytest.approx(0.1, rel=0.01)
     assert 1e-3 < gaps.std() < 0.01
-    assert np.diff([frame.t for frame in open_log(recording).frames]).min() > 2e-4  # one frame at a time
+    assert np.diff([frame.t for frame in open_log(recording).frames()]).min() > 2e-4  # one frame at a time
 
 
 def test_sensors_follow_the_plant_with_noise_and_are_zeroed(recording: Path) -> None:

@@ -35,7 +35,7 @@ def test_lateness_moves_no_event_by_more_than_two_samples_and_a_refinement_by_tw
 ) -> None:
     bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id)
-    events = list(monitor.log(late(log.frames, speed, seed)))
+    events = list(monitor.log(late(list(log.frames()), speed, seed)))
     seen, own = ([(e.transition, candidates(e.diagnoses)) for e in told] for told in (events, OFFLINE))
     assert seen == own, seed  # a probability is of the moment of telling
     for ours, theirs in zip(events, OFFLINE, strict=True):

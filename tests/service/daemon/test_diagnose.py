@@ -121,7 +121,7 @@ def test_a_log_cut_off_in_the_middle_is_no_all_clear(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str, said: str
 ) -> None:
     """Its first 60 s hold no fault, and end whole; those of the cut file do not."""
-    frames = open_log(LOG).frames
+    frames = list(open_log(LOG).frames())
     path = tmp_path / f"drive.{ending}"
     whole = in_another_format(path, [frame for frame in frames if frame.t - frames[0].t < 60])
     assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 0
@@ -145,7 +145,7 @@ def test_a_log_cut_off_in_the_middle_is_no_all_clear(
 
 def test_a_fault_in_a_damaged_log_is_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "drive.blf"
-    whole = in_another_format(path, open_log(LOG).frames)
+    whole = in_another_format(path, list(open_log(LOG).frames()))
     path.write_bytes(whole[:-2000])
     assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 1
     captured = capsys.readouterr()

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reading import parse_log
 
 from faultline.service.logs import Frame, LogError, read_log
-from faultline.service.logs.formats import parse_log
 
 X = Path("x.log")
 LINE = b"(1767225600.123456) can0 18FF103D#0011223344556677\n"
@@ -47,7 +47,7 @@ def test_a_bad_line_costs_only_itself(bad: bytes, reason: str) -> None:
     frames, report = parse_log(LINE + bad + b"\n" + LINE, X)
     assert len(frames) == report.frames == 2
     assert (report.bad, report.lost) == (1, True)
-    number, told = report.told[0]
+    number, told = report.places[0]
     assert number == 2
     assert reason in told
     assert f"1 lines could not be read (line 2: {told})" in report.summary()
@@ -55,7 +55,7 @@ def test_a_bad_line_costs_only_itself(bad: bytes, reason: str) -> None:
 
 def test_only_the_first_bad_lines_are_told() -> None:
     _, report = parse_log(LINE + b"?\n" * 5, X)
-    assert (report.bad, [number for number, _ in report.told]) == (5, [2, 3, 4])
+    assert (report.bad, [number for number, _ in report.places]) == (5, [2, 3, 4])
     assert report.summary().endswith("; ...)")
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import can
 import pytest
+from reading import parse_log
 
 from faultline.service.logs import Frame, LogError, LogReport, read_log
-from faultline.service.logs.formats import parse_log
 
 START = 1_767_225_600.0
 IDS = ((0x18FF103D, True), (0x0CF00400, True), (0x123, False))
@@ -43,13 +43,13 @@ def written(folder: Path, ending: str, frames: list[Frame] = FRAMES, **options: 
 
 def read(content: bytes, ending: str) -> tuple[list[Frame], LogReport] | None:
     """What was read, in bounded time; None where it was refused."""
-    began = time.monotonic()
+    began = time.process_time()
     try:
         return parse_log(content, Path(f"x.{ending}"))
     except LogError:
         return None
     finally:
-        assert time.monotonic() - began < MOST_S
+        assert time.process_time() - began < MOST_S
 
 
 def essence(frames: list[Frame]) -> list[tuple[float, int, bool, bytes]]:
@@ -163,9 +163,9 @@ def test_an_object_of_no_size_does_not_hold_the_reader_up(tmp_path: Path, size: 
     body = zlib.compress(inner, level) if level else bytes(inner)
     head = struct.pack("<4sHHLLH14x", b"LOBJ", 16, 1, 32 + len(body), 10, 2 if level else 0)
     tracemalloc.start()
-    began = time.monotonic()
+    began = time.process_time()
     frames, report = parse_log(whole[:container] + head + body, Path("x.blf"))
-    assert time.monotonic() - began < MOST_S
+    assert time.process_time() - began < MOST_S
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
     assert report.damaged
@@ -190,10 +190,10 @@ def test_many_small_containers_of_one_object_take_no_longer_than_their_bytes() -
     parts = [begin, *(b"\0" for _ in range(100_000))]
     body = b"".join(struct.pack("<4sHHLLH14x", b"LOBJ", 16, 1, 32 + len(part), 10, 0) + part for part in parts)
     head = struct.pack("<4sL8xQQLL32x", b"LOGG", 72, 72 + len(body), 0, 1, 0)
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(LogError, match="its header counts 1 objects, it has 0"):
         parse_log(head + body, Path("x.blf"))
-    assert time.monotonic() - began < MOST_S
+    assert time.process_time() - began < MOST_S
 
 
 def test_a_blf_that_its_logger_did_not_close(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_a_bad_line_of_asc_is_counted_and_costs_only_itself(line: bytes, reason:
     good = b"0.010000 1  123 Rx d 1 00\n"
     frames, report = parse_log(good + line + b"\n" + good, Path("x.asc"))
     assert (len(frames), report.bad, report.damaged) == (2, 1, True)
-    assert reason in report.told[0][1]
+    assert reason in report.places[0][1]
 
 
 TRC = {

@@ -37,7 +37,7 @@ def test_every_format_gives_the_same_frames(tmp_path: Path, ending: str) -> None
 
 def test_a_command_takes_it(tmp_path: Path) -> None:
     log = open_log(write(tmp_path / "drive.blf"))
-    assert (log.id, len(log.frames)) == ("drive", len(FRAMES))
+    assert (log.id, len(list(log.frames()))) == ("drive", len(FRAMES))
 
 
 def test_remote_and_error_frames_are_counted(tmp_path: Path) -> None:

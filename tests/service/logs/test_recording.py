@@ -49,14 +49,14 @@ def test_opens_an_instrumented_recording(tmp_path: Path) -> None:
     assert log.recording is not None
     assert log.recording.can.dbc_sha256 == hashlib.sha256(DBC.encode()).hexdigest()
     assert log.sha256 == hashlib.sha256(LOG.encode()).hexdigest()
-    assert [frame.t for frame in log.frames] == [100.0, 101.5]
+    assert [frame.t for frame in log.frames()] == [100.0, 101.5]
     assert [frame.t for frame in log.relative()] == [0.0, 1.5]
     assert log.report.summary() == "2 frames read, from 0.0 to 1.5 s"
 
 
 def test_opens_a_bare_log_which_has_no_dbc(tmp_path: Path) -> None:
     log = open_log(_write(tmp_path) / "can.log")
-    assert (log.id, log.recording, len(log.frames)) == ("can", None, 2)
+    assert (log.id, log.recording, len(list(log.frames()))) == ("can", None, 2)
     with pytest.raises(LogError, match="names no DBC; give its recording's folder"):
         _ = log.dbc
 

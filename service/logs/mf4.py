@@ -1,0 +1,113 @@
+"""MF4 logs (ASAM MDF 4), by asammdf (extra `mf4`) in a process of its own.
+
+asammdf trusts what a file says of itself: a damaged one may make it loop, take all memory or crash. So it runs in
+another process (`logs.mf4_worker`), whose memory is limited and which is stopped when it says nothing for long.
+"""
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+import msgspec
+import numpy as np
+
+from faultline.service.logs.batch import Batch, impossible
+from faultline.service.logs.channels import Channels
+from faultline.service.logs.mf4_worker import LENGTH, Ended, Part
+from faultline.service.logs.pieces import Source
+from faultline.service.logs.report import LogReport
+
+MF4_MAGIC = (b"MDF     ", b"UnFinMF ")
+_PATIENCE_S = 120.0
+"""Time in which the process must say something [s]."""
+_LONGEST = 1 << 30
+_ERRORS = 2000  # characters of what the process says when it fails
+
+
+def read_mf4(source: Source, report: LogReport, channels: Channels) -> Iterator[Batch]:
+    """The frames of a log in order of time.
+
+    Raises:
+        ModuleNotFoundError: asammdf is not installed.
+    """
+    if find_spec("asammdf") is None:
+        raise ModuleNotFoundError("No module named 'asammdf'", name="asammdf")
+    report.unit = "record"
+    with source.plain(report) as path, TemporaryFile() as errors:
+        for message in _messages(path, errors, report):
+            if isinstance(message, Part):
+                yield from _batch(message, report, channels)
+            else:
+                for record, reason, count in message.bad:
+                    report.reject(record, reason)
+                    report.bad += count - 1
+                report.missing = report.missing or message.missing
+
+
+def _messages(path: Path, errors: IO[bytes], report: LogReport) -> Iterator[Part | Ended]:
+    """What the process says, until it ends."""
+    command = [sys.executable, "-W", "ignore", "-m", "faultline.service.logs.mf4_worker", str(path)]
+    decoder = msgspec.msgpack.Decoder(Part | Ended)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors) as process:  # noqa: S603 our own
+        assert process.stdout is not None
+        try:
+            while head := _taken(process.stdout, LENGTH):
+                yield decoder.decode(_taken(process.stdout, int.from_bytes(head, "little")))
+        except TimeoutError:
+            report.missing = f"reading it hangs: it was stopped after {_PATIENCE_S:.0f} s"
+        finally:
+            process.kill()
+    if process.returncode not in (0, -9) and not report.missing:
+        errors.seek(0)
+        said = errors.read()[-_ERRORS:].decode(errors="replace").strip().splitlines()
+        report.missing = (
+            f"asammdf cannot read it further: {said[-1] if said else f'it ended with {process.returncode}'}"
+        )
+
+
+def _taken(pipe: IO[bytes], size: int) -> bytes:
+    """So many bytes from the pipe; none if it was closed.
+
+    Raises:
+        TimeoutError: they do not come.
+    """
+    if size > _LONGEST:
+        raise TimeoutError
+    parts = bytearray()
+    while len(parts) < size:
+        if not select.select([pipe], [], [], _PATIENCE_S)[0]:
+            raise TimeoutError
+        piece = os.read(pipe.fileno(), size - len(parts))
+        if not piece:
+            return b""
+        parts += piece
+    return bytes(parts)
+
+
+def _batch(part: Part, report: LogReport, channels: Channels) -> Iterator[Batch]:
+    """The frames of a part; those that no bus carries are rejected."""
+    count = len(part.length)
+    numbers = np.frombuffer(part.channel, np.uint8)
+    index = np.zeros(256, np.uint8)
+    for number in np.flatnonzero(np.bincount(numbers)).tolist():
+        index[number] = channels.index(str(number).encode())
+    batch = Batch(
+        np.frombuffer(part.time, np.float64),
+        index[numbers],
+        np.frombuffer(part.identifier, np.uint32),
+        np.frombuffer(part.flags, np.uint8),
+        np.frombuffer(part.length, np.uint8),
+        np.frombuffer(part.data, np.uint8).reshape(count, -1),
+    )
+    bad = impossible(batch)
+    if bad.any():
+        for row in np.flatnonzero(bad).tolist():
+            report.reject(part.first + row, "a frame that no bus carries")
+        batch = batch[~bad]
+    yield batch
