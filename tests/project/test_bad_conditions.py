@@ -73,6 +73,7 @@ ROWS = {
         "--help", (Writes(f"{{in}}/pipe {LOG} --out {{out}}/m.toml --report {{out}}/r", "m.toml", lasting=True),)
     ),
     "code": Row("--help", (Writes("rc --out {out}", "rc_t01.py"),)),
+    "convert": Row("--help", (Writes(f"{LOG} --to candump --out {{out}}/c.log", "c.log"),)),
     "demo": Row("--out {out}/demo", (Writes("--out {out}/demo", "", lasting=True),)),
     "diagnose": Row(f"{LOG} --bundle {BUNDLE}"),
     "discover": Row(

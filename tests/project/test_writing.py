@@ -18,6 +18,7 @@ PACKAGES = ("service", "analysis", "training", "testbench", "dbc", "src/faultlin
 
 OTHERS = {
     "src/faultline/writing.py": "it does",
+    "service/logs/writers.py": "a log, to a path that `written_whole` gives",
     "service/cli.py": "a closed output is given /dev/null",
     "analysis/discrepancy/add/bundle_effect.py": "a bundle in a temporary folder, to be loaded",
     "testbench/can_logger.py": "a log in a temporary folder, for python-can to read",
