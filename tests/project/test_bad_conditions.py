@@ -104,6 +104,7 @@ ROWS = {
     ),
     "ingest": Row("--help", (Writes("{in}/bench/drive --offset 0.1 --out {out} --force", "drive/recording.toml"),)),
     "j1939": Row("--help", interrupted=0),
+    "log": Row(f"{LOG} --json"),
     "mqtt": Row("--help", interrupted=0),
     "replay": Row(f"{LOG} --bus {{bus}} --speed 1000 --json"),
     "rig": Row(
