@@ -12,7 +12,7 @@ from faultline.service.core.manifest import MODES, Manifest
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.records.freeze_frame import SCHEMA, Excerpt, FreezeFrame, Input, Verdict
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality
+from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
 
 
 class Sample(NamedTuple):
@@ -69,7 +69,7 @@ class Recorder:
         if self._samples and sample.tick != self._samples[-1].tick + 1:
             self._samples.clear()
             self._good[:] = -1
-        self._good[sample.quality == Quality.GOOD] = sample.tick
+        self._good[are_good(sample.quality)] = sample.tick
         self._samples.append(sample)
 
     @property
@@ -144,7 +144,7 @@ class Recorder:
     def _excerpt(self, tick: int) -> Excerpt:
         """The ticks around this one."""
         samples = [each for each in self._samples if abs(each.tick - tick) <= self.ticks]
-        usable = [each.quality == Quality.GOOD for each in samples]
+        usable = [are_good(each.quality) for each in samples]
         return Excerpt(
             first_tick=samples[0].tick,
             period_s=self._manifest.period_s,

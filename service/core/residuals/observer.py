@@ -13,7 +13,7 @@ import numpy as np
 from faultline.service.core.residuals.generators import Generators, Residuals
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
-from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality
+from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
@@ -33,7 +33,7 @@ class Tick(NamedTuple):
     @property
     def usable(self) -> Mask:
         """Return True for each sample that may be used (nz,)."""
-        return np.asarray(self.quality == Quality.GOOD)
+        return are_good(self.quality)
 
 
 class Decoder(Protocol):
@@ -67,6 +67,7 @@ class Observer:
         self._origin: float | None = None  # log time of tick 0
         self._now = -np.inf
         self._number = 0
+        self._due = np.inf  # log time of the next tick
 
     def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Tick]:
         """Takes a frame received at log time `t_s` [s]; gives the ticks that lie before it.
@@ -74,14 +75,14 @@ class Observer:
         A time before an earlier one is taken as that earlier one.
         """
         t = max(t_s, self._now)
-        ticks = self._run(t, including=False)
+        ticks = self._run(t, including=False) if self._due < t else []
         self._now = t
         if self._first is None:
-            self._first = t
+            self._first, self._due = t, t + self._start_within
         for signal, value, quality in self._table.decode(can_id, is_extended, data, t):
             self._sampler.receive(signal, t, value, quality)
         if self._origin is None and self._sampler.complete:
-            self._origin = t + PHASE_S
+            self._origin = self._due = t + PHASE_S
         return ticks
 
     def advance(self, t_s: float) -> list[Tick]:
@@ -102,11 +103,7 @@ class Observer:
     @property
     def next_tick_s(self) -> float | None:
         """Log time of the next tick [s], None before the first frame."""
-        if self._first is None:
-            return None
-        if self._origin is None:
-            return self._first + self._start_within
-        return self._origin + self._number * self._period
+        return None if self._first is None else self._due
 
     def tick_at(self, t_s: float) -> int:
         """Return the first tick that has seen what came at log time `t_s` [s]."""
@@ -114,12 +111,15 @@ class Observer:
 
     def _run(self, t: float, including: bool) -> list[Tick]:
         ticks: list[Tick] = []
-        while (due := self.next_tick_s) is not None and (due < t or (including and due == t)):
-            if self._origin is None:
-                self._origin = due
-            z, quality = self._sampler.sample(due)
-            usable = quality == Quality.GOOD
-            mode = self._modes.update(z, usable)
-            ticks.append(Tick(self._number, due, z, quality, mode, self._bank.step(z, usable)))
-            self._number += 1
+        while self._due < t or (including and self._due == t):
+            ticks.append(self._tick(self._due, *self._sampler.sample(self._due)))
         return ticks
+
+    def _tick(self, due: float, z: FloatArray, quality: Qualities) -> Tick:
+        if self._origin is None:
+            self._origin = due
+        usable = are_good(quality)
+        tick = Tick(self._number, due, z, quality, self._modes.update(z, usable), self._bank.step(z, usable))
+        self._number += 1
+        self._due = self._origin + self._number * self._period
+        return tick
