@@ -11,6 +11,7 @@ from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
 from faultline.service.core.residuals.generators import GeneratorBank
 from faultline.service.core.residuals.observer import Observer, Tick
+from faultline.service.core.signals.columns import Received
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
@@ -60,6 +61,16 @@ class Monitor:
         t_s = None
         for t_s, can_id, is_extended, data in frames:
             yield from self.frame(t_s, can_id, is_extended, data)
+        if t_s is not None:
+            yield from self.advance(t_s)
+
+    def pieces(self, pieces: Iterable[Received]) -> Iterator[Event]:
+        """Yield the events of a whole log by pieces, the same as `log` gives of its frames."""
+        t_s = None
+        for piece in pieces:
+            t_s = piece.last_s
+            for tick in self._observer.take(piece):
+                yield from self._decide([tick])
         if t_s is not None:
             yield from self.advance(t_s)
 

@@ -5,12 +5,16 @@ known, or `start_within_s` after the first frame where a signal never appears. C
 same object.
 """
 
+from collections import deque
+from collections.abc import Iterator
 from math import ceil
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from faultline.service.core.residuals.generators import Generators, Residuals
+from faultline.service.core.signals.columns import Received
+from faultline.service.core.signals.holding import Samples
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
@@ -18,6 +22,9 @@ from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Q
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
 every 100 ms. On the grid, a bus's jitter would decide at every tick whether its newest frame is seen."""
+
+BLOCK = 4096
+"""Ticks whose samples are computed at once, of a piece of a log."""
 
 
 class Tick(NamedTuple):
@@ -84,6 +91,34 @@ class Observer:
         if self._origin is None and self._sampler.complete:
             self._origin = self._due = t + PHASE_S
         return ticks
+
+    def take(self, received: Received) -> Iterator[Tick]:
+        """Take a piece of a log; yield the ticks before its last frame, as `frame` does for each of its frames.
+
+        A doubt is the sampler's before the tick at which the frame that raised it would have been taken.
+        """
+        samples = Samples(self._sampler.inputs, received)
+        if self._first is None:
+            self._first, self._due = received.first_s, received.first_s + self._start_within
+        if self._origin is None and samples.complete_s is not None and not self._due < samples.complete_s:
+            self._origin = self._due = samples.complete_s + PHASE_S
+        doubts = deque(samples.doubts)
+        while len(dues := self._dues(received.last_s)):
+            for due, z, quality in zip(dues.tolist(), *samples.at(dues), strict=True):
+                while doubts and doubts[0].t <= due:
+                    self._sampler.note_doubt(*doubts.popleft()[1:])
+                yield self._tick(due, z, quality)
+        for doubt in doubts:
+            self._sampler.note_doubt(*doubt[1:])
+        self._now = received.last_s
+
+    def _dues(self, before: float) -> FloatArray:
+        """Times of the next ticks (n,) [s] before this one, of so many at most as are computed at once."""
+        if not self._due < before:
+            return np.zeros(0)
+        origin = self._due if self._origin is None else self._origin
+        dues = origin + np.arange(self._number, self._number + BLOCK, dtype=np.float64) * self._period
+        return np.asarray(dues[dues < before], dtype=np.float64)
 
     def advance(self, t_s: float) -> list[Tick]:
         """Advance to time `t_s` [s]; return every tick up to and at it, frames or no frames."""

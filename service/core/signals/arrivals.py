@@ -13,8 +13,13 @@ both are doubted (`core.signals.sampling`). Small delays count for nothing: a se
 longer than the DBC's cycle time would grant a forger credit with each frame. And what counts is forgotten.
 """
 
+from collections.abc import Callable
 from enum import Enum, auto
 from math import exp
+
+import numpy as np
+
+from faultline.service.core.signals.values import FloatArray, Mask
 
 EARLY = 0.45
 """Parts of the period. Genuine frames of all demo logs come after 0.8 periods or more, with 20 ms of jitter after 0.6;
@@ -81,3 +86,23 @@ class Arrivals:
             return Arrival.EARLY
         self._last, self._data, self._backlog = t, data, backlog
         return Arrival.DUE
+
+    def judge_all(self, t: FloatArray, same: Mask, data: Callable[[int], bytes]) -> list[Arrival] | None:
+        """Take frames that came at log times `t` (K,) [s], in order; return how each came, None where all are due.
+
+        `same` (K,) says which have the bytes of the one before; `data` gives those of one of them.
+        """
+        came = [self.judge(float(t[0]), data(0))]
+        dt = np.diff(t)
+        late = dt - self._period
+        jitter = JITTER_S * self.speed
+        is_near = dt < min(max(REPEATED * self._period, jitter), self._period / 2.0)
+        suspects = same[1:] & is_near | (late < -max(EARLY * self._period, jitter))
+        if came[0] is not Arrival.DUE or suspects.any():
+            return came + [self.judge(at, data(k)) for k, at in enumerate(t[1:].tolist(), start=1)]
+        late[(late > 0.0) & (late < max(LATE * self._period, jitter))] = 0.0
+        backlog = self._backlog
+        for forgotten, delay in zip((-dt / (TAU_S * self.speed)).tolist(), late.tolist(), strict=True):
+            backlog = (backlog * exp(forgotten) if backlog > 0.0 else 0.0) + delay
+        self._last, self._data, self._backlog = float(t[-1]), data(len(t) - 1), backlog
+        return None

@@ -91,7 +91,7 @@ class DecodeTable:
         self.taken = {layout.name: 0 for layout in layouts.values()}
         self.repeated = dict(self.taken)
         self.rejected = Rejected(other_source=senders.others, claimed=senders.claimed, senders=senders.other)
-        self._arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
+        self.arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -114,12 +114,26 @@ class DecodeTable:
 
     def carries(self, can_id: int, is_extended: bool) -> bool:
         """True if frames of this identifier carry wanted signals, or parts of messages of their senders."""
-        if not is_extended:
-            return can_id in self._standard
-        if self.parts is not None and group_of(can_id) in (TP_CM, TP_DT):
+        if is_extended and self.parts is not None and group_of(can_id) in (TP_CM, TP_DT):
             addresses = self._senders.addresses
             return addresses is None or can_id & SOURCE_MASK in addresses
-        return can_id in self._other or self._senders.match(can_id) is not None
+        return self.layout_of(can_id, is_extended) is not None
+
+    def layout_of(self, can_id: int, is_extended: bool) -> Layout | None:
+        """Return the message that frames of this identifier carry whole; None if it is none that is wanted."""
+        if not is_extended:
+            return self._standard.get(can_id)
+        return self._exact.get(can_id & PRIORITY_MASK) or self._other.get(can_id) or self._senders.match(can_id)
+
+    @property
+    def near(self) -> Collection[int]:
+        """What stands in 29-bit identifiers of J1939, in place of the group's number, of the frames that count."""
+        return self._near
+
+    @property
+    def sources(self) -> Senders:
+        """Who sends the messages of J1939."""
+        return self._senders
 
     @property
     def senders(self) -> Mapping[str, Mapping[int, int]]:
@@ -149,7 +163,7 @@ class DecodeTable:
 
     def run_at(self, speed: float) -> None:
         """Set how many times real time goes by: a sender that is held up is held up in real time."""
-        for arrivals in self._arrivals.values():
+        for arrivals in self.arrivals.values():
             arrivals.speed = max(1.0, speed)
         if self.parts is not None:
             self.parts.speed = max(1.0, speed)
@@ -176,7 +190,7 @@ class DecodeTable:
                 _count(self.rejected.short, layout.name)
                 return []
             data = data[: layout.size]
-        arrivals = None if t is None else self._arrivals.get(layout.name)
+        arrivals = None if t is None else self.arrivals.get(layout.name)
         if t is not None and arrivals is not None and (came := arrivals.judge(t, data)) is not Arrival.DUE:
             return self._undue(layout, came)
         self.taken[layout.name] += 1

@@ -8,8 +8,11 @@ one is chosen.
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
+import numpy as np
+
 from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, SOURCE_MASK, group_of, named
 from faultline.service.core.signals.layout import Layout
+from faultline.service.core.signals.values import Indices
 
 SENDERS = 8
 """Source addresses of a message, other than the DBC's, that are remembered."""
@@ -56,6 +59,25 @@ class Senders:
         seen = self.counts[layout.name]
         seen[address] += 1
         return len(seen) == 1
+
+    def sole(self, layout: Layout, addresses: Indices) -> int:
+        """Count frames (K,) of a message that is taken from any; return how many came before a second one sent it."""
+        seen = self.counts[layout.name]
+        first = next(iter(seen), int(addresses[0]))
+        other = addresses != first
+        count = 0 if len(seen) > 1 else int(np.argmax(other)) if other.any() else len(addresses)
+        for address, frames in zip(*np.unique(addresses, return_counts=True), strict=True):
+            seen[int(address)] += int(frames)
+        return count
+
+    def take_others(self, identifiers: Indices) -> None:
+        """Count frames (K,) that carry none of the messages and claim no address, as `take_other` does one by one."""
+        found, first, counts = np.unique(identifiers, return_index=True, return_counts=True)
+        for k in np.argsort(first):
+            identifier = int(found[k])
+            self.take_other(identifier, b"")
+            for each in self._groups.get(group_of(identifier), ()):
+                self.others[each.name] += int(counts[k]) - 1
 
     def take_other(self, identifier: int, data: bytes) -> None:
         """Count a frame that carries none of the messages: one of their groups from another sender, or a claim."""

@@ -1,0 +1,270 @@
+"""Frames to signals for a whole log: columns of many frames at once, equal to `DecodeTable.decode` frame by frame.
+
+Frames are grouped by message. What depends on the order of frames of several groups stays with the table: messages in
+parts, claims of addresses and signals of more than 64 bits are decoded one by one, in their order, with everything of
+the same groups.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import nan
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from faultline.service.core.j1939.identifiers import (
+    ADDRESS_CLAIMED,
+    FRAME,
+    SOURCE_MASK,
+    TP_CM,
+    TP_DT,
+    group_of,
+)
+from faultline.service.core.signals.arrivals import Arrival
+from faultline.service.core.signals.bits import WORD, Bits
+from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
+from faultline.service.core.signals.layout import Layout
+from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality
+
+ROWS = 1 << 14
+"""Frames that count, of as many batches as have them, that are decoded at once."""
+
+_NUMBERS = 1 << 18
+"""Of groups, with data page and destination, in identifiers of 29 bits."""
+_IS_EXTENDED = np.uint32(1 << 31)
+_NONE, _SINGLY = -1, -2
+_DOUBTED = int(Quality.DOUBTED)
+
+
+class Frames(Protocol):
+    """Data frames of a log as columns (N,), `data` (N, W), in order of time [s]."""
+
+    @property
+    def time(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def identifier(self) -> npt.NDArray[np.uint32]: ...  # noqa: D102
+    @property
+    def is_extended(self) -> Mask: ...  # noqa: D102
+    @property
+    def length(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
+    @property
+    def data(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
+    def __len__(self) -> int: ...
+
+
+class Column(NamedTuple):
+    """What came of one signal: K values with their qualities, and in which `row` of the frames, which increases."""
+
+    row: Indices
+    value: FloatArray
+    quality: Qualities
+
+
+class Received(NamedTuple):
+    """What came from log time `first_s` to `last_s` [s], the times of the first and the last frame, wanted or not.
+
+    `time` (N,) are the log times [s] of the rows that the columns name, `before` (N,) those of the frame before each.
+    """
+
+    first_s: float
+    last_s: float
+    time: FloatArray
+    before: FloatArray
+    columns: Mapping[str, Column]
+
+
+class _Selected(NamedTuple):
+    """Frames that count: log time and that of the frame before [s], identifier with bit 31 if extended, data."""
+
+    time: FloatArray
+    before: FloatArray
+    key: npt.NDArray[np.uint32]
+    length: npt.NDArray[np.uint8]
+    data: npt.NDArray[np.uint8]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All of them, with the widest of their data."""
+        if len(parts) == 1:
+            return parts[0]
+        width = max(part.data.shape[1] for part in parts)
+        return cls(
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.before for part in parts]),
+            np.concatenate([part.key for part in parts]),
+            np.concatenate([part.length for part in parts]),
+            np.concatenate([np.pad(part.data, ((0, 0), (0, width - part.data.shape[1]))) for part in parts]),
+        )
+
+    def bytes_of(self, row: int) -> bytes:
+        return self.data[row, : self.length[row]].tobytes()
+
+
+def received(
+    table: DecodeTable, batches: Iterable[Frames], *, judged: bool = True, rows: int = ROWS
+) -> Iterator[Received]:
+    """Yield what the frames of a log mean, in pieces of `rows` frames or more that count.
+
+    A time before an earlier one is taken as that earlier one. Where arrivals are not `judged`, nothing is doubted for
+    when it came.
+    """
+    decoder = _Decoder(table, judged=judged)
+    parts: list[_Selected] = []
+    first = last = -np.inf
+    for batch in batches:
+        if not len(batch):
+            continue
+        t = np.maximum.accumulate(np.maximum(batch.time, last))
+        first = float(t[0]) if not parts else first
+        parts.append(decoder.select(batch, t, last))
+        last = float(t[-1])
+        if sum(len(part.time) for part in parts) >= rows:
+            yield _received(decoder, parts, first, last)
+            parts = []
+    if parts:
+        yield _received(decoder, parts, first, last)
+
+
+def _received(decoder: "_Decoder", parts: Sequence[_Selected], first: float, last: float) -> Received:
+    frames = _Selected.joined(parts)
+    return Received(first, last, frames.time, frames.before, decoder.decode(frames))
+
+
+class _Decoder:
+    """Decodes by a table, whose state it shares: one batch may follow frames that the table decoded itself."""
+
+    def __init__(self, table: DecodeTable, *, judged: bool) -> None:
+        self._table, self._judged = table, judged
+        self._near = np.zeros(_NUMBERS + STANDARD + 1, np.bool_)
+        self._near[list(table.near)] = True
+        for layout in table.layouts:
+            if layout.mask == STANDARD:
+                self._near[_NUMBERS | layout.identifier] = True
+            elif layout.mask == EXTENDED:
+                self._near[layout.identifier >> 8 & (_NUMBERS - 1)] = True
+        self._layouts = {layout.name: k for k, layout in enumerate(table.layouts)}
+        singly = [layout for layout in table.layouts if _is_wide(layout) or (layout.j1939 and layout.size > FRAME)]
+        self._single = {layout.name for layout in singly}
+        self._single_groups = {group_of(layout.identifier) for layout in singly if layout.j1939}
+        self._single_groups |= {ADDRESS_CLAIMED} | (set() if table.parts is None else {TP_CM, TP_DT})
+        self._from_any = {group_of(layout.identifier) for layout in table.layouts if layout.is_from_any}
+
+    def select(self, frames: Frames, t: FloatArray, last: float) -> _Selected:
+        """Return those that the table takes or counts, with their log times `t` (N,), after a frame at `last` [s]."""
+        extended, identifier = frames.is_extended, frames.identifier
+        if extended.all():
+            number = identifier >> 8 & (_NUMBERS - 1)
+        else:
+            number = np.where(extended, identifier >> 8 & (_NUMBERS - 1), _NUMBERS | identifier & STANDARD)
+        rows = np.flatnonzero(self._near[number])
+        before = np.where(rows > 0, t[rows - 1], last)
+        key = identifier[rows] | np.where(extended[rows], _IS_EXTENDED, np.uint32(0))
+        return _Selected(t[rows], before, key, frames.length[rows], frames.data[rows])
+
+    def decode(self, frames: _Selected) -> dict[str, Column]:
+        """Return the columns of all signals that came."""
+        keys, inverse = np.unique(frames.key, return_inverse=True)
+        kinds = np.array(self._kinds(keys), np.intp)[inverse] if len(keys) else np.zeros(0, np.intp)
+        columns = self._one_by_one(frames, np.flatnonzero(kinds == _SINGLY))
+        if (others := np.flatnonzero(kinds == _NONE)).size:
+            self._table.sources.take_others((frames.key[others] & ~_IS_EXTENDED).astype(np.intp))
+        for k in np.unique(kinds[kinds >= 0]):
+            columns |= self._message(self._table.layouts[k], frames, np.flatnonzero(kinds == k))
+        return columns
+
+    def _kinds(self, keys: npt.NDArray[np.uint32]) -> list[int]:
+        """The number of the message that frames of each identifier carry, `_NONE`, or `_SINGLY`."""
+        identifiers = [(int(key & ~_IS_EXTENDED), bool(key & _IS_EXTENDED)) for key in keys]
+        singly = set(self._single_groups)
+        if any(is_extended and group_of(can_id) == ADDRESS_CLAIMED for can_id, is_extended in identifiers):
+            singly |= self._from_any  # whose address is claimed depends on who has spoken before
+        found = []
+        for can_id, is_extended in identifiers:
+            layout = self._table.layout_of(can_id, is_extended)
+            is_j1939 = is_extended and (layout is None or layout.j1939)
+            is_wanted = layout is not None and layout.name in self._single
+            if is_wanted or (is_j1939 and group_of(can_id) in singly):
+                found.append(_SINGLY)
+            else:
+                found.append(_NONE if layout is None else self._layouts[layout.name])
+        return found
+
+    def _one_by_one(self, frames: _Selected, rows: Indices) -> dict[str, Column]:
+        items: dict[str, list[tuple[int, float, int]]] = {}
+        for row in rows.tolist():
+            key, t = int(frames.key[row]), float(frames.time[row]) if self._judged else None
+            identifier = key & EXTENDED, key >> 31 > 0
+            for name, value, quality in self._table.decode(*identifier, frames.bytes_of(row), t):
+                items.setdefault(name, []).append((row, value, int(quality)))
+        return {name: _column(*zip(*each, strict=True)) for name, each in items.items()}
+
+    def _message(self, layout: Layout, frames: _Selected, rows: Indices) -> dict[str, Column]:
+        """The signals of a message, from its frames in these rows."""
+        doubted = np.zeros(0, np.intp)
+        if layout.is_from_any:
+            addresses = (frames.key[rows] & np.uint32(SOURCE_MASK)).astype(np.intp)
+            rows, doubted = np.split(rows, [self._table.sources.sole(layout, addresses)])
+            _count(self._table.rejected.unclear, layout.name, len(doubted))
+        is_short = frames.length[rows] < layout.size
+        if is_short.any():
+            _count(self._table.rejected.short, layout.name, int(np.count_nonzero(is_short)))
+            rows = rows[~is_short]
+        early = np.zeros(0, np.intp)
+        bits = Bits(frames.data[rows], layout.size)
+        if self._judged and layout.name in self._table.arrivals and len(rows):
+            is_due, is_early = self._arrived(layout, frames, rows, bits)
+            if not is_due.all():
+                rows, early = rows[is_due], rows[is_early]
+                bits = Bits(frames.data[rows], layout.size)
+        self._table.taken[layout.name] += len(rows)
+        return _columns(layout, bits, rows, np.concatenate([early, doubted]), self._table)
+
+    def _arrived(self, layout: Layout, frames: _Selected, rows: Indices, bits: Bits) -> tuple[Mask, Mask]:
+        """Which frames are due, and which are early; what is neither repeats the one before."""
+        arrivals = self._table.arrivals[layout.name]
+        came = arrivals.judge_all(frames.time[rows], bits.repeat(), lambda k: frames.bytes_of(rows[k])[: layout.size])
+        if came is None:
+            return np.ones(len(rows), np.bool_), np.zeros(len(rows), np.bool_)
+        self._table.repeated[layout.name] += came.count(Arrival.REPEATED)
+        _count(self._table.rejected.early, layout.name, came.count(Arrival.EARLY))
+        return np.array([one is Arrival.DUE for one in came]), np.array([one is Arrival.EARLY for one in came])
+
+
+def _columns(layout: Layout, bits: Bits, rows: Indices, doubted: Indices, table: DecodeTable) -> dict[str, Column]:
+    """The columns of a message whose frames `bits` (K,) are in `rows` (K,), and whose signals are doubted in others."""
+    found = {plain[0]: Column(rows, *bits.plain_values(plain, layout.j1939)) for plain in layout.plain}
+    if len(rows):
+        _count(table.rejected.unknown_selector, layout.name, bits.count_unknown(layout))
+    for field in layout.others:
+        value, quality = bits.values(field, layout.j1939)
+        there = bits.are_there(field.only) if field.only else slice(None)
+        found[field.name] = Column(rows[there], value[there], quality[there])
+    if not len(doubted):
+        return found
+    no_value, worth = np.full(len(doubted), nan), np.full(len(doubted), _DOUBTED, np.int8)
+    return {name: _merged(found[name], Column(doubted, no_value, worth)) for name in layout.signals}
+
+
+def _merged(column: Column, other: Column) -> Column:
+    order = np.argsort(np.concatenate([column.row, other.row]))
+    return Column(
+        np.concatenate([column.row, other.row])[order],
+        np.concatenate([column.value, other.value])[order],
+        np.concatenate([column.quality, other.quality])[order],
+    )
+
+
+def _column(row: Sequence[int], value: Sequence[float], quality: Sequence[int]) -> Column:
+    return Column(np.array(row, np.intp), np.array(value, np.float64), np.array(quality, np.int8))
+
+
+def _is_wide(layout: Layout) -> bool:
+    """Whether a signal or a selector of the message has more bits than are cut out at once."""
+    cuts = [plain[-1].cut for plain in layout.plain] + [field.cut for field in layout.others]
+    cuts += [cut for field in layout.others for cut, _ in field.only] + [one.cut for one in layout.selectors]
+    return any(cut.length > WORD for cut in cuts)
+
+
+def _count(counts: dict[str, int], name: str, more: int) -> None:
+    if more:
+        counts[name] = counts.get(name, 0) + more

@@ -1,0 +1,165 @@
+"""Samples of a whole column at once: what `Sampler` does value by value, equal in every bit.
+
+A column ends in the same state as if each of its values had been received; the next one goes on from there.
+"""
+
+from collections.abc import Sequence
+from math import inf, isfinite, isnan
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.signals.columns import Column, Received
+from faultline.service.core.signals.latest import DOUBTED_S, NO_NUMBER, Latest
+from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality
+
+_GOOD, _MISSING, _LATE, _DOUBTED = (int(one) for one in (Quality.GOOD, Quality.MISSING, Quality.LATE, Quality.DOUBTED))
+_FROZEN, _JUMP = int(Quality.FROZEN), int(Quality.JUMP)
+_IS_NO_NUMBER = np.array([int(one) in NO_NUMBER for one in Quality])
+
+
+class Doubt(NamedTuple):
+    """A signal that came to be doubted from its sample at `since` [s] on, by a frame before which came one at `t`."""
+
+    t: float
+    signal: str
+    since: float
+
+
+class Held(NamedTuple):
+    """What was known of an input after each of K values, which came at `came` (K,) [s]: (K + 1,) with the state before.
+
+    `value`, `time` and `quality` are those of `Latest`, and `doubted_until`.
+    """
+
+    latest: Latest
+    came: FloatArray
+    value: FloatArray
+    time: FloatArray
+    quality: Qualities
+    doubted_until: FloatArray
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, Qualities]:
+        """Values (n,) and what each is worth (n,) at log times `t` (n,) [s], as `Sampler.sample`."""
+        last = np.searchsorted(self.came, t, "right")
+        quality = self.quality[last]
+        is_late = (t - self.time[last] > self.latest.maximum_age) & (quality != _MISSING)
+        is_doubted = (self.latest.is_doubted | (t < self.doubted_until[last])) & (quality == _GOOD)
+        quality[is_doubted] = _DOUBTED
+        quality[is_late] = _LATE
+        return self.value[last], quality
+
+
+class Samples:
+    """What all inputs were at any time of one piece of a log.
+
+    `complete_s` is the log time [s] from which on each has had a usable value, None where one has none; `doubts` are in
+    the order in which they came.
+    """
+
+    def __init__(self, inputs: Sequence[Latest], received: Received) -> None:
+        self._held: list[Held] = []
+        doubts: list[tuple[int, Doubt]] = []
+        complete = received.first_s
+        for latest in inputs:
+            column = received.columns.get(latest.signal, _NOTHING)
+            was_usable = not isnan(latest.value)
+            held, found = _hold(latest, column, received)
+            self._held.append(held)
+            doubts += found
+            if not was_usable:
+                usable = np.flatnonzero(~np.isnan(held.value))
+                complete = max(complete, float(held.came[usable[0] - 1]) if len(usable) else inf)
+        self.complete_s = complete if complete < inf else None
+        self.doubts = [doubt for _, doubt in sorted(doubts, key=lambda each: each[0])]
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, Qualities]:
+        """Values (n, nz) [bundle units] and what each is worth (n, nz) at log times `t` (n,) [s]."""
+        values, qualities = np.empty((len(t), len(self._held))), np.empty((len(t), len(self._held)), np.int8)
+        for k, held in enumerate(self._held):
+            values[:, k], qualities[:, k] = held.at(t)
+        return values, qualities
+
+
+_NOTHING = Column(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int8))
+
+
+def _hold(latest: Latest, column: Column, received: Received) -> tuple[Held, list[tuple[int, Doubt]]]:
+    """Take a column; return what was known after each value, and the doubts with their rows."""
+    came = received.time[column.row]
+    doubted = column.quality == _DOUBTED
+    if not doubted.any():
+        return _taken(latest, came, column.value, column.quality, None), []
+    held = _taken(latest, came, column.value, column.quality, doubted)
+    found = []
+    for k in np.flatnonzero(doubted & (came >= held.doubted_until[:-1])).tolist():
+        row, last = int(column.row[k]), float(held.time[k])
+        since = last if isfinite(last) else float(came[k])
+        found.append((row, Doubt(float(received.before[row]), latest.signal, since)))
+    return held, found
+
+
+def _taken(latest: Latest, came: FloatArray, value: FloatArray, quality: Qualities, doubted: Mask | None) -> Held:
+    """Return what was known after each of K values, those of them that are `doubted` (K,) taken for none."""
+    until = np.full(len(came) + 1, latest.doubted_until)
+    if doubted is None:
+        values, times, qualities = _judged(latest, came, value, quality)
+        return Held(latest, came, values, times, qualities, until)
+    until[1:][doubted] = came[doubted] + DOUBTED_S
+    until = np.maximum.accumulate(until)
+    values, times, qualities = _judged(latest, came[~doubted], value[~doubted], quality[~doubted])
+    after = np.concatenate([[0], np.cumsum(~doubted)])
+    latest.doubted_until = float(until[-1])
+    return Held(latest, came, values[after], times[after], qualities[after], until)
+
+
+def _judged(
+    latest: Latest, t: FloatArray, value: FloatArray, quality: Qualities
+) -> tuple[FloatArray, FloatArray, Qualities]:
+    """Take K values that are not doubted; return value, time and quality after each (K + 1,), and before the first."""
+    judged = quality.copy()
+    good = np.flatnonzero(quality == _GOOD)
+    if len(good):
+        judged[good] = _plausible(latest, t, value, quality, good)
+    k = np.where(judged == _GOOD, np.arange(1, len(t) + 1), 0)
+    believed = np.maximum.accumulate(np.concatenate([[0], k]))
+    values = np.concatenate([[latest.value], value])[believed]
+    times = np.concatenate([[latest.time], t])
+    qualities = np.concatenate([np.array([latest.quality], np.int8), judged])
+    latest.value, latest.time, latest.quality = float(values[-1]), float(times[-1]), int(qualities[-1])
+    return values, times, qualities
+
+
+def _plausible(latest: Latest, t: FloatArray, value: FloatArray, quality: Qualities, good: Indices) -> Qualities:
+    """What the values in the rows `good` (G,) are worth (G,), as `Latest.plausible` says of each."""
+    at, now = t[good], value[good]
+    before = np.concatenate([[latest.number], now[:-1]])
+    last_quality = np.concatenate([np.array([latest.quality], np.int8), quality])[good]
+    is_away = at - np.concatenate([[latest.time], t])[good] > latest.maximum_age
+    found = np.zeros(len(good), np.int8)
+    if isfinite(latest.frozen_s):
+        rests = (now == before) & ~is_away & ~_IS_NO_NUMBER[last_quality] & (latest.lower < now) & (now < latest.upper)
+        changed = np.maximum.accumulate(np.concatenate([[latest.changed], np.where(rests, -inf, at)]))
+        found[rests & (at - changed[1:] > latest.frozen_s)] = _FROZEN
+        latest.changed = float(changed[-1])
+    if isfinite(latest.largest_step):
+        with np.errstate(all="ignore"):
+            is_far = np.abs(now - before) > latest.largest_step
+        far = np.flatnonzero(is_far & (found == _GOOD) & ~is_away & (last_quality != _MISSING))
+        if len(far):
+            _mark_jumps(found, now, far, latest)
+    latest.number = float(now[-1])
+    return found
+
+
+def _mark_jumps(found: Qualities, value: FloatArray, far: Indices, latest: Latest) -> None:
+    """Mark those in the rows `far` that are far from the last one that was good too."""
+    found[far] = _JUMP  # until one is found to be good
+    good = np.maximum.accumulate(np.where(found == _GOOD, np.arange(len(found)), -1))
+    last = -1
+    for k in far.tolist():
+        last = max(last, int(good[k]))
+        believed = latest.value if last < 0 else float(value[last])
+        if not abs(float(value[k]) - believed) > latest.largest_step:
+            found[k] = _GOOD
+            last = k
