@@ -87,22 +87,53 @@ class Arrivals:
         self._last, self._data, self._backlog = t, data, backlog
         return Arrival.DUE
 
-    def judge_all(self, t: FloatArray, same: Mask, data: Callable[[int], bytes]) -> list[Arrival] | None:
-        """Take frames that came at log times `t` (K,) [s], in order; return how each came, None where all are due.
+    def judge_all(self, t: FloatArray, same: Mask, data: Callable[[int], bytes]) -> tuple[Mask, Mask]:
+        """Take frames that came at log times `t` (K,) [s], in order; return which are due, and which are early (K,).
 
         `same` (K,) says which have the bytes of the one before; `data` gives those of one of them.
         """
-        came = [self.judge(float(t[0]), data(0))]
         dt = np.diff(t)
         late = dt - self._period
         jitter = JITTER_S * self.speed
         is_near = dt < min(max(REPEATED * self._period, jitter), self._period / 2.0)
-        suspects = same[1:] & is_near | (late < -max(EARLY * self._period, jitter))
-        if came[0] is not Arrival.DUE or suspects.any():
-            return came + [self.judge(at, data(k)) for k, at in enumerate(t[1:].tolist(), start=1)]
+        suspects = 1 + np.flatnonzero(same[1:] & is_near | (late < -max(EARLY * self._period, jitter)))
         late[(late > 0.0) & (late < max(LATE * self._period, jitter))] = 0.0
-        backlog = self._backlog
-        for forgotten, delay in zip((-dt / (TAU_S * self.speed)).tolist(), late.tolist(), strict=True):
-            backlog = (backlog * exp(forgotten) if backlog > 0.0 else 0.0) + delay
-        self._last, self._data, self._backlog = float(t[-1]), data(len(t) - 1), backlog
-        return None
+        is_due, is_early = np.ones(len(t), np.bool_), np.zeros(len(t), np.bool_)
+        k = 0
+        while k < len(t):
+            if k and is_due[k - 1]:  # after one that was due, all are up to the next that is suspect
+                end = next(iter(suspects[np.searchsorted(suspects, k) :].tolist()[:1]), len(t))
+                if end > k:
+                    self._last, self._data = float(t[end - 1]), data(end - 1)
+                    rows = slice(k - 1, end - 1)
+                    self._backlog = _after(self._backlog, -dt[rows] / (TAU_S * self.speed), late[rows])
+                    k = end
+                    continue
+            came = self.judge(float(t[k]), data(k))
+            is_due[k], is_early[k] = came is Arrival.DUE, came is Arrival.EARLY
+            k += 1
+        return is_due, is_early
+
+
+def _after(backlog: float, exponent: FloatArray, delay: FloatArray) -> float:
+    """Return the backlog after K frames, `delay` (K,) [s] and `exponent` (K,) of the forgetting before each.
+
+    Without a backlog, the next one is the next delay: only from a delay above 0 until it is made up for, one by one.
+    """
+    positive = np.flatnonzero(delay > 0.0)
+    k, some = 0, 8
+    while k < len(delay):
+        if backlog > 0.0:
+            rows = slice(k, k + some)
+            for forgotten, late in zip(exponent[rows].tolist(), delay[rows].tolist(), strict=True):
+                backlog = backlog * exp(forgotten) + late
+                k += 1
+                if not backlog > 0.0:
+                    break
+            some *= 2
+        else:
+            after = positive[np.searchsorted(positive, k) :]
+            k, some = int(after[0]) if len(after) else len(delay) - 1, 8
+            backlog = float(delay[k])
+            k += 1
+    return backlog

@@ -54,6 +54,9 @@ class Bits:
 
     def _eight(self, big_endian: bool, first: int) -> Words:
         data = self._data[:, : self._size]
+        if self._data.shape[1] == self._size == 8:
+            word = np.ascontiguousarray(self._data).view("<u8")[:, 0]
+            return word.byteswap() if big_endian else word
         some = data[:, ::-1][:, first : first + 8] if big_endian else data[:, first : first + 8]
         whole = np.zeros((len(data), 8), np.uint8)
         whole[:, : some.shape[1]] = some

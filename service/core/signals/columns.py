@@ -20,13 +20,12 @@ from faultline.service.core.j1939.identifiers import (
     TP_DT,
     group_of,
 )
-from faultline.service.core.signals.arrivals import Arrival
 from faultline.service.core.signals.bits import WORD, Bits
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import Layout
 from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality
 
-ROWS = 1 << 14
+ROWS = 1 << 13
 """Frames that count, of as many batches as have them, that are decoded at once."""
 
 _NUMBERS = 1 << 18
@@ -93,7 +92,7 @@ class _Selected(NamedTuple):
             np.concatenate([part.before for part in parts]),
             np.concatenate([part.key for part in parts]),
             np.concatenate([part.length for part in parts]),
-            np.concatenate([np.pad(part.data, ((0, 0), (0, width - part.data.shape[1]))) for part in parts]),
+            np.concatenate([_widened(part.data, width) for part in parts]),
         )
 
     def bytes_of(self, row: int) -> bytes:
@@ -152,14 +151,15 @@ class _Decoder:
     def select(self, frames: Frames, t: FloatArray, last: float) -> _Selected:
         """Return those that the table takes or counts, with their log times `t` (N,), after a frame at `last` [s]."""
         extended, identifier = frames.is_extended, frames.identifier
-        if extended.all():
-            number = identifier >> 8 & (_NUMBERS - 1)
-        else:
-            number = np.where(extended, identifier >> 8 & (_NUMBERS - 1), _NUMBERS | identifier & STANDARD)
-        rows = np.flatnonzero(self._near[number])
-        before = np.where(rows > 0, t[rows - 1], last)
-        key = identifier[rows] | np.where(extended[rows], _IS_EXTENDED, np.uint32(0))
-        return _Selected(t[rows], before, key, frames.length[rows], frames.data[rows])
+        number, bit = identifier >> 8 & (_NUMBERS - 1), _IS_EXTENDED
+        if not (all_extended := bool(extended.all())):
+            number = np.where(extended, number, _NUMBERS | identifier & STANDARD)
+        rows = np.flatnonzero(self._near.take(number))
+        before = t.take(rows - 1)
+        if len(rows) and not rows[0]:
+            before[0] = last
+        key = identifier.take(rows) | (bit if all_extended else np.where(extended.take(rows), bit, np.uint32(0)))
+        return _Selected(t.take(rows), before, key, frames.length.take(rows), frames.data.take(rows, axis=0))
 
     def decode(self, frames: _Selected) -> dict[str, Column]:
         """Return the columns of all signals that came."""
@@ -205,29 +205,29 @@ class _Decoder:
             addresses = (frames.key[rows] & np.uint32(SOURCE_MASK)).astype(np.intp)
             rows, doubted = np.split(rows, [self._table.sources.sole(layout, addresses)])
             _count(self._table.rejected.unclear, layout.name, len(doubted))
-        is_short = frames.length[rows] < layout.size
+        is_short = frames.length.take(rows) < layout.size
         if is_short.any():
             _count(self._table.rejected.short, layout.name, int(np.count_nonzero(is_short)))
             rows = rows[~is_short]
-        early = np.zeros(0, np.intp)
-        bits = Bits(frames.data[rows], layout.size)
-        if self._judged and layout.name in self._table.arrivals and len(rows):
-            is_due, is_early = self._arrived(layout, frames, rows, bits)
-            if not is_due.all():
-                rows, early = rows[is_due], rows[is_early]
-                bits = Bits(frames.data[rows], layout.size)
-        self._table.taken[layout.name] += len(rows)
-        return _columns(layout, bits, rows, np.concatenate([early, doubted]), self._table)
+        bits = Bits(frames.data.take(rows, axis=0), layout.size)  # `take` is ten times as fast as an index
+        due, early = self._due(layout, frames, rows, bits)
+        if len(due) < len(rows):
+            bits = Bits(frames.data.take(due, axis=0), layout.size)
+        self._table.taken[layout.name] += len(due)
+        return _columns(layout, bits, due, np.concatenate([early, doubted]), self._table)
 
-    def _arrived(self, layout: Layout, frames: _Selected, rows: Indices, bits: Bits) -> tuple[Mask, Mask]:
-        """Which frames are due, and which are early; what is neither repeats the one before."""
-        arrivals = self._table.arrivals[layout.name]
-        came = arrivals.judge_all(frames.time[rows], bits.repeat(), lambda k: frames.bytes_of(rows[k])[: layout.size])
-        if came is None:
-            return np.ones(len(rows), np.bool_), np.zeros(len(rows), np.bool_)
-        self._table.repeated[layout.name] += came.count(Arrival.REPEATED)
-        _count(self._table.rejected.early, layout.name, came.count(Arrival.EARLY))
-        return np.array([one is Arrival.DUE for one in came]), np.array([one is Arrival.EARLY for one in came])
+    def _due(self, layout: Layout, frames: _Selected, rows: Indices, bits: Bits) -> tuple[Indices, Indices]:
+        """Return the rows of the frames that are due, and of those that came too early to be of the same sender."""
+        arrivals = self._table.arrivals.get(layout.name)
+        if not self._judged or arrivals is None or not len(rows):
+            return rows, rows[:0]
+        is_due, is_early = arrivals.judge_all(
+            frames.time.take(rows), bits.repeat(), lambda k: frames.bytes_of(rows[k])[: layout.size]
+        )
+        early = rows[is_early]
+        _count(self._table.rejected.early, layout.name, len(early))
+        self._table.repeated[layout.name] += int(np.count_nonzero(~(is_due | is_early)))
+        return rows if is_due.all() else rows[is_due], early
 
 
 def _columns(layout: Layout, bits: Bits, rows: Indices, doubted: Indices, table: DecodeTable) -> dict[str, Column]:
@@ -252,6 +252,10 @@ def _merged(column: Column, other: Column) -> Column:
         np.concatenate([column.value, other.value])[order],
         np.concatenate([column.quality, other.quality])[order],
     )
+
+
+def _widened(data: npt.NDArray[np.uint8], width: int) -> npt.NDArray[np.uint8]:
+    return data if data.shape[1] == width else np.pad(data, ((0, 0), (0, width - data.shape[1])))
 
 
 def _column(row: Sequence[int], value: Sequence[float], quality: Sequence[int]) -> Column:

@@ -5,9 +5,10 @@ A column ends in the same state as if each of its values had been received; the 
 
 from collections.abc import Sequence
 from math import inf, isfinite, isnan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from faultline.service.core.signals.columns import Column, Received
 from faultline.service.core.signals.latest import DOUBTED_S, NO_NUMBER, Latest
@@ -39,9 +40,8 @@ class Held(NamedTuple):
     quality: Qualities
     doubted_until: FloatArray
 
-    def at(self, t: FloatArray) -> tuple[FloatArray, Qualities]:
-        """Values (n,) and what each is worth (n,) at log times `t` (n,) [s], as `Sampler.sample`."""
-        last = np.searchsorted(self.came, t, "right")
+    def at(self, t: FloatArray, last: Indices) -> tuple[FloatArray, Qualities]:
+        """Values (n,) and what each is worth (n,) at log times `t` (n,) [s], after `last` (n,) of the K values each."""
         quality = self.quality[last]
         is_late = (t - self.time[last] > self.latest.maximum_age) & (quality != _MISSING)
         is_doubted = (self.latest.is_doubted | (t < self.doubted_until[last])) & (quality == _GOOD)
@@ -59,12 +59,13 @@ class Samples:
 
     def __init__(self, inputs: Sequence[Latest], received: Received) -> None:
         self._held: list[Held] = []
+        came = {id(column.row): received.time[column.row] for column in received.columns.values()}
         doubts: list[tuple[int, Doubt]] = []
         complete = received.first_s
         for latest in inputs:
             column = received.columns.get(latest.signal, _NOTHING)
             was_usable = not isnan(latest.value)
-            held, found = _hold(latest, column, received)
+            held, found = _hold(latest, column, came.get(id(column.row), _NEVER), received.before)
             self._held.append(held)
             doubts += found
             if not was_usable:
@@ -76,17 +77,23 @@ class Samples:
     def at(self, t: FloatArray) -> tuple[FloatArray, Qualities]:
         """Values (n, nz) [bundle units] and what each is worth (n, nz) at log times `t` (n,) [s]."""
         values, qualities = np.empty((len(t), len(self._held))), np.empty((len(t), len(self._held)), np.int8)
+        last: dict[int, Indices] = {}  # signals of one message came together
         for k, held in enumerate(self._held):
-            values[:, k], qualities[:, k] = held.at(t)
+            key = id(held.came)
+            last[key] = last[key] if key in last else np.searchsorted(held.came, t, "right")
+            values[:, k], qualities[:, k] = held.at(t, last[key])
         return values, qualities
 
 
+_NEVER = np.zeros(0)
 _NOTHING = Column(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int8))
 
 
-def _hold(latest: Latest, column: Column, received: Received) -> tuple[Held, list[tuple[int, Doubt]]]:
-    """Take a column; return what was known after each value, and the doubts with their rows."""
-    came = received.time[column.row]
+def _hold(latest: Latest, column: Column, came: FloatArray, before: FloatArray) -> tuple[Held, list[tuple[int, Doubt]]]:
+    """Take a column whose values `came` (K,) [s]; return what was known after each, and the doubts with their rows.
+
+    `before` (N,) are the times of the frames before the rows.
+    """
     doubted = column.quality == _DOUBTED
     if not doubted.any():
         return _taken(latest, came, column.value, column.quality, None), []
@@ -95,7 +102,7 @@ def _hold(latest: Latest, column: Column, received: Received) -> tuple[Held, lis
     for k in np.flatnonzero(doubted & (came >= held.doubted_until[:-1])).tolist():
         row, last = int(column.row[k]), float(held.time[k])
         since = last if isfinite(last) else float(came[k])
-        found.append((row, Doubt(float(received.before[row]), latest.signal, since)))
+        found.append((row, Doubt(float(before[row]), latest.signal, since)))
     return held, found
 
 
@@ -117,38 +124,53 @@ def _judged(
     latest: Latest, t: FloatArray, value: FloatArray, quality: Qualities
 ) -> tuple[FloatArray, FloatArray, Qualities]:
     """Take K values that are not doubted; return value, time and quality after each (K + 1,), and before the first."""
-    judged = quality.copy()
-    good = np.flatnonzero(quality == _GOOD)
-    if len(good):
-        judged[good] = _plausible(latest, t, value, quality, good)
-    k = np.where(judged == _GOOD, np.arange(1, len(t) + 1), 0)
-    believed = np.maximum.accumulate(np.concatenate([[0], k]))
-    values = np.concatenate([[latest.value], value])[believed]
-    times = np.concatenate([[latest.time], t])
-    qualities = np.concatenate([np.array([latest.quality], np.int8), judged])
+    is_good = quality == _GOOD
+    good = slice(None) if is_good.all() else np.flatnonzero(is_good)
+    times, qualities = _behind(latest.time, t), _behind(latest.quality, quality)
+    if is_good.any():
+        qualities[1:][good] = _plausible(latest, times, value, qualities, good)
+    values = _behind(latest.value, value)
+    is_believed = qualities == _GOOD
+    if not is_believed[1:].all():
+        is_believed[0] = True
+        values = values[np.maximum.accumulate(np.where(is_believed, np.arange(len(values)), 0))]
     latest.value, latest.time, latest.quality = float(values[-1]), float(times[-1]), int(qualities[-1])
     return values, times, qualities
 
 
-def _plausible(latest: Latest, t: FloatArray, value: FloatArray, quality: Qualities, good: Indices) -> Qualities:
-    """What the values in the rows `good` (G,) are worth (G,), as `Latest.plausible` says of each."""
-    at, now = t[good], value[good]
-    before = np.concatenate([[latest.number], now[:-1]])
-    last_quality = np.concatenate([np.array([latest.quality], np.int8), quality])[good]
-    is_away = at - np.concatenate([[latest.time], t])[good] > latest.maximum_age
-    found = np.zeros(len(good), np.int8)
+def _plausible(
+    latest: Latest, times: FloatArray, value: FloatArray, qualities: Qualities, good: Indices | slice
+) -> Qualities:
+    """What the values (K,) in the rows `good` (G,) are worth (G,), as `Latest.plausible` says of each.
+
+    `times` and `qualities` (K + 1,) begin with those before the first value.
+    """
+    at, now = times[1:][good], value[good]
+    before = _behind(latest.number, now)[:-1]
+    last_quality = qualities[:-1][good]
+    is_away = at - times[:-1][good] > latest.maximum_age
+    found = np.zeros(len(now), np.int8)
     if isfinite(latest.frozen_s):
-        rests = (now == before) & ~is_away & ~_IS_NO_NUMBER[last_quality] & (latest.lower < now) & (now < latest.upper)
-        changed = np.maximum.accumulate(np.concatenate([[latest.changed], np.where(rests, -inf, at)]))
+        rests = now == before
+        if rests.any():
+            rests &= ~is_away & ~_IS_NO_NUMBER.take(last_quality) & (latest.lower < now) & (now < latest.upper)
+        changed = np.maximum.accumulate(_behind(latest.changed, np.where(rests, -inf, at)))
         found[rests & (at - changed[1:] > latest.frozen_s)] = _FROZEN
         latest.changed = float(changed[-1])
     if isfinite(latest.largest_step):
         with np.errstate(all="ignore"):
             is_far = np.abs(now - before) > latest.largest_step
-        far = np.flatnonzero(is_far & (found == _GOOD) & ~is_away & (last_quality != _MISSING))
-        if len(far):
+        if is_far.any():
+            far = np.flatnonzero(is_far & (found == _GOOD) & ~is_away & (last_quality != _MISSING))
             _mark_jumps(found, now, far, latest)
     latest.number = float(now[-1])
+    return found
+
+
+def _behind(first: float, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The column (K,) as (K + 1,) that begins with another value."""
+    found = np.empty(len(column) + 1, column.dtype)
+    found[0], found[1:] = first, column
     return found
 
 

@@ -197,7 +197,7 @@ def counts(table: DecodeTable) -> dict[str, object]:
     return asdict(table.rejected) | {"taken": table.taken, "repeated": table.repeated, "senders": table.senders} | lost
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(cases())
 def test_a_log_as_columns_gives_what_its_frames_give_one_by_one(case: Case) -> None:
     both_alike(case)
