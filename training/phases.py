@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from faultline.service.core.residuals.observer import Decoder
+from faultline.service.core.signals.received import Received, column_of
 from faultline.service.core.signals.values import Quality
 from faultline.service.logs import Frame
 
@@ -45,14 +46,22 @@ class Start(NamedTuple):
     messages: list[Message]
     natural: bool
 
-    def frames(self) -> Iterator[Frame]:
-        """The messages as frames, whose data is the message's number."""
-        return (Frame(message.t_s, *message.key, k.to_bytes(4, "big")) for k, message in enumerate(self.messages))
+    def pieces(self, *, judged: bool = True) -> Iterator[Received]:
+        """Yield the messages as one piece, whose rows they are: whose they are was judged before."""
+        del judged
+        if not self.messages:
+            return
+        time = np.array([message.t_s for message in self.messages])
+        items: dict[str, list[tuple[int, float, int]]] = {}
+        for row, message in enumerate(self.messages):
+            for name, value, quality in message.signals:
+                items.setdefault(name, []).append((row, value, int(quality)))
+        columns = {name: column_of(each) for name, each in items.items()}
+        yield Received(time[0], time[-1], time, np.concatenate([[-np.inf], time[:-1]]), columns)
 
-    def decode(self, can_id: int, is_extended: bool, data: bytes, t: float | None = None) -> Signals:
-        """The signals of one of the frames."""
-        del can_id, is_extended, t
-        return self.messages[int.from_bytes(data, "big")].signals
+    def strangers(self) -> list[str]:
+        """Return nothing: what the log lacks was said before."""
+        return []
 
 
 def starts(frames: Iterable[Frame], table: Decoder) -> Iterator[Start]:

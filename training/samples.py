@@ -81,7 +81,7 @@ def load_samples(
         count = 0
         for start in starts(log.relative(), table):
             count += 1
-            ticks = ticks_of(model, inputs, start, start.frames(), Blind())
+            ticks = ticks_of(model, inputs, start, Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
         kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept

@@ -98,7 +98,7 @@ class _Data:
             check_vehicle(log, path, self.vehicle, str(fitted[0]))
             check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
             table = log.table({name: known.unit for name, known in model.known.items()}, str(path))
-            self._found[log.id] = sections(model, self.system, table, log.relative(), str(path))
+            self._found[log.id] = sections(model, self.system, log.signals(table), str(path))
         self.sources = sorted({log.recording.source for log in self.logs if log.recording})
         del self.logs[len(fitted) :]
         self.fitted = [section for log in self.logs for section in self._found[log.id]]

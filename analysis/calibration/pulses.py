@@ -31,10 +31,9 @@ def pulses(calibrated: Model, log: Log) -> Pulses:
     try:
         bank = build_bank(calibrated)
         table = log.table({name: known.unit for name, known in calibrated.known.items()}, log.id)
-        frames = list(log.relative())
-        tracks = tracks_of(table, frames, calibrated.known)
+        tracks = tracks_of(log.signals(table), calibrated.known)
         pulse = estimate_pulse(tracks[AFTER_PUMP], tracks[IN_UNIT], tracks[dose])
-        tests = choose_input(bank, observe(bank, table, frames), pulse, tracks, dose)
+        tests = choose_input(bank, observe(bank, log.signals(table)), pulse, tracks, dose)
     except InputError as reason:
         return Pulses(reason=str(reason))
     return Pulses(frequency_hz=pulse.frequency_hz, tests=tuple(tests))

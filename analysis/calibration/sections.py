@@ -5,7 +5,7 @@ measured pressures say where the states are, and the model's warm-up passes befo
 interpolated, outputs are compared at their own times: nothing is filtered.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -21,9 +21,8 @@ from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.simulation import Drive, System
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
-from faultline.service.logs import Frame
+from faultline.service.core.signals.received import Signals
 
 Array = npt.NDArray[np.float64]
 
@@ -99,15 +98,13 @@ def is_command(value: Array) -> bool:
     return bool(np.mean(np.diff(value) != 0.0) < STILL)
 
 
-def sections(
-    model: Model, system: System, table: DecodeTable, frames: Iterable[Frame], where: str, step_s: float = STEP_S
-) -> list[Section]:
-    """The sections of a log, whose frames' times are from its start on, for free runs of this step [s].
+def sections(model: Model, system: System, signals: Signals, where: str, step_s: float = STEP_S) -> list[Section]:
+    """The sections of a log, whose times are from its start on, for free runs of this step [s].
 
     Raises:
         InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
     """
-    return cut(model, system, _tracks(model, table, frames, where), where, step_s)
+    return cut(model, system, _tracks(model, signals, where), where, step_s)
 
 
 def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, step_s: float = STEP_S) -> list[Section]:
@@ -132,11 +129,11 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
     return [_section(model, system, tracks, k, low, high, step_s) for k, (low, high) in enumerate(found)]
 
 
-def _tracks(model: Model, table: DecodeTable, frames: Iterable[Frame], where: str) -> dict[str, Track]:
-    tracks = tracks_of(table, frames, model.known)
+def _tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:
+    tracks = tracks_of(signals, model.known)
     silent = [name for name, track in tracks.items() if len(track.t) < 2]
     if silent:
-        strangers = "".join(f"; {text}" for text in table.strangers())
+        strangers = "".join(f"; {text}" for text in signals.strangers())
         raise InputError(
             f"{where}: {', '.join(silent)} never tells; calibrate on a recording that has all signals{strangers}"
         )

@@ -102,8 +102,8 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
         first = found[0][0] if found else log
         check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
-        table = log.table({name: known.unit for name, known in model.known.items()}, str(path))
-        found.append((log, sections(model, system, table, log.relative(), str(path), STEP_S)))
+        signals = log.signals(log.table({name: known.unit for name, known in model.known.items()}, str(path)))
+        found.append((log, sections(model, system, signals, str(path), STEP_S)))
     fitted, kept = found[: len(training)], found[len(training) :]
     return Data(
         model=model,

@@ -73,7 +73,7 @@ def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
     highest = next(channel.upper for channel in manifest.inputs if channel.signal == manifest.modes.signal)
     maximum = manifest.modes.maximum_above > highest  # as of a system that has no such mode
     for one in chosen:
-        ticks = samples_of(manifest, bundle.table, one.open(bundle, lambda _: None).relative())
+        ticks = samples_of(manifest, one.open(bundle, lambda _: None).signals(bundle.table))
         onset = min((fault.onset_s for fault in one.truth.fault), default=inf)
         free |= round(sum(tick.t_s < onset for tick in ticks) * manifest.period_s / BLOCK_S) > 0
         maximum |= any(tick.mode == MAXIMUM for tick in ticks)

@@ -75,7 +75,7 @@ def tell(bundle: Bundle, log: Log) -> Story:
         fired.append(decision.fired)
 
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
-    events = list(monitor.log(log.relative()))
+    events = list(monitor.signals(log.signals(bundle.table)))
     if not ticks:
         raise InputError(f"{log.id}: ends before its first tick; evaluate on a longer recording")
     return Story(

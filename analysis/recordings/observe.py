@@ -1,6 +1,6 @@
 """A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +11,17 @@ from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
 from faultline.service.core.residuals.generators import Generators, Residuals
-from faultline.service.core.residuals.observer import Decoder, Observer, Tick
+from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
+from faultline.service.core.signals.received import Signals
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask
-from faultline.service.logs import Frame, Log, LogError, open_log
+from faultline.service.logs import Log, LogError, open_log
 
 START_WITHIN_S = 5.0
+NO_FRAMES = DecodeTable({})
+"""Of an observer that is given signals."""
 
 
 class Blind:
@@ -58,29 +61,28 @@ def open_for(model: Model, path: Path, say: Callable[[str], None]) -> Log:
     return log
 
 
-def observe(bank: Bank, table: DecodeTable, frames: Iterable[Frame]) -> list[Tick]:
+def observe(bank: Bank, signals: Signals) -> list[Tick]:
     """Every tick of a log, up to its last frame."""
-    return ticks_of(bank.model, bank.inputs, table, frames, Runnable(bank).fresh())
+    return ticks_of(bank.model, bank.inputs, signals, Runnable(bank).fresh())
 
 
-def ticks_of(
-    model: Model, inputs: Sequence[Input], table: Decoder, frames: Iterable[Frame], generators: Generators
-) -> list[Tick]:
+def ticks_of(model: Model, inputs: Sequence[Input], signals: Signals, generators: Generators) -> list[Tick]:
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs)
-    return _ticks(Observer(table, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S), frames)
+    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S), signals)
 
 
-def samples_of(manifest: Manifest, table: Decoder, frames: Iterable[Frame]) -> list[Tick]:
+def samples_of(manifest: Manifest, signals: Signals) -> list[Tick]:
     """Every tick of a log as a bundle takes its samples and modes, without running its generators."""
     modes = ModeTracker(manifest.modes, manifest.inputs)
     sampler, period_s, start_within_s = Sampler(manifest.inputs), manifest.period_s, manifest.start_within_s
-    return _ticks(Observer(table, sampler, modes, Blind(), period_s, start_within_s), frames)
+    return _ticks(Observer(NO_FRAMES, sampler, modes, Blind(), period_s, start_within_s), signals)
 
 
-def _ticks(observer: Observer, frames: Iterable[Frame]) -> list[Tick]:
+def _ticks(observer: Observer, signals: Signals) -> list[Tick]:
     ticks: list[Tick] = []
-    t_s = None
-    for t_s, can_id, is_extended, data in frames:
-        ticks += observer.frame(t_s, can_id, is_extended, data)
-    return ticks if t_s is None else ticks + observer.advance(t_s)
+    last_s = None
+    for piece in signals.pieces():
+        last_s = piece.last_s
+        ticks += observer.take(piece)
+    return ticks if last_s is None else ticks + observer.advance(last_s)

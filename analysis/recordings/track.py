@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.values import FloatArray, Quality
-from faultline.service.logs import Frame
+from faultline.service.core.signals.received import Signals
+from faultline.service.core.signals.values import FloatArray, are_good
 
 SILENT_S = 1.0
 SILENT_PERIODS = 5.0
@@ -57,14 +56,19 @@ def known_part(t: FloatArray, value: FloatArray) -> Track:
     return Track(t[good], value[good])
 
 
-def tracks_of(table: DecodeTable, frames: Iterable[Frame], names: Iterable[str]) -> dict[str, Track]:
+def tracks_of(signals: Signals, names: Iterable[str]) -> dict[str, Track]:
     """The samples of these signals with the times of their frames [s].
 
     Those without a value, and all but the first of a time, are left out.
     """
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
-    for t, can_id, extended, data in frames:
-        for name, value, quality in table.decode(can_id, extended, data):
-            if name in found and quality is Quality.GOOD and not (found[name] and found[name][-1][0] >= t):
-                found[name].append((t, value))
-    return {name: Track(*np.array(rows, dtype=np.float64).reshape(-1, 2).T) for name, rows in found.items()}
+    found: dict[str, list[Track]] = {name: [Track(np.zeros(0), np.zeros(0))] for name in names}
+    for piece in signals.pieces(judged=False):
+        for name in found.keys() & piece.columns.keys():
+            column = piece.columns[name]
+            good = are_good(column.quality)
+            t, value = piece.time[column.row[good]], column.value[good]
+            before = found[name][-1].t[-1:] if len(found[name]) > 1 else np.array([-np.inf])
+            is_new = np.diff(t, prepend=before) > 0.0
+            if is_new.any():
+                found[name].append(Track(t[is_new], value[is_new]))
+    return {name: Track(*map(np.concatenate, zip(*parts, strict=True))) for name, parts in found.items()}

@@ -4,16 +4,15 @@ How long a number ever rested, and how far two in a row ever were apart. A senso
 never rests for long; one that does, or a command, is no witness: it may rest for as long as it likes.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.values import Quality
-from faultline.service.logs import Frame
+from faultline.service.core.signals.received import Signals
+from faultline.service.core.signals.values import are_good
 
 Array = npt.NDArray[np.float64]
 
@@ -25,32 +24,43 @@ STEPS = 2.0
 """It jumps by more than so many times its largest step."""
 
 
-def limited(inputs: Sequence[Input], table: DecodeTable, frames: Iterable[Frame]) -> list[Input]:
-    """The inputs, each with the limits that its numbers in these frames set."""
-    column = {channel.signal: k for k, channel in enumerate(inputs)}
-    shape = len(inputs)
-    last, since, at = np.full(shape, np.nan), np.zeros(shape), np.full(shape, -np.inf)
-    rest, step = np.zeros(shape), np.zeros(shape)
-    for t, can_id, is_extended, data in frames:
-        for signal, value, quality in table.decode(can_id, is_extended, data):
-            if quality is not Quality.GOOD:
-                continue
-            k = column[signal]
-            channel = inputs[k]
-            if t - at[k] <= channel.maximum_age_s:
-                step[k] = max(step[k], abs(value - last[k]))
-            if value != last[k] or not channel.lower < value < channel.upper:
-                since[k] = t
-            rest[k] = max(rest[k], t - since[k])
-            last[k], at[k] = value, t
-    return [
-        msgspec.structs.replace(
-            channel,
-            frozen_s=max(RESTS * float(rest[k]), LEAST_REST_S) if rest[k] < RESTLESS_S else None,
-            largest_step=STEPS * float(step[k]) if step[k] > 0.0 else None,
+class _Range:
+    """How long a signal ever rested [s] and its largest step, of the numbers so far. State: the last one, and since."""
+
+    def __init__(self, channel: Input) -> None:
+        self.rest, self.step = 0.0, 0.0
+        self._channel = channel
+        self._last, self._at, self._since = np.nan, -np.inf, -np.inf
+
+    def take(self, t: Array, value: Array) -> None:
+        """Take numbers (K,) that came at times `t` (K,) [s]."""
+        if not len(t):
+            return
+        before, gap = np.concatenate([[self._last], value[:-1]]), np.diff(t, prepend=self._at)
+        steps = np.abs(value - before)[gap <= self._channel.maximum_age_s]
+        moves = (value != before) | ~((self._channel.lower < value) & (value < self._channel.upper))
+        since = np.maximum.accumulate(np.concatenate([[self._since], np.where(moves, t, -np.inf)]))
+        self.step = max(self.step, float(steps.max(initial=0.0)))
+        self.rest = max(self.rest, float((t - since[1:]).max()))
+        self._last, self._at, self._since = float(value[-1]), float(t[-1]), float(since[-1])
+
+    def limited(self) -> Input:
+        """The signal with the limits that its numbers set."""
+        return msgspec.structs.replace(
+            self._channel,
+            frozen_s=max(RESTS * self.rest, LEAST_REST_S) if self.rest < RESTLESS_S else None,
+            largest_step=STEPS * self.step if self.step > 0.0 else None,
         )
-        for k, channel in enumerate(inputs)
-    ]
+
+
+def limited(inputs: Sequence[Input], signals: Signals) -> list[Input]:
+    """The inputs, each with the limits that its numbers in a log set."""
+    ranges = {channel.signal: _Range(channel) for channel in inputs}
+    for piece in signals.pieces(judged=False):
+        for signal, column in piece.columns.items():
+            good = are_good(column.quality)
+            ranges[signal].take(piece.time[column.row[good]], column.value[good])
+    return [ranges[channel.signal].limited() for channel in inputs]
 
 
 def widest(limits: Sequence[Sequence[Input]]) -> list[Input]:

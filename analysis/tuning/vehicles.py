@@ -80,9 +80,9 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         if runnable.networks:
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
         progress.say(log.id)
-        table = log.table(units, str(path))
-        ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
-        inputs = limited(runnable.bank.inputs, table, log.relative())
+        signals = log.signals(log.table(units, str(path)))
+        ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
+        inputs = limited(runnable.bank.inputs, signals)
         drives.append(Drive(log.drive, ticks, seen(log.id, ticks), inputs))
     return Vehicle(runnable, drives)
 

@@ -11,9 +11,9 @@ from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
 from faultline.service.core.residuals.generators import GeneratorBank
 from faultline.service.core.residuals.observer import Observer, Tick
-from faultline.service.core.signals.columns import Received
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
+from faultline.service.core.signals.received import Signals
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import Qualities
 
@@ -64,10 +64,10 @@ class Monitor:
         if t_s is not None:
             yield from self.advance(t_s)
 
-    def pieces(self, pieces: Iterable[Received]) -> Iterator[Event]:
-        """Yield the events of a whole log by pieces, the same as `log` gives of its frames."""
+    def signals(self, signals: Signals) -> Iterator[Event]:
+        """Yield the events of a whole log by its signals, the same as `log` gives of its frames."""
         t_s = None
-        for piece in pieces:
+        for piece in signals.pieces():
             t_s = piece.last_s
             for tick in self._observer.take(piece):
                 yield from self._decide([tick])

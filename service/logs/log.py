@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.dbc import NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
@@ -64,8 +65,15 @@ class Log:
 
     def relative(self) -> Iterator[Frame]:
         """Return the data frames with times after the first one [s]."""
-        for batch in self.batches():
-            yield from replace(batch, time=batch.time - self.start_s).with_data.frames()
+        for batch in self._relative_batches():
+            yield from batch.frames()
+
+    def signals(self, table: DecodeTable) -> CanSignals:
+        """Return what the frames mean by this table, with times after the first one [s]."""
+        return CanSignals(table, self._relative_batches)
+
+    def _relative_batches(self) -> Iterator[Batch]:
+        return (replace(batch, time=batch.time - self.start_s).with_data for batch in self.batches())
 
     @property
     def duration_s(self) -> float:

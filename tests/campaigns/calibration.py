@@ -96,7 +96,7 @@ def _sections(truck: Vehicle, cycle: str, seed: int, model: Model, system: Syste
         (ingested / name).write_bytes(content)
     log = open_log(ingested)
     table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(ingested))
-    return sections(model, system, table, log.relative(), cycle)
+    return sections(model, system, log.signals(table), cycle)
 
 
 def true_values(truck: Vehicle, model: Model) -> dict[str, float]:

@@ -177,7 +177,7 @@ def watched(model: Model, networks: Networks, recording: Path) -> dict[str, Watc
     runnable = Runnable(build_bank(model), networks)
     log = open_log(recording)
     table = compile_dbc(log.dbc, {c.signal: c.unit for c in runnable.bank.inputs}, str(recording))
-    ticks = ticks_of(model, runnable.bank.inputs, table, log.relative(), runnable.fresh())
+    ticks = ticks_of(model, runnable.bank.inputs, log.signals(table), runnable.fresh())
     t_s, z = np.array([tick.t_s for tick in ticks]), np.array([tick.z for tick in ticks])
     r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "usable"))
     names = [generator.name for generator in runnable.generators]

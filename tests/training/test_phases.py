@@ -36,12 +36,10 @@ def frames(which: tuple[int, ...] = (FAST, SLOW), lost: float = -1.0, bad: float
 
 def sent(start: Start, can_id: int) -> list[tuple[float, float, Quality]]:
     """Time, value and quality of every message of an identifier."""
-    return [
-        (f.t, value, quality)
-        for f in start.frames()
-        if f.can_id == can_id
-        for _, value, quality in start.decode(f.can_id, f.is_extended, f.data)
-    ]
+    [piece] = start.pieces()
+    column = piece.columns["a" if can_id == FAST else "b"]
+    worth = zip(piece.time[column.row].tolist(), column.value.tolist(), column.quality.tolist(), strict=True)
+    return [(t, value, Quality(quality)) for t, value, quality in worth]
 
 
 def test_a_moved_message_says_what_was_between() -> None:
@@ -63,7 +61,7 @@ def test_messages_lie_otherwise_to_each_other_and_the_slowest_stays() -> None:
 
 def test_switched_on_at_instants_of_the_slowest_period() -> None:
     natural = [start for start in starts(frames(), Ramps()) if start.natural]
-    firsts = [next(start.frames()).t for start in natural]
+    firsts = [next(start.pieces()).first_s for start in natural]
     assert firsts == sorted(firsts)
     assert firsts[-1] - firsts[0] < 0.2 + 1e-9
     assert len({*firsts}) > 2

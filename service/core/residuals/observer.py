@@ -13,9 +13,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from faultline.service.core.residuals.generators import Generators, Residuals
-from faultline.service.core.signals.columns import Received
 from faultline.service.core.signals.holding import Samples
 from faultline.service.core.signals.modes import ModeTracker
+from faultline.service.core.signals.received import Received
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
 

@@ -5,7 +5,7 @@ parts, claims of addresses and signals of more than 64 bits are decoded one by o
 the same groups.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import nan
 from typing import NamedTuple, Protocol, Self
 
@@ -23,7 +23,8 @@ from faultline.service.core.j1939.identifiers import (
 from faultline.service.core.signals.bits import WORD, Bits
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import Layout
-from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality
+from faultline.service.core.signals.received import Column, Received, column_of
+from faultline.service.core.signals.values import FloatArray, Indices, Mask, Quality
 
 ROWS = 1 << 13
 """Frames that count, of as many batches as have them, that are decoded at once."""
@@ -49,27 +50,6 @@ class Frames(Protocol):
     @property
     def data(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
     def __len__(self) -> int: ...
-
-
-class Column(NamedTuple):
-    """What came of one signal: K values with their qualities, and in which `row` of the frames, which increases."""
-
-    row: Indices
-    value: FloatArray
-    quality: Qualities
-
-
-class Received(NamedTuple):
-    """What came from log time `first_s` to `last_s` [s], the times of the first and the last frame, wanted or not.
-
-    `time` (N,) are the log times [s] of the rows that the columns name, `before` (N,) those of the frame before each.
-    """
-
-    first_s: float
-    last_s: float
-    time: FloatArray
-    before: FloatArray
-    columns: Mapping[str, Column]
 
 
 class _Selected(NamedTuple):
@@ -99,29 +79,37 @@ class _Selected(NamedTuple):
         return self.data[row, : self.length[row]].tobytes()
 
 
-def received(
-    table: DecodeTable, batches: Iterable[Frames], *, judged: bool = True, rows: int = ROWS
-) -> Iterator[Received]:
-    """Yield what the frames of a log mean, in pieces of `rows` frames or more that count.
+class CanSignals:
+    """The signals of a log's frames, by a table; `batches` reads them from the beginning, with times in order."""
 
-    A time before an earlier one is taken as that earlier one. Where arrivals are not `judged`, nothing is doubted for
-    when it came.
-    """
-    decoder = _Decoder(table, judged=judged)
-    parts: list[_Selected] = []
-    first = last = -np.inf
-    for batch in batches:
-        if not len(batch):
-            continue
-        t = np.maximum.accumulate(np.maximum(batch.time, last))
-        first = float(t[0]) if not parts else first
-        parts.append(decoder.select(batch, t, last))
-        last = float(t[-1])
-        if sum(len(part.time) for part in parts) >= rows:
+    def __init__(self, table: DecodeTable, batches: Callable[[], Iterable[Frames]], rows: int = ROWS) -> None:
+        """`rows`: a piece has so many frames that count, or a few more."""
+        self._table, self._batches, self._rows = table, batches, rows
+
+    def strangers(self) -> list[str]:
+        """Return what to decide or mend in the DBC, as far as the log was read."""
+        return self._table.strangers()
+
+    def pieces(self, *, judged: bool = True) -> Iterator[Received]:
+        """Yield what the frames mean, in order; a time before an earlier one is taken as that earlier one.
+
+        Where arrivals are not `judged`, nothing is doubted for when it came.
+        """
+        decoder = _Decoder(self._table, judged=judged)
+        parts: list[_Selected] = []
+        first = last = -np.inf
+        for batch in self._batches():
+            if not len(batch):
+                continue
+            t = np.maximum.accumulate(np.maximum(batch.time, last))
+            first = float(t[0]) if not parts else first
+            parts.append(decoder.select(batch, t, last))
+            last = float(t[-1])
+            if sum(len(part.time) for part in parts) >= self._rows:
+                yield _received(decoder, parts, first, last)
+                parts = []
+        if parts:
             yield _received(decoder, parts, first, last)
-            parts = []
-    if parts:
-        yield _received(decoder, parts, first, last)
 
 
 def _received(decoder: "_Decoder", parts: Sequence[_Selected], first: float, last: float) -> Received:
@@ -196,7 +184,7 @@ class _Decoder:
             identifier = key & EXTENDED, key >> 31 > 0
             for name, value, quality in self._table.decode(*identifier, frames.bytes_of(row), t):
                 items.setdefault(name, []).append((row, value, int(quality)))
-        return {name: _column(*zip(*each, strict=True)) for name, each in items.items()}
+        return {name: column_of(each) for name, each in items.items()}
 
     def _message(self, layout: Layout, frames: _Selected, rows: Indices) -> dict[str, Column]:
         """The signals of a message, from its frames in these rows."""
@@ -256,10 +244,6 @@ def _merged(column: Column, other: Column) -> Column:
 
 def _widened(data: npt.NDArray[np.uint8], width: int) -> npt.NDArray[np.uint8]:
     return data if data.shape[1] == width else np.pad(data, ((0, 0), (0, width - data.shape[1])))
-
-
-def _column(row: Sequence[int], value: Sequence[float], quality: Sequence[int]) -> Column:
-    return Column(np.array(row, np.intp), np.array(value, np.float64), np.array(quality, np.int8))
 
 
 def _is_wide(layout: Layout) -> bool:

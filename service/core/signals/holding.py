@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from faultline.service.core.signals.columns import Column, Received
 from faultline.service.core.signals.latest import DOUBTED_S, NO_NUMBER, Latest
+from faultline.service.core.signals.received import Column, Received
 from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality
 
 _GOOD, _MISSING, _LATE, _DOUBTED = (int(one) for one in (Quality.GOOD, Quality.MISSING, Quality.LATE, Quality.DOUBTED))

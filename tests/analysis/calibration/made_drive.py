@@ -15,8 +15,10 @@ from faultline.analysis.calibration.fit import Fit, fit
 from faultline.analysis.calibration.sections import Section, sections
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.simulation import Drive, System, run, system_of
+from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import Frame
+from faultline.service.logs.batch import batch_of
 
 Array = npt.NDArray[np.float64]
 
@@ -150,7 +152,7 @@ def _encoded(t: Array, tp: Array, ap: Array, ecu_t: Array, du: Array, n_p: Array
 def log_sections(model: Model, system: System, log: Sequence[Frame]) -> list[Section]:
     """The sections of a log in `dbc/uds.dbc`."""
     table = compile_dbc(DBC.decode(), {name: known.unit for name, known in model.known.items()}, "made")
-    return sections(model, system, table, log, "made")
+    return sections(model, system, CanSignals(table, lambda: [batch_of(log)]), "made")
 
 
 class Case(NamedTuple):

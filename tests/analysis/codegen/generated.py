@@ -30,7 +30,7 @@ def golden_samples() -> tuple[tuple[str, ...], Array]:
     bank = build_bank(load_model("uds4"))
     log = open_known(GOLDEN, print)
     table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, str(GOLDEN))
-    z = np.array([tick.z for tick in observe(bank, table, log.relative())])
+    z = np.array([tick.z for tick in observe(bank, log.signals(table))])
     return tuple(channel.signal for channel in bank.inputs), z
 
 

@@ -12,8 +12,8 @@ from faultline.analysis.recordings.pulse import Pulse, PulseError, estimate_puls
 from faultline.analysis.recordings.pulse_input import _choice, choose_input
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.service.core.signals.dbc import compile_dbc
-from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.logs import Frame, open_log
+from faultline.service.core.signals.received import Signals
+from faultline.service.logs import open_log
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES
 from faultline.testbench.recording import record
@@ -31,19 +31,19 @@ def bank() -> Bank:
 
 
 @pytest.fixture(scope="module")
-def seen(bank: Bank, tmp_path_factory: pytest.TempPathFactory) -> tuple[DecodeTable, list[Frame]]:
+def seen(bank: Bank, tmp_path_factory: pytest.TempPathFactory) -> Signals:
     """A fault-free drive of an instrumented bench."""
     folder: Path = tmp_path_factory.mktemp("rig")
     asked = Request("pulse", vehicle("bench"), CYCLES["validation"], (), 4, DURATION, kind="instrumented")
     path, _ = record(asked, load_dbc(), folder / "out", folder / "truth", force=False, progress=lambda _: None)
     log = open_log(path)
     table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, "uds.dbc")
-    return table, list(log.relative())
+    return log.signals(table)
 
 
 @pytest.fixture(scope="module")
-def tracks(seen: tuple[DecodeTable, list[Frame]]) -> dict[str, Track]:
-    return tracks_of(*seen, ["y_p_ap", "y_p_du", "y_p_tp", "dc_dose"])
+def tracks(seen: Signals) -> dict[str, Track]:
+    return tracks_of(seen, ["y_p_ap", "y_p_du", "y_p_tp", "dc_dose"])
 
 
 def test_frequency_and_phase_of_the_rigs_valve_are_given_back(tracks: dict[str, Track]) -> None:
@@ -96,11 +96,11 @@ def test_noise_has_no_pulses(tracks: dict[str, Track]) -> None:
 
 
 def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled_pressures(
-    bank: Bank, seen: tuple[DecodeTable, list[Frame]], tracks: dict[str, Track]
+    bank: Bank, seen: Signals, tracks: dict[str, Track]
 ) -> None:
     """Other than in the thesis (5.9): here the estimate is right to 12 ms and in step with the predicted sensor."""
     pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
-    choices = {choice.test: choice for choice in choose_input(bank, observe(bank, *seen), pulse, tracks)}
+    choices = {choice.test: choice for choice in choose_input(bank, observe(bank, seen), pulse, tracks)}
     assert list(choices) == [g.test for g in bank.generators if "dc_dose" in g.inputs]
     for test in ("t12", "t13", "t19", "t21"):
         assert choices[test].better == "pulses"
@@ -110,18 +110,14 @@ def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled
         assert choice.variance_ratio == pytest.approx((choice.rms_pulses / choice.rms_duty) ** 2)
 
 
-def test_pulses_out_of_step_are_worse_than_the_duty_cycle(
-    bank: Bank, seen: tuple[DecodeTable, list[Frame]], tracks: dict[str, Track]
-) -> None:
+def test_pulses_out_of_step_are_worse_than_the_duty_cycle(bank: Bank, seen: Signals, tracks: dict[str, Track]) -> None:
     pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
-    choices = choose_input(bank, observe(bank, *seen), pulse._replace(phase=pulse.phase + 0.5), tracks)
+    choices = choose_input(bank, observe(bank, seen), pulse._replace(phase=pulse.phase + 0.5), tracks)
     assert {choice.test for choice in choices if choice.better == "duty cycle"} >= {"t12", "t13", "t19", "t21"}
 
 
-def test_without_partial_dose_the_inputs_are_not_compared(
-    bank: Bank, seen: tuple[DecodeTable, list[Frame]], tracks: dict[str, Track]
-) -> None:
-    ticks = [tick for tick in observe(bank, *seen) if tick.t_s < 40.0]
+def test_without_partial_dose_the_inputs_are_not_compared(bank: Bank, seen: Signals, tracks: dict[str, Track]) -> None:
+    ticks = [tick for tick in observe(bank, seen) if tick.t_s < 40.0]
     with pytest.raises(PulseError, match="the inputs cannot be compared: 0 s of partial dose"):
         choose_input(bank, ticks, Pulse(FREQUENCY, 0.3, 1.0), tracks)
 

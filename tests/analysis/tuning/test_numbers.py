@@ -1,35 +1,42 @@
 """What numbers of sensors are like without a fault, by hand."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
 import pytest
 
 from faultline.analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.received import Received, column_of
 from faultline.service.core.signals.values import Quality
-from faultline.service.logs import Frame
 
 
-class Said(DecodeTable):
-    """Frames that hold the numbers of `a`, or nothing."""
+class Said(NamedTuple):
+    """A log that has numbers of `a`, or none, at times [s], in pieces of so many."""
 
-    def __init__(self) -> None:
-        super().__init__({})
+    numbers: Sequence[tuple[float, float | None]]
+    size: int
 
-    def decode(
-        self, can_id: int, is_extended: bool, data: bytes, t: float | None = None
-    ) -> list[tuple[str, float, Quality]]:
-        return [("a", float(data), Quality.GOOD)] if data else [("a", 99.0, Quality.ERROR)]
+    def pieces(self, *, judged: bool = True) -> Iterator[Received]:
+        for k in range(0, len(self.numbers), self.size):
+            some = self.numbers[k : k + self.size]
+            time = np.array([t for t, _ in some])
+            worth = [(99.0, Quality.ERROR) if number is None else (number, Quality.GOOD) for _, number in some]
+            column = column_of([(row, value, int(quality)) for row, (value, quality) in enumerate(worth)])
+            yield Received(time[0], time[-1], time, time, {"a": column})
+
+    def strangers(self) -> list[str]:
+        return []
 
 
 A = Input(signal="a", unit="Pa", maximum_age_s=1.0, lower=0.0, upper=10.0)
 
 
 def of(*numbers: tuple[float, float | None]) -> Input:
-    frames = [Frame(t, 1, True, b"" if number is None else str(number).encode()) for t, number in numbers]
-    [found] = limited([A], Said(), frames)
+    [found] = limited([A], Said(numbers, len(numbers)))
+    assert [found] == limited([A], Said(numbers, 1)) == limited([A], Said(numbers, 2))
     return found
 
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.sampling import DOUBTED_S, Sampler
+from faultline.service.core.signals.latest import DOUBTED_S
+from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import Quality
 
 INPUTS = [Input(signal=name, unit="Pa", maximum_age_s=1.0, lower=0.0, upper=10.0) for name in ("a", "b")]

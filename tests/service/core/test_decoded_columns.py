@@ -14,7 +14,7 @@ from faultline.service.core.j1939.identifiers import PRIORITY_MASK, SOURCE_MASK
 from faultline.service.core.manifest import Input, Modes
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
-from faultline.service.core.signals.columns import received
+from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import Cut, Field, Layout, Only, Selector
 from faultline.service.core.signals.modes import ModeTracker
@@ -213,7 +213,7 @@ def both_alike(case: Case) -> DecodeTable:
     other_table, other_sampler, other = observer(case)
     found = [
         shown(tick, other_sampler)
-        for piece in received(other_table, pieces(case), rows=case.rows)
+        for piece in CanSignals(other_table, lambda: pieces(case), case.rows).pieces()
         for tick in other.take(piece)
     ]
     found += [shown(tick, other_sampler) for tick in other.advance(other.now + 3.0)]
