@@ -71,7 +71,7 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool) -> tuple
     found = stands = False
     blind = {generator.test for generator in bundle.manifest.generators}
     context = LogContext(log.id)
-    for event in monitor.log(context.passing(log.relative())):
+    for event in monitor.signals(log.signals(bundle.table, context.passing)):
         _print_context(context.until((monitor.origin_s or 0.0) + event.t_s, monitor.origin_s), as_json)
         if event.diagnoses:
             stands = True

@@ -1,7 +1,7 @@
 """Log for commands: an instrumented recording, or a bare log file."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -68,9 +68,9 @@ class Log:
         for batch in self._relative_batches():
             yield from batch.frames()
 
-    def signals(self, table: DecodeTable) -> CanSignals:
-        """Return what the frames mean by this table, with times after the first one [s]."""
-        return CanSignals(table, self._relative_batches)
+    def signals(self, table: DecodeTable, passing: Callable[[Iterable[Batch]], Iterator[Batch]] = iter) -> CanSignals:
+        """Return what the frames mean by this table, with times after the first one [s]; they go through `passing`."""
+        return CanSignals(table, lambda: passing(self._relative_batches()))
 
     def _relative_batches(self) -> Iterator[Batch]:
         return (replace(batch, time=batch.time - self.start_s).with_data for batch in self.batches())

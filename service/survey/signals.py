@@ -10,7 +10,7 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.errors import Error as DatabaseError
 
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.decode import PRIORITY_MASK
+from faultline.service.core.j1939.identifiers import PRIORITY_MASK
 from faultline.service.core.signals.values import Quality, j1939_quality
 from faultline.service.survey.traffic import Message
 

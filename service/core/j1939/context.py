@@ -4,11 +4,14 @@ DM1 comes once a second from each device that has active codes, and at once when
 Both come in one frame, or in parts.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+import numpy as np
+
+from faultline.service.core.frames import Frames
 from faultline.service.core.j1939.dm1 import NO_OC, Code, Diagnostics, Lamps, decode, older_spns
 from faultline.service.core.j1939.identifiers import DM1, DM2, TP_CM, TP_DT, group_of
 from faultline.service.core.j1939.transport import Reassembler
@@ -91,6 +94,20 @@ class CodeTracker:
             pgn = group_of(can_id)
         if pgn in NAMES:
             found += self._said(t, can_id & 0xFF, NAMES[pgn], data)
+        return found
+
+    def frames(self, frames: Frames) -> list[Change]:
+        """Take frames in order of time; only those of the groups, and those at which it is looked who is silent."""
+        near = np.isin(frames.identifier >> 16 & 0x3FF, list(_FORMATS)) & frames.is_extended
+        rows = deque([*np.flatnonzero(near).tolist(), len(frames)])
+        found: list[Change] = []
+        while (row := min(rows[0], int(np.searchsorted(frames.time, self._due)))) < len(frames):
+            data = frames.data[row, : frames.length[row]].tobytes()
+            found += self.frame(
+                float(frames.time[row]), int(frames.identifier[row]), bool(frames.is_extended[row]), data
+            )
+            if row == rows[0]:
+                rows.popleft()
         return found
 
     def look(self, t: float) -> list[Change]:

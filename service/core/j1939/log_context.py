@@ -2,13 +2,14 @@
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
+from faultline.service.core.frames import Frames
 from faultline.service.core.j1939.context import Change, CodeTracker
 from faultline.service.core.j1939.identifiers import named
 from faultline.service.core.records.context import Context
 
-LogFrame = tuple[float, int, bool, bytes]
-"""Log time [s], identifier, whether it has 29 bits, data."""
+F = TypeVar("F", bound=Frames)
 
 
 class LogContext:
@@ -20,11 +21,11 @@ class LogContext:
         self._changes: deque[Change] = deque()
         self._count = 0
 
-    def passing(self, frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+    def passing(self, batches: Iterable[F]) -> Iterator[F]:
         """Yield the frames unchanged."""
-        for frame in frames:
-            self._changes += self._tracker.frame(*frame)
-            yield frame
+        for frames in batches:
+            self._changes += self._tracker.frames(frames)
+            yield frames
 
     def until(self, t_s: float, origin_s: float | None) -> Iterator[Context]:
         """Yield the records up to log time `t_s` [s], at which sample 0 is known to be at `origin_s` [s], if it is."""

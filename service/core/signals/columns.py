@@ -7,11 +7,12 @@ the same groups.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import nan
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from faultline.service.core.frames import Frames
 from faultline.service.core.j1939.identifiers import (
     ADDRESS_CLAIMED,
     FRAME,
@@ -24,7 +25,7 @@ from faultline.service.core.signals.bits import WORD, Bits
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import Layout
 from faultline.service.core.signals.received import Column, Received, column_of
-from faultline.service.core.signals.values import FloatArray, Indices, Mask, Quality
+from faultline.service.core.signals.values import FloatArray, Indices, Quality
 
 ROWS = 1 << 13
 """Frames that count, of as many batches as have them, that are decoded at once."""
@@ -34,22 +35,6 @@ _NUMBERS = 1 << 18
 _IS_EXTENDED = np.uint32(1 << 31)
 _NONE, _SINGLY = -1, -2
 _DOUBTED = int(Quality.DOUBTED)
-
-
-class Frames(Protocol):
-    """Data frames of a log as columns (N,), `data` (N, W), in order of time [s]."""
-
-    @property
-    def time(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def identifier(self) -> npt.NDArray[np.uint32]: ...  # noqa: D102
-    @property
-    def is_extended(self) -> Mask: ...  # noqa: D102
-    @property
-    def length(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
-    @property
-    def data(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
-    def __len__(self) -> int: ...
 
 
 class _Selected(NamedTuple):

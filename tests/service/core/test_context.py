@@ -1,5 +1,6 @@
 """Trouble codes of other devices: what real trucks sent, what changes, who falls silent, what makes no sense."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +10,8 @@ from faultline.service.core.j1939.dm1 import Code, encode
 from faultline.service.core.j1939.log_context import LogContext
 from faultline.service.core.records import line
 from faultline.service.core.records.context import LampStates, TroubleCode, decode_context
+from faultline.service.logs import Frame
+from faultline.service.logs.batch import batch_of
 from faultline.service.watching.records import describe_context
 
 DM1, DM2, TP_CM, TP_DT = 0x18FECA00, 0x18FECB00, 0x1CECFF00, 0x1CEBFF00
@@ -130,12 +133,27 @@ def test_no_frames_break_it(frames: list[tuple[float, int, bool, bytes]]) -> Non
             assert describe_context(record)
 
 
+@given(st.lists(st.tuples(st.floats(0, 6), IDENTIFIERS, st.booleans(), st.binary(max_size=8))), st.integers(0, 20))
+def test_many_frames_at_once_give_the_changes_of_one_by_one(
+    sent: list[tuple[float, int, bool, bytes]], cut: int
+) -> None:
+    """Who falls silent is seen at the same frames, of whatever group these are."""
+    times = np.cumsum([gap_s for gap_s, *_ in sent])
+    frames = [Frame(float(t), *each[1:]) for t, each in zip(times, sent, strict=True)]
+    one_by_one, at_once = CodeTracker(), CodeTracker()
+    expected = [change for frame in frames for change in one_by_one.frame(*frame)]
+    found = [change for part in (frames[:cut], frames[cut:]) for change in at_once.frames(batch_of(part))]
+    assert found == expected
+
+
 def test_along_a_log_records_come_in_order_on_the_time_scale_of_its_events() -> None:
     context = LogContext("truck")
     sent = [(t, can_id, True, data) for t in (0.5, 1.5, 2.5) for can_id, data in in_parts(TRUCK, int(t))]
     sent.append((3.0, TP_CM | 9, True, in_parts(TRUCK, 9)[0][1]))
     sent.append((3.0, DM1 | 9, True, b"?"))
-    assert list(context.passing(sent)) == sent
+    frames = [Frame(*each) for each in sent]
+    batches = [batch_of(frames[:2]), batch_of(frames[2:])]
+    assert list(context.passing(batches)) == batches
     assert [(r.t_s, r.id, r.seq) for r in context.until(1.5, 1.0)] == [
         (-0.5, "truck-context-1", 1),
         (0.5, "truck-context-2", 2),
@@ -149,7 +167,7 @@ def test_along_a_log_records_come_in_order_on_the_time_scale_of_its_events() -> 
 
 def test_a_log_without_trouble_codes_has_no_context() -> None:
     context = LogContext("truck")
-    list(context.passing([(0.1 * k, 0x18FF1000, True, bytes(8)) for k in range(100)]))
+    list(context.passing([batch_of([Frame(0.1 * k, 0x18FF1000, True, bytes(8)) for k in range(100)])]))
     assert list(context.until(1e9, 0.0)) == []
     assert context.losses() == ""
 
