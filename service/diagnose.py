@@ -80,7 +80,7 @@ def _options(argv: list[str]) -> argparse.Namespace:
 
 
 def _opened(path: Path, options: argparse.Namespace) -> tuple[Log, Bundle]:
-    """Return the log and the bundle, which fit each other, and print what was lost of the log where that is accepted."""
+    """Return the log and the bundle, which fit each other; print what was lost of the log where that is accepted."""
     bundle, log = load_with_log(options.bundle, path, options.channel, senders_of(options.sender))
     if log.report.lost and (options.partial or not log.report.damaged):
         print(f"faultline diagnose: {path}: {log.report.summary()}", file=sys.stderr)

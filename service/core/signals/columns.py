@@ -176,7 +176,7 @@ class _Decoder:
         doubted = np.zeros(0, np.intp)
         if layout.is_from_any:
             addresses = (frames.key[rows] & np.uint32(SOURCE_MASK)).astype(np.intp)
-            rows, doubted = np.split(rows, [self._table.sources.sole(layout, addresses)])
+            rows, doubted = np.split(rows, [self._table.sources.count_sole(layout, addresses)])
             _count(self._table.rejected.unclear, layout.name, len(doubted))
         is_short = frames.length.take(rows) < layout.size
         if is_short.any():

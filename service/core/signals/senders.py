@@ -60,7 +60,7 @@ class Senders:
         seen[address] += 1
         return len(seen) == 1
 
-    def sole(self, layout: Layout, addresses: Indices) -> int:
+    def count_sole(self, layout: Layout, addresses: Indices) -> int:
         """Count frames (K,) of a message that is taken from any; return how many came before a second one sent it."""
         seen = self.counts[layout.name]
         first = next(iter(seen), int(addresses[0]))
@@ -92,15 +92,7 @@ class Senders:
 
     def _claim(self, address: int, name: bytes) -> None:
         """A device claims an address; who speaks under it from now on is another one if its NAME is."""
-        theirs = [
-            layout.name
-            for layout in self._layouts
-            if (
-                address in self.counts[layout.name]
-                if layout.is_from_any
-                else layout.identifier & SOURCE_MASK == address
-            )
-        ]
+        theirs = [layout.name for layout in self._layouts if self._is_from(layout, address)]
         if (theirs or self.counts) and self._names.setdefault(address, name) != name:
             self._names[address] = name
             for message in theirs:
