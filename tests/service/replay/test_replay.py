@@ -99,7 +99,8 @@ def test_plays_a_log_and_says_what_was_lost(
     captured = capsys.readouterr()
     assert captured.out == ""
     said = captured.err
-    assert "faultline replay: 2 frames read, from 0.0 to 0.5 s, 1 lines could not be read (line 2:" in said
+    read = "faultline replay: 2 frames read, from 0.0 to 0.5 s, 8 bytes are lost, 1 lines could not be read (line 2:"
+    assert read in said
     assert "the last line is cut off" in said
     assert "faultline replay: 2 frames of 0.5 s in " in said
 

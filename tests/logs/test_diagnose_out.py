@@ -4,22 +4,21 @@ import sys
 from pathlib import Path
 
 import pytest
+from pyarrow import parquet
 
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.records.event import encode
+from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.diagnose import main
 from faultline.service.logs import open_log
 from faultline.service.tick_table import EVENT_COLUMNS, TICK_COLUMNS, columns_of
 
-parquet = pytest.importorskip("pyarrow.parquet")
-
-GOLDEN = Path(__file__).resolve().parents[2] / "golden"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 BUNDLE, LOG = str(GOLDEN / "bundle"), str(GOLDEN / "log")
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "diagnose-out.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnose-out.md"
 
 
 @pytest.fixture(scope="module")
