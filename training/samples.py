@@ -79,7 +79,7 @@ def load_samples(
         table = log.table(units, str(path))
         found: list[Stretch] = []
         count = 0
-        for start in starts(log.relative(), table):
+        for start in starts(log.signals(table)):
             count += 1
             ticks = ticks_of(model, inputs, start, Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]

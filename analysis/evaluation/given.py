@@ -50,8 +50,8 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
     for path in paths:
         recording = _described(path)
         recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {bundle.where}")
-        log = hashlib.sha256((path / recording.can.file).read_bytes()).hexdigest()
-        own = recording.can.bench_sha256 or log
+        log = hashlib.sha256((path / recording.file).read_bytes()).hexdigest()
+        own = (recording.can and recording.can.bench_sha256) or log
         if own in drives:
             raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
         if any(other.recording.id == recording.id for other in found):

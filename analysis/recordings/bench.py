@@ -73,16 +73,17 @@ def read_bench(folder: Path) -> Bench:
         raise InputError(f"{folder}: kind is {recording.kind}, already ingested; use it as it is")
     if REFERENCE not in recording.external.tables:
         raise InputError(f"{folder}: external.tables has no {REFERENCE}, which the clocks are aligned by")
-    dbc = (folder / recording.can.dbc).read_bytes()
-    frames, log = read_log(folder / recording.can.file, recording.can.channel)
-    table = compile_dbc(dbc_text(dbc), ECU_UNITS, str(folder / recording.can.dbc), recording.can.senders)
-    if recording.can.channel is None and (both := log.on_two_channels(table.carries)):
+    can = recording.can_log
+    dbc = (folder / can.dbc).read_bytes()
+    frames, log = read_log(folder / can.file, can.channel)
+    table = compile_dbc(dbc_text(dbc), ECU_UNITS, str(folder / can.dbc), can.senders)
+    if can.channel is None and (both := log.on_two_channels(table.carries)):
         raise InputError(
             f"{folder}: the same messages come on {' and '.join(both)}: say which bus with `channel` under [can] in "
             "recording.toml"
         )
-    ecu = _ecu(frames, table, folder / recording.can.file)
-    sha256 = hashlib.sha256((folder / recording.can.file).read_bytes()).hexdigest()
+    ecu = _ecu(frames, table, folder / can.file)
+    sha256 = hashlib.sha256((folder / can.file).read_bytes()).hexdigest()
     return Bench(folder, recording, sha256, dbc, frames, log, ecu, read_external(folder, recording.external))
 
 

@@ -128,7 +128,7 @@ def _can_log(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> t
     """The log with the added sensors' frames, and how many samples of each are beyond its range on CAN."""
     database = load_string(dbc_text(bench.dbc), "dbc", strict=False)
     assert isinstance(database, Database)  # compile_dbc has read it
-    message = sensor_message(database, pressures, str(bench.where / bench.recording.can.dbc))
+    message = sensor_message(database, pressures, str(bench.where / bench.recording.can_log.dbc))
     own = [frame for frame in bench.frames if frame.can_id != message.frame_id]
     if len(own) < len(bench.frames):
         raise InputError(f"{bench.where}: the CAN log of a bench recording already has {message.name} frames")
@@ -166,6 +166,6 @@ cycle = {quoted(recording.cycle)}
 [can]
 file = "can.log"
 dbc = "uds.dbc"
-dbc_sha256 = "{recording.can.dbc_sha256}"
+dbc_sha256 = "{recording.can_log.dbc_sha256}"
 bench_sha256 = "{bench.sha256}"
 """

@@ -42,7 +42,7 @@ def open_known(path: Path, say: Callable[[str], None]) -> Log:
     """
     log = open_log(path)
     log.check_channels()
-    if log.dbc_path is None:
+    if log.recording is None:
         raise LogError(f"{path}: a bare log names no DBC; give its recording's folder")
     if log.report.lost:
         say(f"{path}: {log.report.summary()}")

@@ -84,6 +84,7 @@ def load_with_log(
     log = open_log(path, channel)
     bundle = load_bundle(folder, senders={**log.senders, **senders})
     verify_golden(bundle)
+    log.check_signals(bundle.table.units)
     log.check_channels(bundle.table.carries)
     log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)

@@ -31,11 +31,12 @@ _LEAST = 8  # times by which it is known whether they rise
 
 
 class Format(NamedTuple):
-    """A format: its name, how it is read, and whether its frames have times."""
+    """A format: its name, how it is read, whether its frames have times, and whether it has frames at all."""
 
     name: str
     read: Reader
     has_times: bool = True
+    has_frames: bool = True
 
 
 BINARY = (

@@ -12,15 +12,19 @@ from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.dbc import NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.merging import MergedSignals, Part
+from faultline.service.core.signals.received import Signals
 from faultline.service.logs.batch import ERROR, NO_DATA, REMOTE, Batch
 from faultline.service.logs.candump import EXAMPLE
 from faultline.service.logs.channels import Channels
 from faultline.service.logs.formats import Format, format_of
 from faultline.service.logs.order import Ordering
 from faultline.service.logs.pieces import Source
-from faultline.service.logs.recording import Recording, load_recording
+from faultline.service.logs.recording import Columns, Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
 from faultline.service.logs.seen import Seen
+from faultline.service.logs.tables.find import find_table_file
+from faultline.service.logs.tables.table import Table, open_table
 
 KEPT = 8 << 20
 """Bytes of batches that are kept from the first pass, so that a short log is read once."""
@@ -33,7 +37,8 @@ class Log:
     `report` says what a first pass over all of it found. `channels` are the names of the file's channels, by the index
     that batches have; `start_s` is the time of the first data frame. Of a bare file neither its DBC is known nor what
     `recording.toml` says: they are None. `channel` is the bus whose frames they are, None where the frames of all buses
-    in the log are merged.
+    in the log are merged. `values` is the table of a recording that has one, or a file that is a table; such a file has
+    no frames.
     """
 
     id: str
@@ -46,6 +51,7 @@ class Log:
     recording: Recording | None = None
     channel: str | None = None
     kept: tuple[Batch, ...] | None = field(default=None, repr=False)
+    values: Table | None = field(default=None, repr=False)
 
     def batches(self) -> Iterator[Batch]:
         """All frames of the channel, with times in order, as columns: remote and error frames too.
@@ -68,9 +74,21 @@ class Log:
         for batch in self._relative_batches():
             yield from batch.frames()
 
-    def signals(self, table: DecodeTable, passing: Callable[[Iterable[Batch]], Iterator[Batch]] = iter) -> CanSignals:
-        """Return what the frames mean by this table, with times after the first one [s]; they go through `passing`."""
-        return CanSignals(table, lambda: passing(self._relative_batches()))
+    def signals(self, table: DecodeTable, passing: Callable[[Iterable[Batch]], Iterator[Batch]] = iter) -> Signals:
+        """Return the signals that `table` decodes, with times after the first frame [s]; frames go through `passing`.
+
+        What the recording's own table gives is taken from there.
+
+        Raises:
+            LogError: a column of it has a unit that cannot be converted.
+        """
+        frames = CanSignals(table, lambda: passing(self._relative_batches()))
+        if self.values is None:
+            return frames
+        beside = self.values.signals(table.units)
+        if not self.format.has_frames:
+            return beside
+        return MergedSignals([Part(frames, {name for name in table.units if self.values.has(name)}), Part(beside)])
 
     def _relative_batches(self) -> Iterator[Batch]:
         return (replace(batch, time=batch.time - self.start_s).with_data for batch in self.batches())
@@ -91,7 +109,7 @@ class Log:
     @property
     def drive(self) -> str:
         """Return the SHA-256 that identifies the drive: of the log, or of the bench's that made it."""
-        ingested = self.recording.can.bench_sha256 if self.recording else None
+        ingested = self.recording.can.bench_sha256 if self.recording and self.recording.can else None
         return ingested or self.sha256
 
     @property
@@ -111,17 +129,34 @@ class Log:
     @property
     def senders(self) -> Mapping[str, int]:
         """The source addresses that the recording chooses, by the messages' names."""
-        return self.recording.can.senders if self.recording else NOBODY
+        return self.recording.can.senders if self.recording and self.recording.can else NOBODY
 
     def table(self, units: Mapping[str, str], where: str) -> DecodeTable:
-        """Return the table for the signals in `units` (name to unit), by the recording's DBC and senders.
+        """Return what decodes the signals in `units` (name to unit), by the recording's DBC and senders.
 
         Raises:
-            InputError: the DBC does not give them (`where` names it), or does not say which sender of several is meant.
+            InputError: neither the DBC (`where` names it) nor the recording's table gives them, or the DBC does not say
+                which sender of several is meant.
         """
-        table = compile_dbc(self.dbc, units, where, self.senders)
+        values = self.values
+        if values is not None and not self.format.has_frames and (lacking := values.lacking(units)):
+            raise LogError(lacking)
+        on_bus = {name: unit for name, unit in units.items() if values is None or not values.has(name)}
+        if not on_bus:
+            return DecodeTable({}, units)
+        table = compile_dbc(self.dbc, on_bus, where, self.senders)
         self.check_senders(table)
+        table.units = units  # those of the table beside it too
         return table
+
+    def check_signals(self, units: Mapping[str, str]) -> None:
+        """Refuse a table, without a CAN log beside it, that gives none of the signals in `units` (name to unit).
+
+        Raises:
+            LogError: it gives none.
+        """
+        if self.values is not None and not self.format.has_frames and not any(map(self.values.has, units)):
+            raise LogError(self.values.lacking(units))
 
     def check_senders(self, table: DecodeTable) -> None:
         """Refuse to mix several senders of a message that the DBC gives to any.
@@ -141,7 +176,7 @@ class Log:
         Raises:
             LogError: the recording names another DBC.
         """
-        used = self.recording.can.dbc_sha256 if self.recording else sha256
+        used = self.recording.can.dbc_sha256 if self.recording and self.recording.can else sha256
         if used != sha256:
             raise LogError(
                 f"{self.dbc_path}: recorded with DBC {used[:12]}, the bundle was made for {sha256[:12]}; "
@@ -220,12 +255,11 @@ def open_log(path: Path, channel: str | None = None) -> Log:
             of the channel, or no times.
     """
     if not path.is_dir():
-        return _usable(_file(path, channel))
+        return _usable(_bare(path, channel))
     recording = load_recording(path)
     if recording.kind == "bench":
         raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
-    log = _usable(_file(path / recording.can.file, channel or recording.can.channel))
-    return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
+    return _usable(_recorded(path, recording, channel))
 
 
 def open_any(path: Path, channel: str | None = None) -> Log:
@@ -234,11 +268,7 @@ def open_any(path: Path, channel: str | None = None) -> Log:
     Raises:
         LogError: no frame could be read, or none of the channel.
     """
-    if not path.is_dir():
-        return _some(_file(path, channel))
-    recording = load_recording(path)
-    log = _some(_file(path / recording.can.file, channel or recording.can.channel))
-    return replace(log, id=recording.id, dbc_path=path / recording.can.dbc, recording=recording)
+    return _some(_recorded(path, load_recording(path), channel) if path.is_dir() else _bare(path, channel))
 
 
 def read_log(path: Path, channel: str | None = None) -> tuple[list[Frame], LogReport]:
@@ -258,6 +288,55 @@ def _file(path: Path, channel: str | None) -> Log:
     kept = first.all()
     names = tuple(name.decode(errors="replace") for name in first.channels.names)
     return Log(path.stem, source, form, first.report, names, first.first_s or 0.0, channel=channel, kept=kept)
+
+
+def _bare(path: Path, channel: str | None) -> Log:
+    """Return the log of a file alone."""
+    source = Source(path)
+    file = find_table_file(source)
+    return _file(path, channel) if file is None else _only_table(path.stem, source, open_table(str(path), file))
+
+
+def _only_table(name: str, source: Source, values: Table) -> Log:
+    def no_frames(*_: object) -> Iterator[Batch]:
+        raise LogError(f"a {values.file.kind}, which has no CAN frames; give a CAN log")
+
+    form = Format(values.file.kind, no_frames, has_frames=False)
+    return Log(name, source, form, values.report, (), values.start_s, values=values)
+
+
+def _recorded(folder: Path, recording: Recording, channel: str | None) -> Log:
+    """Return the log of a recording, with its table."""
+    can, columns = recording.can, recording.table
+    if can is None:
+        assert columns is not None  # as was checked when it was loaded
+        source = Source(folder / columns.file)
+        log = _only_table(recording.id, source, _table(folder, columns, None))
+        return replace(log, recording=recording)
+    log = replace(_file(folder / can.file, channel or can.channel), id=recording.id, recording=recording)
+    log = replace(log, dbc_path=folder / can.dbc)
+    if columns is None:
+        return log
+    values = _table(folder, columns, log.start_s)
+    if not (values.span[0] - values.start_s < log.duration_s and values.span[1] > values.start_s):
+        raise LogError(
+            f"{values.where}: from {values.span[0]:.3f} to {values.span[1]:.3f} s, the CAN log is from "
+            f"{log.start_s:.3f} to {log.start_s + log.duration_s:.3f} s: they have no time in common; give `offset_s` "
+            "under [table] in recording.toml: log time, from the first frame on, less the table's time"
+        )
+    log.report.beside = values.report
+    return replace(log, values=values)
+
+
+def _table(folder: Path, columns: Columns, start_s: float | None) -> Table:
+    path = folder / columns.file
+    file = find_table_file(Source(path), columns.time)
+    if file is None:
+        raise LogError(
+            f"{path}: no table of values with a column of times was found; name the column with `time` under [table] "
+            "in recording.toml"
+        )
+    return open_table(str(path), file, columns.maps, columns.offset_s, start_s)
 
 
 def _usable(log: Log) -> Log:

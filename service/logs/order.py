@@ -46,6 +46,10 @@ class Ordering:
         time = np.clip(batch.time + self._shift, before[place], after[place])
         return replace(batch, time=np.where(has_data, before[place], time))
 
+    def times(self, t: FloatArray) -> FloatArray:
+        """Return such times of the rows of a table (N,), at least one."""
+        return self._times(t, float(t[0]) if self._last is None else self._last)
+
     def _times(self, t: FloatArray, last: float) -> FloatArray:
         found = np.empty_like(t)
         at, block = 0, len(t)

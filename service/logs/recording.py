@@ -1,7 +1,7 @@
-"""A recording: a folder with `recording.toml`, a CAN log, its DBC and, from a bench, the second logger's file.
+"""A recording: a folder with `recording.toml`, a CAN log with its DBC, or a table, and a bench's second logger's file.
 
 Kind *bench*: the CAN log holds the vehicle's own frames only; the added sensors are in the external file, in volts, on
-another clock. Kind *instrumented*: everything is on CAN; only these are replayed and diagnosed.
+another clock. Kind *instrumented*: everything is on CAN, or in a table; only these are diagnosed.
 """
 
 import hashlib
@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from faultline.service.logs.report import LogError
+from faultline.service.logs.tables.table import ColumnMap
 
 FILE = "recording.toml"
 SCHEMA = 1
@@ -47,6 +48,25 @@ class Can(_Part, frozen=True):
     senders: dict[str, Address] = {}
 
 
+class Columns(_Part, frozen=True):
+    """A table of values (CSV, Parquet, MF4), relative to the folder: which columns are signals, and its clock.
+
+    `time` names the column of the times, where its name does not say so. `signals` give the column by the signal's
+    name; without an entry a column is the signal of its own name. Log time = `offset_s` + the table's time; without it
+    the table's clock is that of the CAN log beside it, or begins with its own first row.
+    """
+
+    file: str
+    time: str | None = None
+    offset_s: float | None = None
+    signals: dict[str, str | ColumnMap] = {}
+
+    @property
+    def maps(self) -> dict[str, ColumnMap]:
+        """The columns by the signals' names."""
+        return {name: ColumnMap(each) if isinstance(each, str) else each for name, each in self.signals.items()}
+
+
 class Table(_Part, frozen=True):
     """Calibration table of a column, from volts to pascal: piecewise linear, from the sensor's datasheet."""
 
@@ -65,7 +85,10 @@ class External(_Part, frozen=True):
 
 
 class Recording(_Part, frozen=True, kw_only=True):
-    """Content of `recording.toml`. `id` is unique; `start` is the wall clock at the first frame."""
+    """Content of `recording.toml`. `id` is unique; `start` is the wall clock at the first frame.
+
+    The signals are in a CAN log, in a table, or in both.
+    """
 
     schema: int
     id: Name
@@ -75,8 +98,27 @@ class Recording(_Part, frozen=True, kw_only=True):
     cycle: str
     start: datetime | None = None
     sensor_set: Literal["instrumented", "production"]
-    can: Can
+    can: Can | None = None
+    table: Columns | None = None
     external: External | None = None
+
+    @property
+    def file(self) -> str:
+        """The name of the file that the recording is known by: its CAN log, else its table."""
+        return self.can.file if self.can is not None else self.table.file if self.table is not None else ""
+
+    @property
+    def can_log(self) -> Can:
+        """The CAN log.
+
+        Raises:
+            LogError: there is none.
+        """
+        if self.can is None:
+            raise LogError(
+                f"{self.id}: its signals are in a table, and this needs a CAN log; give a recording with one"
+            )
+        return self.can
 
     def check_sensors(self, folder: Path, needed: str, what: str) -> None:
         """Refuse a recording without the added sensors, where `what`, for the sensor set `needed`, has them.
@@ -100,17 +142,23 @@ def load_recording(folder: Path) -> Recording:
     path = folder / FILE
     recording = _decode(_read(path, "is this a recording's folder?"), path)
     _check(recording, path)
-    _read(folder / recording.can.file, f"{FILE} names it as the CAN log", size=1)
+    if recording.table:
+        _read(folder / recording.table.file, f"{FILE} names it as the table", size=1)
     if recording.external:
         _read(folder / recording.external.file, "a bench recording needs the second logger's file", size=1)
-    dbc = _read(folder / recording.can.dbc, f"{FILE} names it as the log's DBC")
-    digest = hashlib.sha256(dbc).hexdigest()
-    if digest != recording.can.dbc_sha256:
-        raise LogError(
-            f"{folder / recording.can.dbc}: not the DBC of this recording (SHA-256 {digest[:12]}, can.dbc_sha256 says "
-            f"{recording.can.dbc_sha256[:12]}); put the original back"
-        )
+    if recording.can:
+        _check_can(recording.can, folder)
     return recording
+
+
+def _check_can(can: Can, folder: Path) -> None:
+    _read(folder / can.file, f"{FILE} names it as the CAN log", size=1)
+    digest = hashlib.sha256(_read(folder / can.dbc, f"{FILE} names it as the log's DBC")).hexdigest()
+    if digest != can.dbc_sha256:
+        raise LogError(
+            f"{folder / can.dbc}: not the DBC of this recording (SHA-256 {digest[:12]}, can.dbc_sha256 says "
+            f"{can.dbc_sha256[:12]}); put the original back"
+        )
 
 
 def _read(path: Path, remedy: str, size: int = -1) -> bytes:
@@ -138,6 +186,9 @@ def _decode(raw: bytes, path: Path) -> Recording:
 
 def _check(recording: Recording, path: Path) -> None:
     """Check what the types do not express."""
+    if recording.can is None and (recording.table is None or recording.kind == "bench"):
+        needs = "bench recording has" if recording.kind == "bench" else "recording has a [table] or"
+        raise LogError(f"{path}: there is no [can]; a {needs} a CAN log: name it there")
     if recording.kind == "bench" and recording.external is None:
         raise LogError(f"{path}: kind is bench but there is no [external]; name the second logger's file there")
     if recording.kind == "instrumented" and recording.external is not None:

@@ -42,9 +42,11 @@ class LogReport:
     frames without, and `others` objects that are no frames. `clock_steps`: times of the log that the reader moved,
     because the clock was set while it was recorded. `length_s` [s] was read, of `said_s` [s] by the file's own header
     if that says so. `channels` are the (identifier, has 29 bits) of data frames that came on each channel of the file.
+    Of a table, `frames` are its rows; `beside` is the report of a table that belongs to the log.
     """
 
     frames: int = 0
+    what: str = "frames"
     bad: int = 0
     lost_bytes: int = 0
     places: list[tuple[int, str]] = field(default_factory=list)
@@ -59,16 +61,17 @@ class LogReport:
     length_s: float = 0.0
     said_s: float | None = None
     channels: dict[str, set[tuple[int, bool]]] = field(default_factory=dict)
+    beside: "LogReport | None" = None
 
     @property
     def damaged(self) -> bool:
         """True if something inside the log could not be read, or its end is known to be missing."""
-        return bool(self.bad or self.missing or self.packing)
+        return bool(self.bad or self.missing or self.packing or (self.beside and self.beside.damaged))
 
     @property
     def lost(self) -> bool:
         """True if anything of the log could not be used as it stands."""
-        return bool(self.damaged or self.truncated or self.clock_steps)
+        return bool(self.damaged or self.truncated or self.clock_steps or (self.beside and self.beside.lost))
 
     @property
     def span(self) -> str:
@@ -78,7 +81,7 @@ class LogReport:
 
     def summary(self) -> str:
         """One sentence for the user."""
-        return ", ".join([f"{self.frames} frames read, from {self.span}", *self.losses(), *self.skipped()])
+        return ", ".join([f"{self.frames} {self.what} read, from {self.span}", *self.losses(), *self.skipped()])
 
     def losses(self) -> list[str]:
         """What could not be used as it stands, each with where."""
@@ -96,6 +99,8 @@ class LogReport:
             parts.append("the last line is cut off and was not used")
         if self.clock_steps:
             parts.append(f"the clock was set {self.clock_steps} times, later times were moved")
+        if self.beside and self.beside.lost:
+            parts.append(f"of the table beside it {', '.join(self.beside.losses())}")
         return parts
 
     def skipped(self) -> list[str]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from faultline.service.logs import Log
+from faultline.service.survey.columns import ColumnRow
 from faultline.service.survey.signals import Found, group
 from faultline.service.survey.traffic import Message
 
@@ -83,7 +84,10 @@ class Sender(msgspec.Struct):
 
 
 class Survey(msgspec.Struct):
-    """A log: its format, what was read, channels, messages, senders, damage, and the signals that were asked for."""
+    """A log: its format, what was read, channels, messages, senders, damage, and the signals that were asked for.
+
+    Of a table of values, `frames` are its rows, and `columns` what they hold.
+    """
 
     schema: str
     file: str
@@ -101,11 +105,17 @@ class Survey(msgspec.Struct):
     channels: list[Channel]
     messages: list[MessageRow]
     senders: list[Sender]
+    columns: list[ColumnRow]
     signals: list[Found]
 
 
 def survey_of(
-    log: Log, messages: Sequence[Message], without_data: Mapping[int, int], names: Sequence[str], signals: list[Found]
+    log: Log,
+    messages: Sequence[Message],
+    without_data: Mapping[int, int],
+    names: Sequence[str],
+    columns: list[ColumnRow],
+    signals: list[Found],
 ) -> Survey:
     """The document of a log."""
     report = log.report
@@ -130,6 +140,7 @@ def survey_of(
         ],
         messages=[_row(each, names, report.length_s, log.format.has_times) for each in messages],
         senders=_senders(messages, names),
+        columns=columns,
         signals=signals,
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from faultline.service.survey.columns import ColumnRow
 from faultline.service.survey.document import MessageRow, Survey
 
 _MOST_ROWS = 60  # of a table
@@ -9,7 +10,11 @@ _MOST_ROWS = 60  # of a table
 
 def text_of(survey: Survey) -> str:
     """The text, of several lines."""
-    parts = [_head(survey), _table("messages", _messages(survey.messages, survey.has_times))]
+    parts = [_head(survey)]
+    if survey.messages:
+        parts.append(_table("messages", _messages(survey.messages, survey.has_times)))
+    if survey.columns:
+        parts.append(_table("columns", _columns(survey.columns)))
     if survey.senders:
         rows = [
             [each.channel, f"0x{each.address:02X}", str(each.frames), str(len(each.groups))] for each in survey.senders
@@ -44,9 +49,11 @@ def _head(survey: Survey) -> str:
     span = f"0.0 to {survey.length_s:.1f} s" if survey.has_times else "without times"
     channels = ", ".join(f"{each.name} ({each.frames})" for each in survey.channels)
     counts = f"{survey.frames} data, {survey.remote} remote and {survey.errors} error frames"
+    if not channels:
+        counts = f"{survey.frames} rows"
     lines = [
         f"{survey.file}: {survey.format}, {counts}, {span}",
-        f"channels: {channels}",
+        *([f"channels: {channels}"] if channels else []),
         *(f"damage: {sentence}" for sentence in survey.damage.sentences),
     ]
     if not survey.damage.sentences:
@@ -62,6 +69,15 @@ def _messages(messages: Sequence[MessageRow], has_times: bool) -> list[list[str]
         period = f"{each.period_s:.3f}" if has_times and each.period_s is not None else ""
         pgn = "" if each.pgn is None else str(each.pgn)
         rows.append([each.channel, each.identifier, pgn, str(each.count), rate, period, length])
+    return rows
+
+
+def _columns(columns: Sequence[ColumnRow]) -> list[list[str]]:
+    rows = [["column", "unit", "values", "no numbers", "from s", "to s", "period s", "least", "greatest"]]
+    for each in columns:
+        numbers = each.first_s, each.last_s, each.period_s, each.least, each.greatest
+        shown = ["" if number is None else f"{number:.6g}" for number in numbers]
+        rows.append([each.name, each.unit, str(each.count), str(each.not_numbers or ""), *shown])
     return rows
 
 

@@ -137,12 +137,16 @@ def trial(
         log = _unused(path, taken, "tune", note)
         check_vehicle(log, path, vehicle, "the model")
         first = first or log
-    if first is None or first.dbc_path is None:
+    if first is None:
         raise InputError("no recording to tune on; give fault-free recordings that neither fit nor choice has seen")
+    if first.dbc_path is None:
+        raise InputError(
+            f"{first.source.path}: has no DBC, which the bundle to be judged needs; give one with a CAN log"
+        )
     for path, told in evaluation:
         log = _unused(path, taken, "evaluate", note)
         if first.recording is not None:
-            log.check_dbc(first.recording.can.dbc_sha256)
+            log.check_dbc(first.recording.can_log.dbc_sha256)
         judged.append((log, None if told is None else load_truth(told, log.id)))
     return Trial(tuple(tuning), first.dbc_path, first.senders, tuple(judged))
 

@@ -67,7 +67,7 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mappin
             raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
     _check_carriers(carriers, where)
     _check_senders(senders, layouts.values(), where)
-    return DecodeTable(layouts)
+    return DecodeTable(layouts, units)
 
 
 def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Message], bool]:

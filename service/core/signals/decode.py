@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import nan
+from types import MappingProxyType
 from typing import NamedTuple
 
 from faultline.service.core.j1939.identifiers import (
@@ -37,6 +38,7 @@ STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
 BOUND = 1024
 """Identifiers of messages from any sender or to any destination that are kept; more are looked up anew."""
 
+NONE: Mapping[str, str] = MappingProxyType({})
 _GOOD = Quality.GOOD
 _ALL_SENDERS = PRIORITY_MASK & ~SOURCE_MASK
 
@@ -72,11 +74,13 @@ class DecodeTable:
     """Decodes the wanted signals of a bus; everything else is ignored.
 
     Frames are counted by message: those `taken`, and those that were `rejected`, why. `parts` puts together the
-    messages that are longer than a frame of J1939; None where none is wanted.
+    messages that are longer than a frame of J1939; None where none is wanted. `units` are those of the wanted signals
+    by name, also of signals that a table beside the bus gives.
     """
 
-    def __init__(self, layouts: Mapping[tuple[int, bool], Layout]) -> None:
+    def __init__(self, layouts: Mapping[tuple[int, bool], Layout], units: Mapping[str, str] = NONE) -> None:
         """`layouts` by identifier, one of J1939 without priority, and whether it has 29 bits."""
+        self.units = units
         self._layouts = tuple(layouts.values())
         extended = [layout for (_, is_extended), layout in layouts.items() if is_extended]
         j1939 = [layout for layout in extended if layout.j1939]

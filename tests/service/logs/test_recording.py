@@ -47,7 +47,7 @@ def test_opens_an_instrumented_recording(tmp_path: Path) -> None:
     log = open_log(_write(tmp_path))
     assert (log.id, log.dbc, log.duration_s) == ("drive-1", DBC, 1.5)
     assert log.recording is not None
-    assert log.recording.can.dbc_sha256 == hashlib.sha256(DBC.encode()).hexdigest()
+    assert log.recording.can_log.dbc_sha256 == hashlib.sha256(DBC.encode()).hexdigest()
     assert log.sha256 == hashlib.sha256(LOG.encode()).hexdigest()
     assert [frame.t for frame in log.frames()] == [100.0, 101.5]
     assert [frame.t for frame in log.relative()] == [0.0, 1.5]

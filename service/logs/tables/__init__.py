@@ -1,0 +1,1 @@
+"""Tables of values with a time column (CSV, Parquet, data channels of MF4), with or without a CAN log beside."""

@@ -1,0 +1,58 @@
+"""Rows of a table: times, and what its columns had then."""
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+from faultline.service.core.signals.values import FloatArray
+from faultline.service.logs.report import LogReport
+
+TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9, "min": 1 / 60}
+"""How many there are in a second."""
+_TIMES = frozenset(("t", "ts", "epoch", "date", "datetime", "zeit", "elapsed", "elapsedtime", "logs", "offset"))
+_TITLE = re.compile(r"([^\[(]*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
+
+
+class Rows(NamedTuple):
+    """N rows: log times (N,) [s], and by column its values (N,): NaN: there is none; infinite: it is no number."""
+
+    time: FloatArray
+    values: Mapping[str, FloatArray]
+
+
+class TableFile(Protocol):
+    """A file that holds a table, or several with clock rates of their own.
+
+    `kind` is its format's name, `units` are those of its columns by name as the file has them (empty where it has
+    none), without the times.
+    """
+
+    kind: str
+    units: Mapping[str, str]
+
+    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
+        """Return the rows of each table with any of these columns, of all tables where `names` is empty.
+
+        Raises:
+            LogError: the file cannot be read any more; the message does not name it.
+        """
+
+
+def title(text: str) -> tuple[str, str]:
+    """Return a title's name and unit.
+
+    >>> title("p_du [kPa]"), title("speed (1/min) "), title("q")
+    (('p_du', 'kPa'), ('speed', '1/min'), ('q', ''))
+    """
+    match = _TITLE.fullmatch(text.strip())
+    return (match[1].strip(), match[2] or "") if match else (text.strip(), "")
+
+
+def is_time(name: str) -> bool:
+    """True of a column's name that says that it is the time.
+
+    >>> [is_time(name) for name in ("time_exp", "Timestamp", "t", "torque", "log_s")]
+    [True, True, True, False, True]
+    """
+    plain = re.sub(r"[\s_]", "", name.lower())
+    return plain in _TIMES or plain.startswith("time")

@@ -1,0 +1,198 @@
+"""A table as text: a header with the columns' names, then rows (CSV with a comma, a semicolon or a tab).
+
+Units are in brackets behind the names or in a line of their own below them. With another delimiter than a comma,
+numbers may have a decimal comma. Times are seconds, or in the header's unit, or dates (ISO 8601; UTC without a zone).
+"""
+
+import csv
+from collections.abc import Collection, Iterator, Sequence
+from datetime import UTC, datetime
+from io import StringIO
+from math import inf, nan
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.signals.values import FloatArray
+from faultline.service.logs.delimited import find_table
+from faultline.service.logs.pieces import Source
+from faultline.service.logs.report import LogReport, shown
+from faultline.service.logs.tables.rows import TIME_UNITS, Rows, is_time, title
+
+_HEAD_LINES = 20
+_LONGEST_LINE = 1 << 20
+_DELIMITERS = (",", ";", "\t")
+_NOTHING = frozenset(("", "-", "--", "nan", "null", "none", "na", "n/a", "#n/a"))
+
+
+class Header(NamedTuple):
+    """A header: its line (from 1), the delimiter, titles, units, the number of the times, and the first row's line."""
+
+    line: int
+    delimiter: str
+    names: list[str]
+    units: list[str]
+    time: int
+    first: int
+
+
+def find_header(head: bytes, time: str | None = None) -> Header | None:
+    """Return the header of a table in the first bytes of a file; None where it is none, or one of CAN frames.
+
+    `time` names the column of the times, which is else known by its name.
+    """
+    text = head.removeprefix(b"\xef\xbb\xbf").decode("latin-1" if b"\xff" in head else "utf-8", "replace")
+    lines = text.splitlines()
+    for number, line in enumerate(lines[:_HEAD_LINES]):
+        for delimiter in _DELIMITERS:
+            cells = _cells(line, delimiter)
+            at = [k for k, cell in enumerate(cells) if (title(cell)[0] == time if time else is_time(title(cell)[0]))]
+            if len(cells) < 2 or not at:
+                continue
+            rows = [_cells(each, delimiter) for each in lines[number + 1 : number + 3]]
+            for skipped, row in enumerate(rows):
+                if len(row) == len(cells) and _time_s(row[at[0]], delimiter) is not None:
+                    return _header(number + 1, delimiter, cells, rows[0] if skipped else None, at[0])
+    return None
+
+
+def _header(line: int, delimiter: str, cells: list[str], below: list[str] | None, time: int) -> Header:
+    found = [title(cell) for cell in cells]
+    units = [unit for _, unit in found]
+    if below is not None and len(below) == len(cells):
+        units = [each.strip("[]() ") or unit for each, unit in zip(below, units, strict=True)]
+    return Header(line, delimiter, [name for name, _ in found], units, time, line + (2 if below is not None else 1))
+
+
+class TextTable:
+    """A table as text."""
+
+    kind = "CSV table of values"
+
+    def __init__(self, source: Source, header: Header) -> None:
+        self._source, self._header = source, header
+        self.units = {
+            name: unit
+            for k, (name, unit) in enumerate(zip(header.names, header.units, strict=True))
+            if k != header.time and name
+        }
+
+    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
+        """Return the rows: see `TableFile`."""
+        return [self._rows([name for name in self.units if name in names], report)]
+
+    def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[Rows]:
+        parser = _Parser(self._header, names, report)
+        rest = b""
+        for piece in self._source.pieces(report):
+            whole, newline, rest = (rest + piece).rpartition(b"\n")
+            if newline:
+                yield parser.rows(whole + newline)
+            elif len(rest) > _LONGEST_LINE:
+                report.reject(parser.line, f"a line of more than {_LONGEST_LINE >> 20} MiB", len(rest))
+                rest = b""
+        if rest.strip(b"\0 \r"):
+            report.truncated = True
+
+
+class _Parser:
+    """Rows of whole lines. State: the number of the next line."""
+
+    def __init__(self, header: Header, names: Sequence[str], report: LogReport) -> None:
+        self._header, self._names, self._report = header, names, report
+        self._use = [header.time, *(header.names.index(name) for name in names)]
+        self._unit = TIME_UNITS.get(header.units[header.time], 1.0)
+        self.line = 1
+
+    def rows(self, text: bytes) -> Rows:
+        """Return the rows of a text of whole lines."""
+        begin, count = self.line, text.count(b"\n")
+        self.line += count
+        if begin < self._header.first:
+            skipped = min(count, self._header.first - begin)
+            text = text.split(b"\n", skipped)[skipped]
+            begin, count = begin + skipped, count - skipped
+        lines = text.decode("utf-8", "replace")
+        table = self._at_once(lines, count)
+        if table is None:
+            table = self._one_by_one(lines.split("\n")[:-1], begin)
+        return Rows(table[:, 0], {name: table[:, k + 1] for k, name in enumerate(self._names)})
+
+    def _at_once(self, text: str, count: int) -> FloatArray | None:
+        """Return the cells (N, 1 + n), if all are numbers; else None."""
+        header = self._header
+        if text.count(header.delimiter) != count * (len(header.names) - 1) or not count:
+            return None
+        if header.delimiter != ",":
+            text = text.replace(",", ".")
+        try:
+            found = np.loadtxt(StringIO(text), delimiter=header.delimiter, usecols=self._use, ndmin=2, comments=None)
+        except ValueError:
+            return None
+        if len(found) != count or not np.isfinite(found[:, 0]).all():
+            return None
+        found[:, 0] /= self._unit if self._unit != 1.0 else unit_of_dates(float(found[-1, 0]))
+        return found
+
+    def _one_by_one(self, lines: Sequence[str], begin: int) -> FloatArray:
+        header = self._header
+        found = []
+        for number, line in enumerate(lines, begin):
+            cells = _cells(line, header.delimiter)
+            if not line.strip("\0 \r") or [title(cell)[0] for cell in cells] == header.names:
+                continue
+            raw = line.encode()
+            if len(cells) != len(header.names):
+                reason = f"{len(cells)} cells, the header has {len(header.names)}: {shown(raw)}"
+                self._report.reject(number, reason, len(raw) + 1)
+            elif (t := _time_s(cells[header.time], header.delimiter, self._unit)) is None:
+                self._report.reject(number, f"no time: {shown(raw)}", len(raw) + 1)
+            else:
+                found.append([t, *(_value(cells[k], header.delimiter) for k in self._use[1:])])
+        return np.array(found, np.float64).reshape(-1, len(self._use))
+
+
+def unit_of_dates(t: float) -> float:
+    """Return how many units of a time without one are in a second: whole numbers that are dates only in ms, us or ns.
+
+    >>> unit_of_dates(1.7e9), unit_of_dates(1.7e12), unit_of_dates(3.0)
+    (1.0, 1000.0, 1.0)
+    """
+    return next((per_s for least, per_s in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if abs(t) >= least), 1.0)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if '"' not in line:
+        return [cell.strip() for cell in line.rstrip("\r").split(delimiter)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def _time_s(cell: str, delimiter: str, unit: float = 1.0) -> float | None:
+    """Return a time [s]; None where it is none."""
+    try:
+        t = float(cell.replace(",", ".") if delimiter != "," else cell)
+    except ValueError:
+        try:
+            date = datetime.fromisoformat(cell)
+        except ValueError:
+            return None
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    if not -inf < t < inf:
+        return None
+    return t / (unit if unit != 1.0 else unit_of_dates(t))
+
+
+def _value(cell: str, delimiter: str) -> float:
+    """Return a number; NaN where the cell is empty, infinity where it holds something else."""
+    try:
+        return float(cell.replace(",", ".") if delimiter != "," else cell)
+    except ValueError:
+        return nan if cell.lower() in _NOTHING else inf
+
+
+def text_table(source: Source, time: str | None = None) -> TextTable | None:
+    """Return the table that a text file holds; None where it holds none, or CAN frames."""
+    if find_table(source.head) is not None:
+        return None
+    header = find_header(source.head, time)
+    return None if header is None else TextTable(source, header)
