@@ -77,7 +77,8 @@ class Start(NamedTuple):
         order = np.argsort(time, kind="stable")
         place = np.empty(len(order), np.intp)
         place[order] = np.arange(len(order))
-        columns, begin = {}, 0
+        columns: dict[str, Column] = {}
+        begin = 0
         for stream, rows in zip(self.streams, kept, strict=True):
             there = place[begin : begin + len(rows)]
             columns |= {name: Column(there, each[0][rows], each[1][rows]) for name, each in stream.signals.items()}

@@ -134,9 +134,9 @@ def test_parquet_has_the_columns_that_are_documented(made: dict[str, Path]) -> N
 
 def test_another_table_is_no_log(tmp_path: Path) -> None:
     path = tmp_path / "x.parquet"
-    parquet.write_table(pyarrow.table({"time": [1.0], "p": [2.0]}), path)
+    parquet.write_table(pyarrow.table({"step": [1.0], "p": [2.0]}), path)
     with pytest.raises(
-        LogError, match=r"x\.parquet: a Parquet file without channel, identifier, .* its columns are time, p"
+        LogError, match=r"x\.parquet: a Parquet file without time, channel, identifier, .* its columns are step, p"
     ):
         open_log(path)
 

@@ -60,7 +60,7 @@ def _cut(piece: Received, until: float) -> tuple[Received, Received | None]:
     head, rest = {}, {}
     for name, column in piece.columns.items():
         at = int(np.searchsorted(column.row, count))
-        head[name] = Column(*(each[:at] for each in column))
+        head[name] = Column(column.row[:at], column.value[:at], column.quality[:at])
         rest[name] = Column(column.row[at:] - count, column.value[at:], column.quality[at:])
     first = float(piece.time[count]) if count < len(piece.time) else piece.last_s
     return (

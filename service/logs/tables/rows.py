@@ -27,8 +27,13 @@ class TableFile(Protocol):
     none), without the times.
     """
 
-    kind: str
-    units: Mapping[str, str]
+    @property
+    def kind(self) -> str:
+        """The name of its format."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units of its columns by name."""
 
     def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
         """Return the rows of each table with any of these columns, of all tables where `names` is empty.

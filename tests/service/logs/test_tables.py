@@ -130,7 +130,7 @@ def test_a_table_of_the_golden_log_gives_its_events(tmp_path: Path) -> None:
 
 @pytest.fixture
 def beside(tmp_path: Path) -> Path:
-    """The golden recording, whose y_p_tp is taken from a table in kPa on a clock of its own, and is wrong on the bus."""
+    """The golden recording, whose y_p_tp is taken from a table in kPa on a clock of its own."""
     folder = tmp_path / "recording"
     copytree(GOLDEN / "log", folder)
     text = table_of(open_log(GOLDEN / "log"), ["y_p_tp"], times=5.0).splitlines()
@@ -178,9 +178,13 @@ def test_damage_of_the_table_is_damage_of_the_log(beside: Path) -> None:
 def test_what_does_not_fit_is_named(beside: Path, old: str, new: str, words: str) -> None:
     path = beside / "recording.toml"
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(LogError, match=words):
+
+    def read() -> None:
         log = open_log(beside)
         log.signals(log.table(UNITS, "x"))
+
+    with pytest.raises(LogError, match=words):
+        read()
 
 
 def test_a_table_without_the_signals_is_refused_with_its_columns(tmp_path: Path) -> None:
