@@ -53,15 +53,8 @@ class Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Handle signals as uvicorn does, but end without raising the signal again afterwards."""
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._shutdown.request)
-        try:
-            yield
-        finally:
-            for number in (signal.SIGTERM, signal.SIGINT):
-                loop.remove_signal_handler(number)
+        """Leave signals to `_serve`, which handles them before the server starts, and raises none again afterwards."""
+        yield
 
 
 def serve(
@@ -85,6 +78,8 @@ async def _serve(
     notifier: Notifier,
 ) -> None:
     counts, shutdown = Counts(), Shutdown()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, shutdown.request)
     config = uvicorn.Config(
         application(settings, tokens, limits, counts, shutdown, say),
         loop="asyncio",

@@ -274,9 +274,7 @@ def test_a_folder_that_may_not_be_written_is_said(name: str, writes: Writes, inp
 def test_an_interrupt_is_one_line(name: str, inputs: Path, tmp_path: Path) -> None:
     row = ROWS[name]
     words = SERVICES.get(name) or (row.writes[0].words if row.writes else row.answers)
-    done = _call(
-        name, words, inputs, tmp_path, Interrupted(1.5 if name in SERVICES else 0.1, once_handled=name in SERVICES)
-    )
+    done = _call(name, words, inputs, tmp_path, Interrupted(0.1, once_handled=name in SERVICES))
     assert done.code == row.interrupted, done.said
     assert "Traceback" not in done.said
     if row.interrupted == 130:
