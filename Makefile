@@ -36,8 +36,9 @@ lint: .venv/.test
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-bench: .venv/.test .venv-peer/.done  ## cost of a tick and of structural analysis, paired with what it is compared to
+bench: .venv/.test .venv-peer/.done  ## cost of a tick, of logs and of structural analysis, paired with what it is compared to
 	@$(BIN)/python -m tests.bench
+	@$(BIN)/python -m tests.bench_logs
 	@$(BIN)/python tests/analysis/structure/bench_engine.py .venv-peer/bin/python
 
 campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameters found? writes docs/results

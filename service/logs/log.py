@@ -23,7 +23,7 @@ from faultline.service.logs.pieces import Source
 from faultline.service.logs.recording import Columns, Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
 from faultline.service.logs.seen import Seen
-from faultline.service.logs.tables.find import find_table_file
+from faultline.service.logs.tables.find import find_table_file, is_mf4
 from faultline.service.logs.tables.table import Table, open_table
 
 KEPT = 8 << 20
@@ -293,6 +293,8 @@ def _file(path: Path, channel: str | None) -> Log:
 def _bare(path: Path, channel: str | None) -> Log:
     """Return the log of a file alone."""
     source = Source(path)
+    if is_mf4(source) and (log := _file(path, channel)).report.channels:
+        return log
     file = find_table_file(source)
     return _file(path, channel) if file is None else _only_table(path.stem, source, open_table(str(path), file))
 

@@ -8,11 +8,10 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
-from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO
+from typing import IO, Any
 
 import msgspec
 import numpy as np
@@ -24,6 +23,7 @@ from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport
 
 MF4_MAGIC = (b"MDF     ", b"UnFinMF ")
+_WORKER = "faultline.service.logs.mf4_worker"
 _PATIENCE_S = 120.0
 """Time in which the process must say something [s]."""
 _LONGEST = 1 << 30
@@ -36,24 +36,35 @@ def read_mf4(source: Source, report: LogReport, channels: Channels) -> Iterator[
     Raises:
         ModuleNotFoundError: asammdf is not installed.
     """
-    if find_spec("asammdf") is None:
-        raise ModuleNotFoundError("No module named 'asammdf'", name="asammdf")
+    check_asammdf()
     report.unit = "record"
     with source.plain(report) as path, TemporaryFile() as errors:
-        for message in _messages(path, errors, report):
+        for message in messages(_WORKER, [str(path)], Part | Ended, errors, report):
             if isinstance(message, Part):
                 yield from _batch(message, report, channels)
-            else:
+            elif isinstance(message, Ended):
                 for record, reason, count in message.bad:
                     report.reject(record, reason)
                     report.bad += count - 1
                 report.missing = report.missing or message.missing
 
 
-def _messages(path: Path, errors: IO[bytes], report: LogReport) -> Iterator[Part | Ended]:
-    """What the process says, until it ends."""
-    command = [sys.executable, "-W", "ignore", "-m", "faultline.service.logs.mf4_worker", str(path)]
-    decoder = msgspec.msgpack.Decoder(Part | Ended)
+def check_asammdf() -> None:
+    """Check that asammdf is installed, without importing it.
+
+    Raises:
+        ModuleNotFoundError: it is not.
+    """
+    if find_spec("asammdf") is None:
+        raise ModuleNotFoundError("No module named 'asammdf'", name="asammdf")
+
+
+def messages(
+    worker: str, arguments: Sequence[str], types: Any, errors: IO[bytes], report: LogReport
+) -> Iterator[msgspec.Struct]:
+    """Yield what the process `worker`, a module, says until it ends, of these types of messages."""
+    command = [sys.executable, "-W", "ignore", "-m", worker, *arguments]
+    decoder = msgspec.msgpack.Decoder(types)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors) as process:  # noqa: S603 our own
         assert process.stdout is not None
         try:

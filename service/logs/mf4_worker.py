@@ -27,7 +27,7 @@ from faultline.service.logs.batch import (
 )
 
 LENGTH = 4
-_MEMORY = 6 << 30  # bytes of address space
+MEMORY = 6 << 30  # bytes of address space
 _RECORDS = 1 << 17  # read at once, of all groups together
 _FEWEST = 1 << 12  # of one group
 _FAILURES = 300  # ranges that cannot be read, at most
@@ -198,7 +198,7 @@ def missing(path: Path) -> str:
 
 def main(path: Path) -> None:
     """Write all messages of the log at `path`."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     from asammdf import MDF
 
     cut = missing(path)
@@ -208,12 +208,13 @@ def main(path: Path) -> None:
         time, channel, identifier, flags, length, data = (
             np.ascontiguousarray(getattr(batch, name)).tobytes() for name in Batch.__slots__
         )
-        _write(Part(time, channel, identifier, flags, length, data, first))
+        write(Part(time, channel, identifier, flags, length, data, first))
         first += len(batch)
-    _write(Ended(cut, reader.bad))
+    write(Ended(cut, reader.bad))
 
 
-def _write(message: Part | Ended) -> None:
+def write(message: msgspec.Struct) -> None:
+    """Write a message to standard output."""
     raw = msgspec.msgpack.encode(message)
     sys.stdout.buffer.write(len(raw).to_bytes(LENGTH, "little") + raw)
     sys.stdout.buffer.flush()

@@ -4,6 +4,7 @@ ASC, BLF, CSV and MF4 are python-can's. Its writer of SQLite loses rows when it 
 that of candump no flags: those are ours.
 """
 
+import importlib
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -144,10 +145,12 @@ def _through_python_can(kind: str) -> Callable[[Log, Path], None]:
             "asc": can.ASCWriter,
             "blf": can.BLFWriter,
             "csv": can.CSVWriter,
-            "mf4": can.io.MF4Writer,
         }
         if kind == "mf4":
             import asammdf  # noqa: F401 python-can says less of what is missing
+            import can.io.mf4
+
+            writers["mf4"] = importlib.reload(can.io.mf4).MF4Writer  # it was imported without asammdf
         with writers[kind](path) as writer:
             for row in _all_rows(log):
                 writer.on_message_received(

@@ -12,7 +12,7 @@ from faultline.service.logs.tables.text import text_table
 def find_table_file(source: Source, time: str | None = None) -> TableFile | None:
     """Return the table that a file holds, whose times are in the column `time`; None where it holds none.
 
-    A file of CAN frames is none, unless it is an MF4 whose other channels are asked for.
+    A file of CAN frames is none, but an MF4 may have data channels beside them.
 
     Raises:
         ModuleNotFoundError: pyarrow or asammdf is not installed, and the file is theirs.
@@ -23,6 +23,13 @@ def find_table_file(source: Source, time: str | None = None) -> TableFile | None
         from faultline.service.logs.tables.parquet import parquet_table
 
         return parquet_table(source, time)
-    if source.head.startswith(MF4_MAGIC):
-        return None
+    if is_mf4(source):
+        from faultline.service.logs.tables.mf4 import mf4_tables
+
+        return mf4_tables(source)
     return text_table(source, time)
+
+
+def is_mf4(source: Source) -> bool:
+    """Return True of an MF4, whose data channels are looked for in a process of its own, which takes a second."""
+    return source.head.startswith(MF4_MAGIC)
