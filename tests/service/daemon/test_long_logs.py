@@ -13,7 +13,7 @@ from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask
 from faultline.service.logs import open_log
-from faultline.service.logs.log import KEPT
+from faultline.service.logs.reading import KEPT
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 BETWEEN = 1 << 20

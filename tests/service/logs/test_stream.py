@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from faultline.service.logs import LogError, log, open_any, open_log
+from faultline.service.logs import LogError, open_any, open_log, reading
 from faultline.service.logs.batch import ERROR, batch_of, joined
 from faultline.service.logs.order import STEP_AHEAD_S, STEP_BACK_S, Ordering
 from faultline.service.logs.report import Frame, LogReport
@@ -27,7 +27,7 @@ def written(path: Path, count: int, channel: str = "can0") -> Path:
 def test_passes_give_the_same_whether_batches_are_kept_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "x.log", 30_000)
     kept = open_log(path)
-    monkeypatch.setattr(log, "KEPT", 0)
+    monkeypatch.setattr(reading, "KEPT", 0)
     again = open_log(path)
     assert kept.kept is not None
     assert again.kept is None
