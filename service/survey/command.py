@@ -1,7 +1,7 @@
 """Say what is in a log: channels, messages, senders, gaps, damage, and which signals of a DBC or a bundle."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -9,11 +9,14 @@ import msgspec
 from faultline.options import Parser
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import NOBODY
+from faultline.service.core.signals.dbc_messages import Described, describe_dbc
+from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.logs import Log, open_any
+from faultline.service.logs.recording import load_recording
 from faultline.service.survey.columns import columns_of, signals_of
 from faultline.service.survey.document import Survey, survey_of
-from faultline.service.survey.signals import Traffic as Contents
-from faultline.service.survey.signals import find_signals, load_dbc
+from faultline.service.survey.signals import Contents, find_signals, parts_of
 from faultline.service.survey.text import text_of
 from faultline.service.survey.traffic import Traffic
 
@@ -41,41 +44,51 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--channel", help="the bus to take, of a log of several")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(argv)
-    dbc, units = _asked(options.dbc, options.bundle)
+    described, units = _asked(options.dbc, options.bundle, _senders(options.log))
     log = open_any(options.log, options.channel)
-    survey = survey_log(log, dbc, units)
+    survey = survey_log(log, described, units)
     print(msgspec.json.encode(survey).decode() if options.json else text_of(survey))
     return int(options.bundle is not None and not all(each.is_there for each in survey.signals))
 
 
-def survey_log(log: Log, dbc: Path | None, units: Mapping[str, str] | None) -> Survey:
-    """What is in the log, and which signals of the DBC, or those that are wanted, are."""
+def survey_log(log: Log, described: Sequence[Described] = (), units: Mapping[str, str] | None = None) -> Survey:
+    """Return what is in the log, and which signals of these messages of a DBC are, or those in `units` (name to unit)."""
     columns = [] if log.values is None else columns_of(log.values)
-    if log.values is not None and not log.format.has_frames:
-        found = [] if units is None else signals_of(log.values, units, columns)
-        return survey_of(log, [], {}, [], columns, found)
-    wanted = None if units is None else [*units]
-    database = None if dbc is None else load_dbc(_read(dbc), str(dbc))
-    traffic = Traffic(log.start_s, has_times=log.format.has_times)
+    given = [] if log.values is None or units is None else signals_of(log.values, units, columns)
+    if not log.format.has_frames:
+        return survey_of(log, [], {}, [], columns, given)
+    traffic, parts = Traffic(log.start_s, has_times=log.format.has_times), parts_of(described)
     for batch in log.batches():
         traffic.add(batch)
+        parts.add(batch)
     messages = sorted(traffic.messages.values(), key=lambda each: (each.channel, each.is_extended, each.identifier))
     names = [name or "the only one" for name in log.channels]
     elsewhere = {} if log.channel is None else {k: v for k, v in log.report.channels.items() if k != log.channel}
-    signals = [] if database is None else find_signals(database, Contents(messages, elsewhere, names), wanted)
+    beside = {each.signal: each for each in given if each.is_there}
+    wanted = None if units is None else [name for name in units if name not in beside]
+    signals = [*beside.values(), *find_signals(described, Contents(messages, parts, elsewhere, names), wanted)]
     return survey_of(log, messages, traffic.without_data, names, columns, signals)
 
 
-def _asked(dbc: Path | None, bundle: Path | None) -> tuple[Path | None, Mapping[str, str] | None]:
-    """The DBC, and the signals that are wanted of it with their units, None for all."""
+def _senders(log: Path) -> Mapping[str, int]:
+    """Return the source addresses that the log's recording chooses, as `diagnose` takes them."""
+    can = load_recording(log).can if log.is_dir() else None
+    return NOBODY if can is None else can.senders
+
+
+def _asked(
+    dbc: Path | None, bundle: Path | None, senders: Mapping[str, int]
+) -> tuple[list[Described], Mapping[str, str] | None]:
+    """Return the messages of the DBC, and the signals that are wanted with their units, None for all."""
     if bundle is None:
-        return dbc, None
+        return [] if dbc is None else describe_dbc(_read(dbc), str(dbc), senders=senders), None
     manifest = load_bundle(bundle).manifest
-    return bundle / manifest.dbc, {each.signal: each.unit for each in manifest.inputs}
+    units, path = {each.signal: each.unit for each in manifest.inputs}, bundle / manifest.dbc
+    return describe_dbc(_read(path), str(path), [*units], {**manifest.senders, **senders}), units
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path) -> str:
     try:
-        return path.read_bytes()
+        return dbc_text(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
+from faultline.service.core.j1939.identifiers import SOURCE_MASK, group_of
 from faultline.service.logs import Log
 from faultline.service.survey.columns import ColumnRow
-from faultline.service.survey.signals import Found, group
+from faultline.service.survey.signals import Found
 from faultline.service.survey.traffic import Message
 
 SCHEMA = "faultline.log/1"
@@ -167,8 +168,8 @@ def _row(message: Message, names: Sequence[str], end_s: float, has_times: bool) 
         identifier=f"{number:08X}" if is_extended else f"{number:03X}",
         is_extended=is_extended,
         count=message.count,
-        pgn=group(number) if is_extended else None,
-        sender=number & 0xFF if is_extended else None,
+        pgn=group_of(number) if is_extended else None,
+        sender=number & SOURCE_MASK if is_extended else None,
         priority=number >> 26 if is_extended else None,
         first_s=round(message.first_s, 6),
         last_s=round(message.last_s, 6),
@@ -184,8 +185,8 @@ def _senders(messages: Sequence[Message], names: Sequence[str]) -> list[Sender]:
     found: dict[tuple[int, int], Sender] = {}
     for each in messages:
         if each.is_extended:
-            address = each.identifier & 0xFF
+            address = each.identifier & SOURCE_MASK
             sender = found.setdefault((each.channel, address), Sender(names[each.channel], address, 0, []))
             sender.frames += each.count
-            sender.groups = sorted({*sender.groups, group(each.identifier)})
+            sender.groups = sorted({*sender.groups, group_of(each.identifier)})
     return [found[key] for key in sorted(found)]

@@ -1,22 +1,17 @@
 """Which signals of a DBC are in a log, and why others are not."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
-from cantools.database import load_string
-from cantools.database.can import Database
-from cantools.database.can import Message as DbcMessage
-from cantools.database.errors import Error as DatabaseError
 
-from faultline.service.core.errors import InputError
-from faultline.service.core.j1939.identifiers import PRIORITY_MASK
-from faultline.service.core.signals.values import Quality, j1939_quality
-from faultline.service.survey.traffic import Message
-
-_SENDER = 0xFF
-_ANY_SENDER = 0xFE  # the null address: vendors' DBCs have it where any sender is meant
-_GROUP_OF_ALL = 240  # PDU format from which on a group has no destination (SAE J1939-21)
+from faultline.service.core.j1939.identifiers import FRAME, SOURCE_MASK, group_of, named
+from faultline.service.core.signals.dbc_messages import Described
+from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.layout import Layout
+from faultline.service.core.signals.values import Quality
+from faultline.service.survey.traffic import Message, Parts
 
 
 class Found(msgspec.Struct):
@@ -31,125 +26,104 @@ class Found(msgspec.Struct):
     why: str
 
 
-class Traffic(NamedTuple):
-    """What a log has: its messages, those of the channels that were not chosen, and the channels' names."""
+class Contents(NamedTuple):
+    """A log's messages, those that came in parts, those of channels that were not chosen, and the channels' names."""
 
     messages: Sequence[Message]
+    parts: Parts
     elsewhere: Mapping[str, set[tuple[int, bool]]]
     names: Sequence[str]
 
 
-def group(identifier: int) -> int:
-    """The parameter group number of an identifier of 29 bits (SAE J1939-21)."""
-    number = identifier >> 8 & 0x3_FFFF
-    return number if number >> 8 & 0xFF >= _GROUP_OF_ALL else number & 0x3_FF00
+def parts_of(described: Collection[Described]) -> Parts:
+    """Return what puts together those messages that are too long for a frame of J1939."""
+    long = [each for each in described if each.layout is not None and each.layout.j1939 and each.layout.size > FRAME]
+    tables = [(each.name, _table(each.layout, each.is_extended)) for each in long if each.layout is not None]
+
+    def name_of(identifier: int) -> str | None:
+        return next((name for name, table in tables if table.layout_of(identifier, True) is not None), None)
+
+    return Parts(name_of)
 
 
-def load_dbc(raw: bytes, where: str) -> Database:
-    """A DBC, also one that contradicts itself where nobody asks.
-
-    Raises:
-        InputError: it cannot be read as one.
-    """
-    try:
-        text = raw.decode()
-    except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")  # Vector's tools write Windows' characters
-    try:
-        database = load_string(text, "dbc", strict=False)
-    except (DatabaseError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{where}: not a valid DBC file: {' '.join(str(error).split())[:300]}") from error
-    assert isinstance(database, Database)
-    return database
-
-
-def find_signals(database: Database, traffic: Traffic, wanted: Collection[str] | None = None) -> list[Found]:
-    """Each signal of the DBC, or each that is wanted."""
-    found = []
-    for message in database.messages:
-        signals = [each.name for each in message.signals if wanted is None or each.name in wanted]
-        if signals:
-            found += _of_message(message, signals, traffic)
-    there = {each.signal for each in found}
-    absent = sorted(set(wanted or ()) - there)
+def find_signals(
+    described: Collection[Described], contents: Contents, wanted: Collection[str] | None = None
+) -> list[Found]:
+    """Return each signal of the messages; and those that are wanted and that no message has."""
+    found = [row for each in described for row in _of_message(each, contents)]
+    absent = sorted(set(wanted or ()) - {each.signal for each in found})
     return found + [Found(name, "", "", False, [], [], "the DBC has no such signal") for name in absent]
 
 
-def _of_message(message: DbcMessage, signals: Sequence[str], traffic: Traffic) -> list[Found]:
-    is_j1939 = message.is_extended_frame and message.protocol == "j1939"
-    same = [each for each in traffic.messages if _matches(message, is_j1939, each.identifier, each.is_extended)]
-    identifier = f"{message.frame_id:08X}" if message.is_extended_frame else f"{message.frame_id:03X}"
-    channels = sorted({traffic.names[each.channel] for each in same})
-    senders = sorted({each.identifier & _SENDER for each in same}) if message.is_extended_frame else []
-    why = "" if same else _absent(message, is_j1939, traffic)
-    valid = _valid(message, signals, is_j1939, same)
-    long = sum(count for each in same for length, count in each.lengths.items() if length >= message.length)
-    if same and not long:
-        total = sum(each.count for each in same)
-        why = f"all {total} frames are shorter than the {message.length} bytes of the DBC"
-    return [
-        Found(
-            name,
-            message.name,
-            identifier,
-            not why and name in valid,
-            channels,
-            senders,
-            why or _never(name, valid, is_j1939),
-        )
-        for name in signals
-    ]
+def _of_message(message: Described, contents: Contents) -> Iterator[Found]:
+    identifier = f"{message.identifier:08X}" if message.is_extended else f"{message.identifier:03X}"
+    if message.layout is None:
+        yield from (Found(name, message.name, identifier, False, [], [], message.why) for name in message.signals)
+        return
+    table = _table(message.layout, message.is_extended)
+    came = [*contents.messages, *contents.parts.messages.values()]
+    same = [each for each in came if table.layout_of(each.identifier, each.is_extended) is not None]
+    channels = sorted({contents.names[each.channel] for each in same})
+    senders = sorted({each.identifier & SOURCE_MASK for each in same}) if message.is_extended else []
+    why = _short(message.layout, same) if same else _absent(message, message.layout, table, contents)
+    qualities = _qualities(message, message.layout, table, same)
+    for name in message.signals:
+        is_there = not why and Quality.GOOD in qualities[name]
+        reason = "" if is_there else why or _never(qualities[name])
+        yield Found(name, message.name, identifier, is_there, channels, senders, reason)
 
 
-def _never(name: str, valid: set[str], is_j1939: bool) -> str:
-    if name in valid:
+def _table(layout: Layout, is_extended: bool) -> DecodeTable:
+    """A table of one message: what another one of the DBC has in common with it is no matter."""
+    return DecodeTable({(layout.identifier, is_extended): layout})
+
+
+def _short(layout: Layout, same: Sequence[Message]) -> str:
+    """Say so where no frame is as long as the DBC has it."""
+    if any(length >= layout.size for each in same for length in each.lengths):
         return ""
-    return "its values are never valid (not available, or an error)" if is_j1939 else "no frame has it"
+    return f"all {sum(each.count for each in same)} frames are shorter than the {layout.size} bytes of the DBC"
 
 
-def _matches(message: DbcMessage, is_j1939: bool, identifier: int, is_extended: bool) -> bool:
-    if is_extended != message.is_extended_frame:
-        return False
-    if not is_j1939:
-        return identifier == message.frame_id
-    if message.frame_id & _SENDER == _ANY_SENDER:
-        return group(identifier) == group(message.frame_id)
-    return identifier & PRIORITY_MASK == message.frame_id & PRIORITY_MASK
+def _never(qualities: Collection[Quality]) -> str:
+    if not qualities:
+        return "no frame has it"
+    words = ", ".join(each.name.lower().replace("_", " ") for each in sorted(qualities))
+    return f"its values are never valid ({words})"
 
 
-def _absent(message: DbcMessage, is_j1939: bool, traffic: Traffic) -> str:
+def _absent(message: Described, layout: Layout, table: DecodeTable, contents: Contents) -> str:
     """Why no frame is its."""
     others = [
         channel
-        for channel, identifiers in traffic.elsewhere.items()
-        if any(_matches(message, is_j1939, *each) for each in identifiers)
+        for channel, identifiers in contents.elsewhere.items()
+        if any(table.layout_of(*each) is not None for each in identifiers)
     ]
     if others:
         return f"it is on channel {' and '.join(others)}"
-    if is_j1939:
-        same = {each.identifier for each in traffic.messages if each.is_extended}
-        senders = sorted({each & _SENDER for each in same if group(each) == group(message.frame_id)})
+    if losses := contents.parts.losses(message.name):
+        return f"its parts were never all there: {_counted(losses)}"
+    if layout.j1939 and message.is_extended and not layout.is_from_any:
+        came = {each.identifier for each in contents.messages if each.is_extended} | contents.parts.announced
+        senders = {each & SOURCE_MASK for each in came if group_of(each) == group_of(layout.identifier)}
         if senders:
-            there = ", ".join(f"0x{each:02X}" for each in senders)
-            return f"its parameter group came from {there}, not from 0x{message.frame_id & _SENDER:02X}"
+            there = ", ".join(map(named, sorted(senders)))
+            return f"its parameter group came from {there}, not from {named(layout.identifier & SOURCE_MASK)}"
     return "no such message"
 
 
-def _valid(message: DbcMessage, signals: Sequence[str], is_j1939: bool, same: Sequence[Message]) -> set[str]:
-    """The signals that have a value in any of the frames that were kept."""
-    found: set[str] = set()
-    lengths = {each.name: each.length for each in message.signals}
-    numbers = {each.name for each in message.signals if not each.is_float and is_j1939}
-    for data in {data for each in same for data in each.data if len(data) >= message.length}:
-        try:
-            values = message.decode_simple(data[: message.length], decode_choices=False, scaling=False)
-        except (DatabaseError, ValueError):  # multiplexed by a value that the DBC does not know
-            continue
-        for name in signals:
-            if name in values and name not in found:
-                raw = int(str(values[name])) & (1 << lengths[name]) - 1 if name in numbers else 0
-                if name not in numbers or j1939_quality(raw, lengths[name]) is Quality.GOOD:
-                    found.add(name)
-        if len(found) == len(signals):
+def _counted(losses: Counter[str]) -> str:
+    return ", ".join(f"{count} {why}" for why, count in sorted(losses.items()))
+
+
+def _qualities(
+    message: Described, layout: Layout, table: DecodeTable, same: Sequence[Message]
+) -> dict[str, set[Quality]]:
+    """What each signal was worth in the frames that were kept, until all were good."""
+    found: dict[str, set[Quality]] = {name: set() for name in message.signals}
+    for data in {data for each in same for data in each.data}:
+        for name, _, quality in table.decode(layout.identifier, message.is_extended, data):
+            found[name].add(quality)
+        if all(Quality.GOOD in each for each in found.values()):
             break
     return found

@@ -1,10 +1,14 @@
 """Statistics of the messages of a log, from its batches: counts, rates, lengths, gaps and some of the data."""
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from heapq import nlargest
 
 import numpy as np
 
+from faultline.service.core.j1939.identifiers import TP_CM, TP_DT
+from faultline.service.core.j1939.transport import Reassembler
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.batch import Batch
 from faultline.service.logs.seen import keys_of, parts_of
@@ -15,6 +19,8 @@ GAP_PERIODS, GAP_S = 10.0, 1.0
 _MOST_GAPS = 20  # of a message that are remembered, the longest
 _STEPS = 1000  # between frames, of which the median is the period
 _SPACED, _MOST_DATA = 8, 4000  # frames of each batch, and of all, whose data are kept
+
+_FORMATS = [TP_CM >> 8, TP_DT >> 8]
 
 
 @dataclass
@@ -33,6 +39,13 @@ class Message:
     data: list[bytes] = field(default_factory=list)
     _steps: list[float] = field(default_factory=list)
     _silences: list[tuple[float, float]] = field(default_factory=list)  # how long, from when
+
+    def take(self, data: bytes) -> None:
+        """Take one that came in parts; when it came is not kept."""
+        self.count += 1
+        self.lengths[len(data)] = self.lengths.get(len(data), 0) + 1
+        if len(self.data) < _MOST_DATA:
+            self.data.append(data)
 
     @property
     def rate(self) -> float | None:
@@ -101,3 +114,42 @@ class Traffic:
             if key not in self.messages:
                 self.messages[key] = Message(*parts_of(key))
             self.messages[key].add(time[rows], batch[rows])
+
+
+class Parts:
+    """Puts together what comes in parts of messages that `name_of` names. State: a reassembler of each channel.
+
+    `messages` are those that were whole, by channel and identifier; `announced` the identifiers of all.
+    """
+
+    def __init__(self, name_of: Callable[[int], str | None]) -> None:
+        self._name_of = name_of
+        self._reassemblers: dict[int, Reassembler] = {}
+        self.messages: dict[tuple[int, int], Message] = {}
+        self.announced: set[int] = set()
+
+    def add(self, batch: Batch) -> None:
+        """Take a batch."""
+        is_part = np.isin(batch.identifier >> 16 & 0x3FF, _FORMATS) & batch.is_extended & batch.has_data
+        if is_part.any():
+            batch = batch[is_part]
+            for channel, frame in zip(batch.channel.tolist(), batch.frames(), strict=True):
+                if channel not in self._reassemblers:
+                    self._reassemblers[channel] = Reassembler(self._named)
+                time = 0.0 if frame.t != frame.t else frame.t
+                whole = self._reassemblers[channel].take(time, frame.can_id, frame.data)
+                if whole is not None:
+                    key = channel, whole.identifier
+                    self.messages.setdefault(key, Message(*key, is_extended=True)).take(whole.data)
+
+    def losses(self, name: str) -> Counter[str]:
+        """Return how many messages of this name were not whole, by why."""
+        found: Counter[str] = Counter()
+        for each in self._reassemblers.values():
+            found.update({why: count for (of, why), count in each.losses.items() if of == name})
+            found.update({"cut off by the end": each.unfinished[name]} if each.unfinished[name] else {})
+        return found
+
+    def _named(self, identifier: int) -> str | None:
+        self.announced.add(identifier)
+        return self._name_of(identifier)

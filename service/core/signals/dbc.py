@@ -5,7 +5,7 @@ twice.
 """
 
 from collections.abc import Collection, Mapping
-from math import inf
+from math import inf, isfinite
 from types import MappingProxyType
 
 import textparser
@@ -31,7 +31,7 @@ from faultline.service.core.signals.layout import FLOATS, Cut, Field, Layout, On
 from faultline.service.core.signals.units import conversion
 
 SENSELESS: tuple[type[Exception], ...] = (
-    *(DatabaseError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError),
+    *(DatabaseError, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, RecursionError),
 )
 """What cantools raises where the statements of a file contradict each other."""
 BROKEN: tuple[type[Exception], ...] = (textparser.Error, *SENSELESS)
@@ -57,11 +57,13 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mappin
         for signal in wanted:
             carriers[signal.name].append(message.name)
         if wanted:
-            _check_message(message, wanted, says_formats, where)
+            if why := unsaid(message, says_formats):
+                raise InputError(f"{where}: {why}")
+            check_message(message, wanted, where)
             carrying.append((message, wanted))
     layouts: dict[tuple[int, bool], Layout] = {}
     for message, wanted in carrying:
-        layout = _layout(message, _identity(message, messages, senders), wanted, units, where)
+        layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where)
         key = layout.identifier, message.is_extended_frame
         if (before := layouts.setdefault(key, layout)) is not layout:
             raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
@@ -77,34 +79,44 @@ def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Messa
         InputError: the text breaks the grammar, or what is said of these messages contradicts itself.
     """
     try:
-        database = dbc.load_string(text, strict=False)
+        return load(text)
     except textparser.Error as error:
-        raise InputError(f"{where}: not a valid DBC file: {_line(error)}") from error
+        raise InputError(f"{where}: not a valid DBC file: {one_line(error)}") from error
     except SENSELESS:
         try:
-            database = dbc.load_string(needed(text, names), strict=False)
+            return load(needed(text, names))
         except BROKEN as error:
-            raise InputError(f"{where}: not a valid DBC file: {_line(error)}") from error
+            raise InputError(f"{where}: not a valid DBC file: {one_line(error)}") from error
+
+
+def load(text: str) -> tuple[list[Message], bool]:
+    """The messages of a file, and whether it tells J1939's from the others; raises one of `BROKEN`."""
+    database = dbc.load_string(text, strict=False)
     return list(database.messages), database.dbc is not None and "VFrameFormat" in database.dbc.attribute_definitions
 
 
-def _line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """What went wrong, in one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _check_message(message: Message, wanted: Collection[DbcSignal], says_formats: bool, where: str) -> None:
+def unsaid(message: Message, says_formats: bool) -> str:
+    """What the file fails to say of a message; empty where it says enough."""
+    if says_formats or not message.is_extended_frame:
+        return ""
+    return (
+        f"does not say whether {message.name} is J1939's: give it the attribute VFrameFormat "
+        "(J1939PG, or ExtendedCAN), or raw values that mean *not available* would be taken for numbers"
+    )
+
+
+def check_message(message: Message, wanted: Collection[DbcSignal], where: str) -> None:
     """Refuse a message whose signals cannot be read for certain.
 
     Raises:
-        InputError: signals overlap or do not fit; no such message can come; nobody says whether it is J1939's.
+        InputError: signals overlap or do not fit; no such message can come.
     """
     place = f"{where}: {message.name}"
-    if message.is_extended_frame and not says_formats:
-        raise InputError(
-            f"{where}: does not say whether {message.name} is J1939's: give it the attribute VFrameFormat "
-            "(J1939PG, or ExtendedCAN), or raw values that mean *not available* would be taken for numbers"
-        )
     names = ", ".join(signal.name for signal in wanted)
     if message.protocol == "j1939" and message.length > LARGEST:
         raise InputError(
@@ -115,7 +127,8 @@ def _check_message(message: Message, wanted: Collection[DbcSignal], says_formats
         message.refresh(strict=True)
     except SENSELESS as error:
         raise InputError(
-            f"{place}: {_line(error)} Mend its length, start bits and sizes in the DBC: {names} cannot be read from it"
+            f"{place}: {one_line(error)} Mend its length, start bits and sizes in the DBC: "
+            f"{names} cannot be read from it"
         ) from error
     for signal in message.signals:
         if _is_circular(message, signal):
@@ -125,6 +138,16 @@ def _check_message(message: Message, wanted: Collection[DbcSignal], says_formats
                 f"{place}.{signal.name}: a floating-point number of {signal.length} bits; mend its size in the DBC: "
                 f"{', '.join(map(str, FLOATS))}"
             )
+        if not _is_finite(signal):
+            raise InputError(f"{place}.{signal.name}: its scale, offset or limits are no numbers; mend them in the DBC")
+
+
+def _is_finite(signal: DbcSignal) -> bool:
+    """True if scale, offset and limits, and the raw values at the limits, are numbers that a computer has."""
+    scale, offset = float(signal.scale), float(signal.offset)
+    limits = [float(each) for each in (signal.minimum, signal.maximum) if each is not None]
+    ends = [(each - offset) / scale for each in limits] if scale else []
+    return all(map(isfinite, (scale, offset, *limits, *ends)))
 
 
 def _is_circular(message: Message, signal: DbcSignal) -> bool:
@@ -137,7 +160,7 @@ def _is_circular(message: Message, signal: DbcSignal) -> bool:
     return selector is not None
 
 
-def _identity(message: Message, messages: Collection[Message], senders: Mapping[str, int]) -> tuple[int, int]:
+def identity_of(message: Message, messages: Collection[Message], senders: Mapping[str, int]) -> tuple[int, int]:
     """Identifier and the bits of it that count; those that do not are the null address and the one of all.
 
     In J1939 the priority counts for nothing, nor does the destination, unless another message of the DBC differs in
@@ -146,9 +169,10 @@ def _identity(message: Message, messages: Collection[Message], senders: Mapping[
     if message.protocol != "j1939" or not message.is_extended_frame:
         return message.frame_id, EXTENDED if message.is_extended_frame else STANDARD
     identifier, mask = message.frame_id & PRIORITY_MASK, PRIORITY_MASK
-    alike = [one.frame_id for one in messages if one.protocol == "j1939" and _is_alike(one.frame_id, identifier)]
-    if is_addressed(group_of(identifier)) and len({one & PRIORITY_MASK for one in alike}) < 2:
-        identifier, mask = identifier | GLOBAL << 8, mask & ~DESTINATION_MASK
+    if is_addressed(group_of(identifier)):
+        alike = [one.frame_id for one in messages if one.protocol == "j1939" and _is_alike(one.frame_id, identifier)]
+        if len({one & PRIORITY_MASK for one in alike}) < 2:
+            identifier, mask = identifier | GLOBAL << 8, mask & ~DESTINATION_MASK
     if message.name in senders:
         identifier = identifier & ~SOURCE_MASK | senders[message.name]
     if identifier & SOURCE_MASK == NULL:
@@ -161,9 +185,14 @@ def _is_alike(one: int, other: int) -> bool:
     return group_of(one) == group_of(other) and not (one ^ other) & SOURCE_MASK
 
 
-def _layout(
+def layout_of(
     message: Message, identity: tuple[int, int], wanted: Collection[DbcSignal], units: Mapping[str, str], where: str
 ) -> Layout:
+    """Return where the wanted signals are in the message.
+
+    Raises:
+        InputError: a unit cannot be converted to the one in `units`.
+    """
     fields = tuple(_field(message, signal, units[signal.name], where) for signal in wanted)
     used = {cut for field in fields for cut, _ in field.only}
     selectors = [

@@ -4,7 +4,7 @@ The format names no character set; tools write the one of the machine that they 
 """
 
 import re
-from collections.abc import Collection, Iterator, Set
+from collections.abc import Callable, Collection, Iterator, Set
 from typing import NamedTuple
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -53,6 +53,7 @@ _TOKEN = re.compile(rf"{_STRING}|//[^\n]*|;|\b(?:{'|'.join(_KEYWORDS)})\b")
 _QUOTED = re.compile(_STRING)
 _SIGNAL = re.compile(r"\bSG_\s+(\w+)")
 _NUMBER = re.compile(r"\d+")
+_STATED = re.compile(r"BO_\s+(\d+)\s+(\w+)")
 _OF_SIGNAL = re.compile(r"\w+_\s+(\d+)\s+(\w+)")
 _OF_MESSAGE = re.compile(r"\b(?:BO_|SG_)\s+(\d+)")
 _LONG_NAME = re.compile(r'BA_\s+"SystemSignalLongSymbol"\s+SG_\s+(\d+)\s+(\w+)\s+"([^"]*)"')
@@ -70,18 +71,46 @@ class _Statement(NamedTuple):
     end: int
 
 
+Carried = tuple[str, str]
+"""A message's number and the name of a signal of it, as the text has them."""
+
+
+class Stated(NamedTuple):
+    """A message as the text has it: name, number (with the bit of 29-bit identifiers) and signals."""
+
+    name: str
+    number: int
+    carried: Set[Carried]
+
+
+def stated_messages(text: str) -> list[Stated]:
+    """Return the messages with signals, one of each number, also those that no reader takes."""
+    found: dict[int, Stated] = {}
+    for kind, begin, end in _statements(text):
+        head = _STATED.match(text, begin, end) if kind == "BO_" else None
+        carried = _carried(text[begin:end]) if head is not None else set()
+        if head is not None and carried:
+            before = found.get(number := int(head[1]))
+            found[number] = Stated(head[2], number, carried | (before.carried if before is not None else set()))
+    return [*found.values()]
+
+
 def needed(text: str, names: Collection[str]) -> str:
     """Return the text with nothing but the messages that carry signals of these `names`; lines keep their numbers.
 
     Kept are their frame format, cycle time, long names, value types and multiplexing, not value tables and comments.
     """
-    statements = list(_statements(text))
     longer = {(number, short) for number, short, name in _LONG_NAME.findall(text) if name in names}
-    signals: set[tuple[str, str]] = set()  # (number of the message, signal) of all messages that stay
+    return only(text, lambda carried: any(name in names or (number, name) in longer for number, name in carried))
+
+
+def only(text: str, is_needed: Callable[[Set[Carried]], bool]) -> str:
+    """Return the same of the messages of which `is_needed` is true, as it is called with their signals."""
+    statements = list(_statements(text))
+    signals: set[Carried] = set()  # of all messages that stay
     for kind, begin, end in statements:
-        if kind == "BO_":
-            carried = _carried(text[begin:end])
-            signals |= carried if any(name in names or (n, name) in longer for n, name in carried) else set()
+        if kind == "BO_" and is_needed(carried := _carried(text[begin:end])):
+            signals |= carried
     pieces, done = [], 0
     for statement in statements:
         _, begin, end = statement
@@ -90,7 +119,7 @@ def needed(text: str, names: Collection[str]) -> str:
     return "".join(pieces) + "\n" * text.count("\n", done)
 
 
-def _kept(statement: _Statement, body: str, signals: Set[tuple[str, str]]) -> str:
+def _kept(statement: _Statement, body: str, signals: Set[Carried]) -> str:
     """The statement, or as many empty lines."""
     plain = _QUOTED.sub('""', body)
     match statement.kind:
@@ -112,7 +141,7 @@ def _kept(statement: _Statement, body: str, signals: Set[tuple[str, str]]) -> st
     return body if stays else "\n" * body.count("\n")
 
 
-def _carried(message: str) -> set[tuple[str, str]]:
+def _carried(message: str) -> set[Carried]:
     """The message's number with each of its signals."""
     plain = _QUOTED.sub('""', message)
     number = _NUMBER.search(plain)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.core.signals.dbc_messages import describe_dbc
 from faultline.service.core.signals.dbc_text import dbc_text, needed
 from faultline.service.core.signals.values import Quality
 
@@ -136,6 +137,10 @@ BAD = {
         "m.dbc: N.a: a floating-point number of 8 bits",
     ),
     "twice": (2 * 'BO_ 257 N: 1 A\n SG_ a : 0|1@1+ (1,0) [0|0] "" A\n', "m.dbc: N and N have one identifier; remove"),
+    "scale": (
+        'BO_ 257 N: 1 A\n SG_ a : 0|8@1+ (1e-320,0) [0|1e10] "" A\n',
+        "m.dbc: N.a: its scale, offset or limits are no numbers",
+    ),
     "circle": (
         'BO_ 257 N: 2 A\n SG_ a m0M : 0|8@1+ (1,0) [0|0] "" A\n SG_ b m0M : 8|8@1+ (1,0) [0|0] "" A\n'
         "SG_MUL_VAL_ 257 a b 0-0;\nSG_MUL_VAL_ 257 b a 0-0;\n",
@@ -149,6 +154,32 @@ def test_what_is_wrong_with_one_that_is_wanted_is_said_with_message_signal_and_r
     text, message = BAD[what]
     with pytest.raises(InputError, match=message):
         compile_dbc(f'VERSION ""\nBS_:\nBU_: A\n{text}', {"a": ""}, "m.dbc")
+
+
+SENSELESS = {  # how a message of that kind is described, whatever is asked for
+    "overlap": "makes no sense: N: The signals b and a are overlapping",
+    "scale": "makes no sense: N.a: its scale",
+    "circle": "makes no sense: N.a: is multiplexed by itself",
+    "format": "makes no sense: ",
+}
+
+
+@pytest.mark.parametrize("what", SENSELESS)
+def test_the_other_messages_are_described_all_the_same(what: str) -> None:
+    """cantools takes none of a file with a frame format that there is not."""
+    format_ = 'BO_ 257 N: 1 A\n SG_ a : 0|1@1+ (1,0) [0|0] "" A\nBA_ "VFrameFormat" BO_ 257 77;\n'
+    found = {each.name: each for each in describe_dbc(UDS + (format_ if what == "format" else BAD[what][0]), "uds.dbc")}
+    alone = {each.name: each for each in describe_dbc(UDS, "uds.dbc")}
+    senseless = found.pop("N")
+    assert found == alone
+    assert all(each.layout is not None for each in found.values())
+    assert senseless.layout is None
+    assert (senseless.identifier, senseless.is_extended) == (257, False)
+    assert senseless.why.startswith(SENSELESS[what])
+
+
+def test_only_messages_that_are_asked_for_are_described() -> None:
+    assert {signal for each in describe_dbc(UDS, "uds.dbc", list(UNITS)) for signal in each.signals} == {*UNITS}
 
 
 def test_what_breaks_the_grammar_is_said_with_its_line() -> None:
