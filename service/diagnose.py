@@ -98,7 +98,10 @@ def _diagnose(path: Path, log: Log, bundle: Bundle, options: argparse.Namespace,
         print(f"{path}:")
     if out is not None:
         out.begin(log.id)
-    monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, out.add if out else None)
+    watch = out.add if out is not None else None
+    monitor = Monitor(
+        bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch, watches_ages=out is not None
+    )
     found, blind = _printed(monitor, log, bundle, options.json, out)
     if not (found or accepted):
         raise InputError(

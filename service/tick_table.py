@@ -63,6 +63,9 @@ def columns_of(manifest: Manifest) -> list[Column]:
     for signal in unit:
         found.append((signal, "float", unit[signal], "last good value at or before the tick; null before the first"))
         found.append((f"{signal}.quality", "text", "", f"what it was worth: {', '.join(QUALITIES)}"))
+        found.append(
+            (f"{signal}.age_s", "float", "s", "time since the frame that the value is of; null before the first")
+        )
     for each in manifest.generators:
         of = unit.get(each.predicts, "")
         found.append((f"{each.name}.residual", "float", of, f"{each.predicts}, measured less predicted; null: none"))
@@ -87,7 +90,8 @@ class TickTable:
         self._recording = recording
 
     def add(self, tick: Tick, decision: Decision) -> None:
-        """Add a tick, with what was decided at it."""
+        """Add a tick that has ages, with what was decided at it."""
+        assert tick.ages is not None
         row: list[object] = [
             self._recording,
             tick.number,
@@ -99,8 +103,8 @@ class TickTable:
             decision.cannot_tell,
             _told(decision.diagnoses),
         ]
-        for value, quality in zip(tick.z.tolist(), tick.quality.tolist(), strict=True):
-            row += [None if value != value else value, QUALITIES[quality]]
+        for value, quality, age in zip(tick.z.tolist(), tick.quality.tolist(), tick.ages.tolist(), strict=True):
+            row += [None if value != value else value, QUALITIES[quality], None if age != age else round(age, 6)]
         said = tick.residuals
         for r, usable, level in zip(said.r.tolist(), said.usable.tolist(), decision.sums.tolist(), strict=True):
             row += [None if r != r else r, usable, level]

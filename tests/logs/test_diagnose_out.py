@@ -12,6 +12,7 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.values import Quality
 from faultline.service.diagnose import main
 from faultline.service.logs import open_log
 from faultline.service.tick_table import EVENT_COLUMNS, TICK_COLUMNS, columns_of
@@ -34,12 +35,16 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_row_is_a_tick_as_the_monitor_saw_it(out: Path) -> None:
     seen: list[tuple[Tick, list[str], list[float]]] = []
+    came: dict[str, list[float]] = {}
 
     def watch(tick: Tick, decision: Decision) -> None:
         seen.append((tick, decision.alarm, decision.sums.tolist()))
 
     bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
     events = list(Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch).log(log.relative()))
+    for t, *frame in log.relative():
+        for name, _, quality in bundle.table.decode(*frame):
+            came.setdefault(name, []).extend([t] if quality is Quality.GOOD else [])
     rows = [row for row in parquet.read_table(out).to_pylist() if row["recording"] == "golden"]
     assert len(rows) == len(seen) == 600
     for row, (tick, alarm, sums) in zip(rows, seen, strict=True):
@@ -48,6 +53,9 @@ def test_a_row_is_a_tick_as_the_monitor_saw_it(out: Path) -> None:
         for k, channel in enumerate(bundle.manifest.inputs):
             assert row[channel.signal] == tick.z[k]
             assert (row[f"{channel.signal}.quality"] == "good") == tick.usable[k]
+            newest = max((t for t in came[channel.signal] if t <= tick.t_s), default=None)
+            age = None if newest is None else pytest.approx(tick.t_s - newest, abs=1e-6)
+            assert row[f"{channel.signal}.age_s"] == age
         for k, generator in enumerate(bundle.manifest.generators):
             assert row[f"{generator.name}.residual"] == tick.residuals.r[k]
             assert row[f"{generator.name}.usable"] == tick.residuals.usable[k]

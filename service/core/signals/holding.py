@@ -30,7 +30,7 @@ class Doubt(NamedTuple):
 class Held(NamedTuple):
     """What was known of an input after each of K values, which came at `came` (K,) [s]: (K + 1,) with the state before.
 
-    `value`, `time` and `quality` are those of `Latest`, and `doubted_until`.
+    `value`, `time` and `quality` are those of `Latest`, and `doubted_until`; `last_good` was it before the first.
     """
 
     latest: Latest
@@ -39,6 +39,7 @@ class Held(NamedTuple):
     time: FloatArray
     quality: Qualities
     doubted_until: FloatArray
+    last_good: float
 
     def at(self, t: FloatArray, last: Indices) -> tuple[FloatArray, Qualities]:
         """Values (n,) and what each is worth (n,) at log times `t` (n,) [s], after `last` (n,) of the K values each."""
@@ -48,6 +49,11 @@ class Held(NamedTuple):
         quality[is_doubted] = _DOUBTED
         quality[is_late] = _LATE
         return self.value[last], quality
+
+    def since(self) -> FloatArray:
+        """Return when each value came (K + 1,) [s], NaN where there is none."""
+        good = np.maximum.accumulate(np.where(self.quality == _GOOD, np.arange(len(self.quality)), -1))
+        return np.where(good < 0, self.last_good, self.time[good])
 
 
 class Samples:
@@ -84,6 +90,10 @@ class Samples:
             values[:, k], qualities[:, k] = held.at(t, last[key])
         return values, qualities
 
+    def ages(self, t: FloatArray) -> FloatArray:
+        """Return the time from each value's frame to log times `t`, (n, nz) [s]; NaN where there never was one."""
+        return np.stack([t - held.since()[np.searchsorted(held.came, t, "right")] for held in self._held], axis=1)
+
 
 _NEVER = np.zeros(0)
 _NOTHING = Column(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int8))
@@ -108,16 +118,15 @@ def _hold(latest: Latest, column: Column, came: FloatArray, before: FloatArray) 
 
 def _taken(latest: Latest, came: FloatArray, value: FloatArray, quality: Qualities, doubted: Mask | None) -> Held:
     """Return what was known after each of K values, those of them that are `doubted` (K,) taken for none."""
-    until = np.full(len(came) + 1, latest.doubted_until)
+    until, last_good = np.full(len(came) + 1, latest.doubted_until), latest.last_good
     if doubted is None:
-        values, times, qualities = _judged(latest, came, value, quality)
-        return Held(latest, came, values, times, qualities, until)
+        return Held(latest, came, *_judged(latest, came, value, quality), until, last_good)
     until[1:][doubted] = came[doubted] + DOUBTED_S
     until = np.maximum.accumulate(until)
     values, times, qualities = _judged(latest, came[~doubted], value[~doubted], quality[~doubted])
     after = np.concatenate([[0], np.cumsum(~doubted)])
     latest.doubted_until = float(until[-1])
-    return Held(latest, came, values[after], times[after], qualities[after], until)
+    return Held(latest, came, values[after], times[after], qualities[after], until, last_good)
 
 
 def _judged(
@@ -134,6 +143,8 @@ def _judged(
     if not is_believed[1:].all():
         is_believed[0] = True
         values = values[np.maximum.accumulate(np.where(is_believed, np.arange(len(values)), 0))]
+    if qualities[-1] != _GOOD and (good := np.flatnonzero(qualities == _GOOD)).size:
+        latest.last_good = float(times[good[-1]])
     latest.value, latest.time, latest.quality = float(values[-1]), float(times[-1]), int(qualities[-1])
     return values, times, qualities
 

@@ -21,7 +21,8 @@ class Latest:
 
     `number` is the last one of which the frame said that it is good, believed or not; `changed` is when it became
     another one, or came into the operating region; `is_doubted` and `doubted_until` say whose nobody knows. Times are
-    log times [s], values in the bundle's unit.
+    log times [s], values in the bundle's unit. `last_good` is when `value` came, as long as `quality` is not good;
+    while it is, `time` is.
     """
 
     __slots__ = (
@@ -30,6 +31,7 @@ class Latest:
         "frozen_s",
         "is_doubted",
         "largest_step",
+        "last_good",
         "lower",
         "maximum_age",
         "number",
@@ -46,7 +48,7 @@ class Latest:
         self.frozen_s = inf if channel.frozen_s is None else channel.frozen_s
         self.largest_step = inf if channel.largest_step is None else channel.largest_step
         self.value, self.time = nan, -inf
-        self.quality = _MISSING
+        self.quality, self.last_good = _MISSING, nan
         self.number, self.changed = nan, -inf
         self.is_doubted, self.doubted_until = False, -inf
 

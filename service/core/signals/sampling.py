@@ -49,15 +49,15 @@ class Sampler:
     def receive(self, signal: str, t: float, value: float, quality: Quality) -> None:
         """Take a decoded signal at log time `t` [s]; a value that is not good never replaces a number."""
         latest, worth = self._by_signal[signal], int(quality)
-        if worth == _GOOD:
-            worth = latest.plausible(t, value)
-            if worth == _GOOD:
-                latest.value = value
+        if worth == _GOOD and (worth := latest.plausible(t, value)) == _GOOD:
+            latest.value = value
         elif worth == _DOUBTED:  # and so is the sample before it: one of the two is another sender's
             if t >= latest.doubted_until:
                 self.note_doubt(signal, latest.time if isfinite(latest.time) else t)
             latest.doubted_until = t + DOUBTED_S
             return
+        elif latest.quality == _GOOD:
+            latest.last_good = latest.time
         latest.time = t
         latest.quality = worth
 
@@ -76,3 +76,8 @@ class Sampler:
             values.append(latest.value)
             qualities.append(quality)
         return np.array(values), np.array(qualities, dtype=np.int8)
+
+    def ages(self, t: float) -> FloatArray:
+        """Return the time from each value's frame to log time `t` (nz,) [s]; NaN where there never was one."""
+        came = [latest.time if latest.quality == _GOOD else latest.last_good for latest in self.inputs]
+        return np.asarray(t - np.array(came), dtype=np.float64)

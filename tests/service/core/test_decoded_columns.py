@@ -178,7 +178,9 @@ def observer(case: Case) -> tuple[DecodeTable, Sampler, Observer]:
     table.run_at(case.speed)
     first = case.inputs[0].signal
     modes = Modes(signal=first, idle_below=0.1, maximum_above=0.9, edges={first: 0.1}, settle_ticks=2)
-    return table, sampler, Observer(table, sampler, ModeTracker(modes, case.inputs), Blind(), 0.2, 1.0)
+    found = Observer(table, sampler, ModeTracker(modes, case.inputs), Blind(), 0.2, 1.0)
+    found.gives_ages = True
+    return table, sampler, found
 
 
 def pieces(case: Case) -> list[Batch]:
@@ -187,8 +189,9 @@ def pieces(case: Case) -> list[Batch]:
 
 
 def shown(tick: Tick, sampler: Sampler) -> str:
-    found = tick.number, tick.t_s, tick.z.tolist(), tick.quality.tolist(), tick.mode, dict(sampler.new_doubts())
-    return repr(found)  # NaN equals NaN
+    assert tick.ages is not None
+    found = tick.number, tick.t_s, tick.z.tolist(), tick.quality.tolist(), tick.ages.tolist(), tick.mode
+    return repr((found, dict(sampler.new_doubts())))  # NaN equals NaN
 
 
 def counts(table: DecodeTable) -> dict[str, object]:

@@ -33,6 +33,21 @@ def test_not_available_is_never_a_number_and_does_not_erase_the_last_one() -> No
     assert sampler.sample(0.2)[1][0] == Quality.GOOD
 
 
+def test_the_age_is_that_of_the_value() -> None:
+    """What comes and is no number, or is not believed, makes the last good value no younger."""
+    sampler = Sampler([INPUTS[0], msgspec.structs.replace(INPUTS[1], largest_step=1.0)])
+    assert np.isnan(sampler.ages(1.0)).all()
+    sampler.receive("a", 1.0, 3.0, Quality.GOOD)
+    sampler.receive("b", 1.5, 3.0, Quality.GOOD)
+    assert sampler.ages(2.0).tolist() == [1.0, 0.5]
+    sampler.receive("a", 2.0, 0.0, Quality.ERROR)
+    sampler.receive("a", 2.25, 0.0, Quality.NOT_AVAILABLE)
+    sampler.receive("b", 2.25, 9.0, Quality.GOOD)  # a jump
+    assert sampler.ages(2.5).tolist() == [1.5, 1.0]
+    sampler.receive("a", 2.5, 4.0, Quality.GOOD)
+    assert sampler.ages(2.5).tolist() == [0.0, 1.0]
+
+
 def test_complete_when_every_input_had_a_number_once() -> None:
     sampler = Sampler(INPUTS)
     sampler.receive("a", 0.0, 3.0, Quality.GOOD)
