@@ -3,9 +3,11 @@
 Of `candump -L` and `-l` a line is `(1767225600.123456) can0 18FF103D#0011223344556677`; 3 digits of identifier are an
 11-bit frame, 8 are a 29-bit one; `##F` with flags F before the data is CAN FD. On the screen it is
 `(1767225600.123456)  can0  RX - -  18FF103D   [8]  00 11 22 33 44 55 66 77   '..."3DUfw'`, where all but channel,
-identifier, length and data are options. The time of either may be a date (`-t A`), taken as UTC as nothing says its
-zone, or that after the frame before (`-t d`), or on the screen absent. Source of the formats: can-utils, candump.c,
-lib.c.
+identifier, length and data are options. Data may be binary (`-i`: `00010001 00100010`), or from the last byte to the
+first with grave accents between them (`-S`: 22`11). Identifiers of old versions have spaces in place of leading zeros.
+
+The time of either may be a date (`-t A`), taken as UTC as nothing says its zone, or that after the frame before
+(`-t d`), or on the screen absent. Source of the formats: can-utils, candump.c, lib.c.
 """
 
 import re
@@ -35,11 +37,12 @@ _SCREEN = re.compile(
     rb"\s*(?:"
     + _TIME
     + rb")?(\S+) +(?:(RX|TX) +[B-] +[E-] +)?"
-    + _ID
-    + rb" +(?:\[(\d{1,2})\]|\{([0-9A-Fa-f])\}) {0,80}((?:[0-9A-Fa-f]{2}(?: {1,80}|$))*)"
-    + rb"(remote request|ERRORFRAME)?(?: {0,80}'(.*)')?"
+    + rb"([0-9A-Fa-f]{1,8}) +(?:\[(\d{1,2})\]|\{([0-9A-Fa-f])\}) {0,80}"
+    + rb"((?:[0-9A-Fa-f]{2}(?: {1,80}|$))*|(?:[0-9A-Fa-f]{2}(?:`|\b)){1,64} {0,80}|(?:[01]{8}(?:[ `]|\b)){1,64} {0,80})"
+    + rb"(remote request|ERRORFRAME)?(?: {0,80}['`](.*)['`])?"
 )
 """Time, channel, direction, identifier, length (or its code), data, what else it is, the data as characters."""
+_SHORT, _PADDED = 3, 10  # digits of an identifier of 11 bits; from a channel's name to the end of one of 29 bits
 _COMMENT = re.compile(rb"\t[a-z][ -~]*", re.IGNORECASE)  # what an error frame means, below it
 _DROPPED = re.compile(rb"DROPCOUNT: dropped \d+ CAN frames? on '.*' socket.*")
 _COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
@@ -118,8 +121,10 @@ class CandumpScreen:
         channel, sent, identifier, digits, code, raw, other, characters = match.groups()[5:]
         if self.has_times == (match[1] is None and match[3] is None):
             raise ValueError(f"{'no' if self.has_times else 'a'} time, unlike the first frame: {shown(line)}")
-        can_id, data = int(identifier, 16), bytes.fromhex(raw.decode())
-        flags = (EXTENDED if len(identifier) == 8 else 0) | (SENT if sent == b"TX" else 0)
+        can_id, data = int(identifier, 16), _data(raw)
+        is_padded = len(identifier) < _SHORT and match.end(8) - match.end(6) >= _PADDED
+        is_extended = len(identifier) > _SHORT or is_padded
+        flags = (EXTENDED if is_extended else 0) | (SENT if sent == b"TX" else 0)
         time, fields = _time(match, 8, 11, 3)
         size = min(_LONGEST, int(code, 16)) if code is not None else int(digits)
         if other == b"ERRORFRAME" or (can_id > EXTENDED_TOP and can_id & _ERROR_FLAG):
@@ -130,11 +135,19 @@ class CandumpScreen:
             raise ValueError(f"says {size} bytes and has {len(data)}: {shown(line)}")
         flags |= FD if digits is not None and len(digits) == 2 else 0
         if fields is not None:
-            is_even = len(raw.rstrip()) == max(0, 3 * size - 1)
+            is_even = len(raw.rstrip()) == max(0, 3 * size - 1) and b"`" not in raw
             free = () if characters is None else (match.span(13),)
             begin = match.start(11)
             fields = fields._replace(data=(begin, begin + max(0, 3 * size - 1)), free=free) if is_even else None
         return Line(channel, time, can_id, flags, data, None if coloured else fields)
+
+
+def _data(raw: bytes) -> bytes:
+    """The bytes of the screen's data: hexadecimal, or binary, and swapped where they have grave accents."""
+    spaced = raw.replace(b"`", b" ")
+    is_binary = raw[2:3].isdigit()
+    data = bytes(int(each, 2) for each in spaced.split()) if is_binary else bytes.fromhex(spaced.decode())
+    return data if spaced == raw else data[::-1]
 
 
 def _check_no_frame(line: bytes) -> None:

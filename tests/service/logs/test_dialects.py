@@ -45,6 +45,44 @@ def test_the_screen(tmp_path: Path) -> None:
     assert batch.data[2, :16].tobytes().hex() == "aabbccddeeff00112233445566778899"
 
 
+SCREENS = {
+    "-i": "  {0}  [3] 00010001 00100010 00110011\n  {0}  [0]\n  {0}  [1] 10000001\n",
+    "-i -a": "  {0}  [3] 00010001 00100010 00110011{1}'.\"3'\n  {0}  [0]{1}''\n  {0}  [1] 10000001{1}'.'\n",
+    "-S": "  {0}  [3] 33`22`11\n  {0}  [0]\n  {0}  [1] 81\n",
+    "-S -a": '  {0}  [3] 33`22`11{1}`3".`\n  {0}  [0]{1}``\n  {0}  [1] 81{1}`.`\n',
+    "-S -i": "  {0}  [3]  00110011`00100010`00010001\n  {0}  [0]\n  {0}  [1]  10000001\n",
+    "-S -i -a": '  {0}  [3]  00110011`00100010`00010001{1}`3".`\n  {0}  [0]{1}``\n  {0}  [1]  10000001{1}`.`\n',
+}
+
+
+@pytest.mark.parametrize("options", SCREENS)
+@pytest.mark.parametrize("identifier", ["can0  18FF103D", "can0  RX - -  18FF103D", "can0   8FF103D"])
+def test_binary_and_swapped_data_on_the_screen(tmp_path: Path, options: str, identifier: str) -> None:
+    batch = whole(opened(tmp_path, 9 * SCREENS[options].format(identifier, " " * 60)))
+    assert batch.length.tolist() == 9 * [3, 0, 1]
+    assert {row.tobytes() for row in batch.data[0::3]} == {bytes([0x11, 0x22, 0x33, *bytes(5)])}
+    assert {row.tobytes() for row in batch.data[2::3]} == {bytes([0x81, *bytes(7)])}
+    assert set(batch.identifier.tolist()) == {int(identifier.split()[-1], 16)}
+    assert set(batch.flags.tolist()) == {EXTENDED}
+
+
+@pytest.mark.parametrize(
+    "data", ["0001000 00100010", "00010001 0010001", "00010001", "33`2", "33`22`11", "33 22`11 00"]
+)
+def test_binary_and_swapped_data_that_are_cut_or_mixed_are_none(tmp_path: Path, data: str) -> None:
+    whole_line = "  can0  123   [2]  22`11\n"
+    log = opened(tmp_path, 9 * whole_line + f"  can0  123   [2]  {data}\n" + whole_line)
+    assert (log.report.frames, log.report.bad, log.report.places[0][0]) == (10, 1, 10)
+
+
+def test_identifiers_of_old_versions_have_no_leading_zeros(tmp_path: Path) -> None:
+    """Of 29 bits they are as wide as eight digits; three digits, indented, are those of 11 bits among them."""
+    lines = ["can0   CF00400  [1] 01", "can0        7F  [1] 02", "can0   7F  [1] 03", "can0       123  [1] 04"]
+    batch = whole(opened(tmp_path, "".join(f"  {line}\n" for line in lines)))
+    assert batch.identifier.tolist() == [0xCF00400, 0x7F, 0x7F, 0x123]
+    assert batch.flags.tolist() == [EXTENDED, EXTENDED, 0, 0]
+
+
 def frames(stamp: str, times: list[str]) -> str:
     return "".join(
         stamp.format(t) + f"  can0  18FF103D   [8]  00 11 22 33 44 55 66 {k:02X}\n" for k, t in enumerate(times)
