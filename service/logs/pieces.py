@@ -98,16 +98,22 @@ def _copied(path: Path) -> IO[bytes]:
 
 
 class _Unpacking:
-    """State: how far the packed file is read. Behind damage it goes on with the next member, if there is one."""
+    """State: how far the packed file is read, and how many bytes were unpacked, also before this member.
+
+    Behind damage it goes on with the next member, if there is one. Only a member's end has a checksum: what was
+    unpacked of a damaged one is given, as most of it is right, and called doubtful.
+    """
 
     def __init__(self, file: IO[bytes], report: LogReport, size: int) -> None:
         self._file, self._report, self._size = file, report, size
         self._packed = b""
         self._at = 0  # of `_packed`, in the file
+        self._unpacked = self._before = 0
 
     def pieces(self) -> Iterator[bytes]:
         while self._more() and self._next_member():
             unpack = zlib.decompressobj(_GZIP_BITS)
+            self._before = self._unpacked
             while not unpack.eof and (self._packed or self._more()):
                 before = unpack.copy()
                 try:
@@ -118,6 +124,7 @@ class _Unpacking:
                 left = unpack.unused_data if unpack.eof else unpack.unconsumed_tail
                 self._at += len(self._packed) - len(left)
                 self._packed = left
+                self._unpacked += len(piece)
                 if piece:
                     yield piece
             else:
@@ -160,11 +167,13 @@ class _Unpacking:
                     before = unpack.copy()
                     piece = unpack.decompress(self._packed[:step])
                     self._at, self._packed = self._at + step, self._packed[step:]
+                    self._unpacked += len(piece)
                     if piece:
                         yield piece
             except zlib.error:
                 unpack = before
-        self._note(f"it is damaged before byte {self._at}")
+        doubtful = f"unpacked bytes {self._before} to {self._unpacked} are doubtful: no checksum proves them"
+        self._note(f"it is damaged before byte {self._at}; {doubtful}")
         self._at, self._packed = self._at + 1, self._packed[1:]
 
     def _note(self, words: str) -> None:

@@ -128,6 +128,11 @@ class LogReport:
         if len(self.places) < _PLACES:
             self.places.append((number, reason))
 
+    def reject_first(self, number: int, reason: str, count: int = 1) -> None:
+        """Count `count` of them, with one reason that is shown before those of others."""
+        self.bad += count
+        self.places = [(number, reason), *self.places][:_PLACES]
+
 
 def shown(line: bytes) -> str:
     """The beginning of a line, for an error."""

@@ -1,4 +1,7 @@
-"""python-can's SQLite databases. Rows that cannot be read are left out by halving the range of rows around them.
+"""python-can's SQLite databases.
+
+Rows that SQLite does not find in a damaged one are taken from its leaf pages (`logs.sqlite_pages`); those that are gone
+are counted, as rows are numbered without a gap.
 
 The file itself is never written. A database that is cut off, or whose logger used a write-ahead log, is copied first,
 as SQLite opens neither without changing it.
@@ -11,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -32,6 +36,7 @@ from faultline.service.logs.batch import (
 from faultline.service.logs.channels import Channels
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogError, LogReport
+from faultline.service.logs.sqlite_pages import LeafPages, Row
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _PAGE_SIZE, _COUNTS = struct.Struct(">16xH"), struct.Struct(">24xLL60xL")  # change counter, pages, counter at that
@@ -44,9 +49,7 @@ _QUERY = (
 )
 _ROWS = 8192  # read at once
 _LEAST_ROW = 8  # bytes
-_FAILURES = 2000  # ranges that cannot be read, at most
 _MOST_S = 60.0  # that a range may take
-Row = tuple[object, ...]
 _INSTRUCTIONS = 100_000  # of SQLite's machine, after which the time is looked at
 
 
@@ -58,19 +61,21 @@ def read_sqlite(source: Source, report: LogReport, channels: Channels) -> Iterat
     """
     report.unit = "row"
     channel = channels.index(b"")
-    with source.plain(report) as path, _openable(path, report) as name:
-        if name is None:
+    with source.plain(report) as path, _openable(path, report) as file:
+        if file is None:
             return
+        name = str(file).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
         with closing(sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True)) as connection:
             connection.text_factory = bytes  # damaged text is no error of its own
             yield from (
-                replace(batch, channel=np.full(len(batch), channel, np.uint8)) for batch in _rows(connection, report)
+                replace(batch, channel=np.full(len(batch), channel, np.uint8))
+                for batch in _rows(connection, file, report)
             )
 
 
 @contextmanager
-def _openable(path: Path, report: LogReport) -> Iterator[str | None]:
-    """The name of a file that SQLite opens, None where there is no database in it."""
+def _openable(path: Path, report: LogReport) -> Iterator[Path | None]:
+    """The path of a file that SQLite opens, None where there is no database in it."""
     length = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(_COUNTS.size)
@@ -86,7 +91,7 @@ def _openable(path: Path, report: LogReport) -> Iterator[str | None]:
         report.missing = f"its header says {whole} bytes, it has {length}"
     is_short = length < whole <= _FILL * length
     if not is_short and _WRITE_AHEAD not in head[_VERSIONS : _VERSIONS + 2]:
-        yield str(path).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
+        yield path
         return
     try:
         with NamedTemporaryFile(prefix="faultline-") as copy:
@@ -98,76 +103,121 @@ def _openable(path: Path, report: LogReport) -> Iterator[str | None]:
             copy.seek(_VERSIONS)
             copy.write(_ROLLBACK)
             copy.flush()
-            yield copy.name
+            yield Path(copy.name)
     except OSError as error:
         raise LogError(f"cannot be copied to read it: {error.strerror}") from error
 
 
-def _rows(connection: sqlite3.Connection, report: LogReport) -> Iterator[Batch]:
+def _rows(connection: sqlite3.Connection, path: Path, report: LogReport) -> Iterator[Batch]:
+    """The frames of all rows. What SQLite does not find in a damaged database is taken from its leaf pages."""
     try:
-        last, is_known = _last_row(connection)
+        table = _Table(connection, path)
     except sqlite3.Error as error:
         report.reject(1, f"the database cannot be read: {error}")
         return
-    failures = absent = first_absent = 0
-    waiting = [(1, last)]
-    while waiting:
-        first, last = waiting.pop()
-        end = min(last, first + _ROWS - 1)
-        waiting += [(end + 1, last)] if end < last else []
-        try:
-            rows = _read(connection, first, end)
-        except (sqlite3.Error, OverflowError) as error:
-            failures += 1
-            if failures > _FAILURES:
-                report.reject(first, f"reading ends here: {error}")
-                return
-            if first == end:
-                report.reject(first, f"a row cannot be read: {error}")
-            else:
-                middle = (first + end) // 2
-                waiting += [(middle + 1, end), (first, middle)]
-            continue
-        if missing := end - first + 1 - len(rows) if is_known else 0:
-            first_absent = first_absent or next(k for k, row in enumerate([*rows, (0,)], first) if row[0] != k)
-            absent += missing
+    there = first_absent = 0
+    for first, last in table.ranges():
+        rows = table.rows(first, last)
+        if len(rows) < last - first + 1 and not first_absent:
+            first_absent = next(k for k, row in enumerate([*rows, (0,)], first) if row[0] != k)
+        there += len(rows)
         if rows:
             yield from _batch(rows, report)
-    _check(connection, report)
-    if absent and report.bad:  # else they were deleted
-        report.reject(first_absent, f"{absent} rows are not there")
-        report.bad += absent - 1
+    _report_damage(report, table, there, first_absent)
 
 
-def _last_row(connection: sqlite3.Connection) -> tuple[int, bool]:
-    """The highest number of a row, True; what the file has room for, False, where that row cannot be read."""
-    size, pages = (int(connection.execute(f"PRAGMA {name}").fetchone()[0]) for name in ("page_size", "page_count"))
-    room = size * pages // _LEAST_ROW
+class _Table:
+    """The rows of a database, numbered from 1.
+
+    `known` is the highest number of a row, 0 where nobody knows one; rows may be gone behind it if `is_open`.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        """Raises `sqlite3.Error` where there is no such table."""
+        self._connection, self._path = connection, path
+        size, pages = (int(connection.execute(f"PRAGMA {name}").fetchone()[0]) for name in ("page_size", "page_count"))
+        self._size, self._error = size, ""
+        room = size * pages // _LEAST_ROW
+        try:
+            (found,) = connection.execute("SELECT max(rowid) FROM messages").fetchone()
+            self.known = int(found or 0)
+        except sqlite3.DatabaseError as error:
+            if "no such table" in str(error):
+                raise
+            self.known, self._error = room + 1, str(error)
+        self.is_open = self.known > room
+        if self.is_open:
+            counted = _counted(connection, room)
+            self.known, self.is_open = counted or self._leaves.largest, not counted
+        self._last = self.known or (room if self.is_open else 0)
+
+    def ranges(self) -> Iterator[tuple[int, int]]:
+        """The first and the last number of some rows after the other."""
+        first = 1
+        while first <= self._last:
+            yield first, (last := min(self._last, first + _ROWS - 1))
+            first = last + 1
+            if first > self._last and self.why:
+                self._last = self.known = max(self.known, self._leaves.largest)
+
+    def rows(self, first: int, last: int) -> list[Row]:
+        """The rows with these numbers that can be read."""
+        try:
+            rows = _read(self._connection, first, last)
+        except (sqlite3.Error, OverflowError) as error:
+            self._error, rows = self._error or str(error), []
+        if len(rows) <= last - first and self.why:  # else the others were deleted
+            found = self._leaves.rows(first, last)
+            return found if len(found) > len(rows) else rows
+        return rows
+
+    @property
+    def why(self) -> str:
+        """Why SQLite takes the database for damaged; empty where it does not."""
+        return self._error or self._checked
+
+    @cached_property
+    def _checked(self) -> str:
+        """What its own check says."""
+        try:
+            (found,) = self._connection.execute("PRAGMA quick_check(1)").fetchone()
+        except sqlite3.Error as error:
+            return str(error)
+        return "" if found == b"ok" else str(found.decode(errors="replace"))
+
+    @cached_property
+    def _leaves(self) -> LeafPages:
+        """The leaf pages: looked for once something is wrong."""
+        return LeafPages(self._path, self._size)
+
+
+def _counted(connection: sqlite3.Connection, room: int) -> int:
+    """The highest number that a row ever had, of a table that counts them; else 0."""
     try:
-        (found,) = connection.execute("SELECT max(rowid) FROM messages").fetchone()
-    except sqlite3.DatabaseError as error:
-        if "no such table" in str(error):
-            raise
-        return room, False
-    return min(int(found or 0), room), int(found or 0) <= room
+        (found,) = connection.execute("SELECT max(seq) FROM sqlite_sequence WHERE name = 'messages'").fetchone()
+    except sqlite3.Error:  # nearly all have no such table
+        return 0
+    return found if isinstance(found, int) and 0 < found <= room else 0
+
+
+def _report_damage(report: LogReport, table: _Table, there: int, first_absent: int) -> None:
+    """Say what is damaged, and how many rows are not there, or that nobody knows; a whole one has deleted rows."""
+    why, known = " ".join(table.why.split()), table.known
+    if not (why or report.bad or report.missing):
+        return
+    absent = max(0, known - there) if known else 0
+    words = [f"{absent} rows are not there"] if absent else []
+    if table.is_open or report.missing:
+        words.append(f"how many rows are gone{f' behind row {known}' if known else ''} is not known")
+    words += [f"the database is damaged: {why}"] if why else []
+    if words:
+        report.reject_first(first_absent if absent else known + 1, "; ".join(words), max(absent, 1))
 
 
 def _read(connection: sqlite3.Connection, first: int, last: int) -> list[Row]:
     began = time.monotonic()
     connection.set_progress_handler(lambda: time.monotonic() - began > _MOST_S, _INSTRUCTIONS)
     return connection.execute(_QUERY, (first, last)).fetchall()
-
-
-def _check(connection: sqlite3.Connection, report: LogReport) -> None:
-    """Rows that are gone without a trace in their table show in SQLite's own check."""
-    if report.missing or report.bad:
-        return
-    try:
-        (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    except sqlite3.Error as error:
-        found = str(error).encode()
-    if found != b"ok":
-        report.reject(report.frames, f"the database is damaged: {' '.join(found.decode(errors='replace').split())}")
 
 
 def _batch(rows: list[Row], report: LogReport) -> Iterator[Batch]:

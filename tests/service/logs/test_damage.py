@@ -1,6 +1,7 @@
 """A log that is cut off or damaged, in every format: the same frames, or a report of what was lost; never silence."""
 
 import random
+import sqlite3
 import struct
 import time
 import tracemalloc
@@ -304,6 +305,90 @@ def test_every_version_of_trc(version: str) -> None:
 def test_a_trc_of_an_unknown_version_is_refused() -> None:
     with pytest.raises(LogError, match=r"x\.trc: TRC version 9\.9 is not known; save it as 2\.1"):
         parse_log(b";$FILEVERSION=9.9\n" + TRC["2.1"][1], Path("x.trc"))
+
+
+PAGE = 4096
+COLUMNS = "ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER, dlc INTEGER, data BLOB"
+
+
+def database(folder: Path) -> tuple[bytearray, list[Frame]]:
+    """As python-can's, of 5,000 rows in 40 leaf pages; the second page is the table's root."""
+    frames = [FRAMES[k % len(FRAMES)]._replace(t=START + k) for k in range(5000)]
+    path = folder / "rows.db"
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"CREATE TABLE messages ({COLUMNS})")
+        rows = [(t, number, is_extended, 0, 0, len(data), data) for t, number, is_extended, data in frames]
+        connection.executemany("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+    return bytearray(path.read_bytes()), frames
+
+
+def said_of(report: LogReport) -> str:
+    """The first place, which says how many rows are gone."""
+    return f"row {report.places[0][0]}: {report.places[0][1]}"
+
+
+@pytest.mark.parametrize("damage", [bytes(PAGE), random.Random(1).randbytes(PAGE)], ids=["zeros", "noise"])  # noqa: S311
+def test_rows_behind_a_damaged_root_page_are_read_from_the_leaves(tmp_path: Path, damage: bytes) -> None:
+    raw, frames = database(tmp_path)
+    raw[PAGE : 2 * PAGE] = damage
+    found, report = parse_log(bytes(raw), Path("x.db"))
+    assert found == frames
+    assert report.damaged
+    assert "row 5001: how many rows are gone behind row 5000 is not known; the database is damaged" in said_of(report)
+
+
+def test_rows_of_a_root_page_that_has_lost_most_cells(tmp_path: Path) -> None:
+    raw, frames = database(tmp_path)
+    struct.pack_into(">H", raw, PAGE + 3, 1)  # cells
+    found, report = parse_log(bytes(raw), Path("x.db"))
+    assert found == frames
+    assert report.damaged
+
+
+def test_rows_of_a_leaf_page_that_is_gone_are_counted(tmp_path: Path) -> None:
+    raw, frames = database(tmp_path)
+    raw[9 * PAGE : 10 * PAGE] = bytes(PAGE)
+    found, report = parse_log(bytes(raw), Path("x.db"))
+    gone = len(frames) - len(found)
+    assert 90 < gone < 200
+    assert report.bad == gone
+    assert f"{gone} rows are not there; the database is damaged" in said_of(report)
+    first = report.places[0][0]
+    assert found == [*frames[: first - 1], *frames[first - 1 + gone :]]
+
+
+def test_nobody_knows_how_many_rows_were_behind_a_last_page_that_is_gone(tmp_path: Path) -> None:
+    raw, frames = database(tmp_path)
+    raw[-PAGE:] = bytes(PAGE)
+    found, report = parse_log(bytes(raw), Path("x.db"))
+    assert found == frames[: len(found)]
+    assert f"row {len(found) + 1}: how many rows are gone behind row {len(found)} is not known" in said_of(report)
+
+
+def test_a_table_that_numbers_its_rows_says_how_many_there_were(tmp_path: Path) -> None:
+    path = tmp_path / "x.db"
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"CREATE TABLE messages (id INTEGER PRIMARY KEY AUTOINCREMENT, {COLUMNS})")
+        row = (
+            "INSERT INTO messages (ts, arbitration_id, extended, remote, error, dlc, data) VALUES (?, 1, 0, 0, 0, 1, ?)"
+        )
+        connection.executemany(row, [(1000.5 + k, b"x") for k in range(2000)])
+    raw = bytearray(path.read_bytes())
+    tables = [at for at in range(0, len(raw), PAGE) if raw[at] == 0x05]  # an inner page: the root of the large one
+    raw[tables[0] : tables[0] + PAGE] = bytes(PAGE)
+    with pytest.raises(LogError, match="row 1: 2000 rows are not there; the database is damaged"):
+        parse_log(bytes(raw), Path("x.db"))
+
+
+def test_rows_that_were_deleted_are_not_missed(tmp_path: Path) -> None:
+    raw, frames = database(tmp_path)
+    path = tmp_path / "x.db"
+    path.write_bytes(raw)
+    with sqlite3.connect(path) as connection:
+        connection.execute("DELETE FROM messages WHERE rowid BETWEEN 1000 AND 3000")
+    found, report = parse_log(path.read_bytes(), Path("x.db"))
+    assert found == [*frames[:999], *frames[3000:]]
+    assert not report.lost
 
 
 def test_a_database_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import gzip
 import random
+import re
 import time
 from pathlib import Path
 
@@ -104,6 +105,9 @@ def test_a_packed_log_of_several_members_goes_on_behind_a_damaged_one(tmp_path: 
     report = open_any(path).report
     assert report.damaged
     assert report.packing.startswith("it is damaged before byte")
+    begin, end = map(int, re.findall(r"unpacked bytes (\d+) to (\d+) are doubtful", report.packing)[0])
+    assert begin == len(parts[0]) + len(parts[1])
+    assert begin < end < begin + 1.1 * len(parts[2])  # what is wrong may be longer
     assert 4000 <= report.frames < 5000
     found = [(f.t, f.data[0]) for f in open_any(path).frames() if len(f.data) == 1]
     assert sum(each in found for each in [(START + k, k % 256) for k in range(0, 2000, 100)]) == 20
