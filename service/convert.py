@@ -2,7 +2,10 @@
 
 import argparse
 import sys
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import msgspec
@@ -10,7 +13,7 @@ import numpy as np
 
 from faultline.options import Parser
 from faultline.service.logs import Log, LogError, open_any
-from faultline.service.logs.batch import FD, REMOTE, SENT
+from faultline.service.logs.batch import FD, REMOTE, SENT, Batch
 from faultline.service.logs.writers import TARGETS, Target
 from faultline.writing import check_file, written_whole
 
@@ -21,6 +24,13 @@ EXAMPLE = """example:
 The result is read back before it gets its name: a frame that is not in it is an error. What the format cannot hold, as
 names of channels, is said. Parquet and MF4 need the extras `columns` and `mf4`. The columns of Parquet: docs/logs.md.
 """
+
+
+_EVERY_S = 0.2  # between two words of progress
+_CLEAR = "\r\x1b[K"
+
+Say = Callable[[str], None]
+"""Shows what is going on now."""
 
 
 class Converted(msgspec.Struct):
@@ -50,7 +60,21 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--channel", help="the bus to take, of a log of several")
     parser.add_argument("--json", action="store_true", help="print what was written, as one JSON object")
     options = parser.parse_args(argv)
+    with _progress() as say:
+        converted = _converted(options, say)
+    for loss in (*converted.not_read, *converted.not_kept):
+        print(f"faultline convert: {options.log}: {loss}", file=sys.stderr)
+    if options.json:
+        print(msgspec.json.encode(converted).decode())
+    else:
+        counts = f"{converted.frames} frames, {converted.remote} remote and {converted.errors} error frames"
+        print(f"{converted.file}: {counts}")
+    return 0
+
+
+def _converted(options: argparse.Namespace, say: Say) -> Converted:
     target = TARGETS[options.to]
+    say(f"reading {options.log}")
     log = open_any(options.log, options.channel)
     out = options.out or Path(log.id).with_suffix(target.ending)
     if out.exists() and out.samefile(log.source.path):
@@ -59,17 +83,45 @@ def main(argv: list[str]) -> int:
         able = ", ".join(name for name, each in TARGETS.items() if not each.needs_times)
         raise LogError(f"{options.log}: its frames have no times, and {options.to} needs them; convert it to {able}")
     check_file(out)
-    converted = convert(log, target, options.to, out)
-    for loss in (*converted.not_read, *converted.not_kept):
-        print(f"faultline convert: {options.log}: {loss}", file=sys.stderr)
-    if options.json:
-        print(msgspec.json.encode(converted).decode())
-    else:
-        print(f"{out}: {converted.frames} frames, {converted.remote} remote and {converted.errors} error frames")
-    return 0
+    return convert(log, target, options.to, out, say)
 
 
-def convert(log: Log, target: Target, name: str, out: Path) -> Converted:
+@contextmanager
+def _progress() -> Iterator[Say]:
+    """A line on the terminal, which is gone at the end; nothing where standard error is none."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    try:
+        yield lambda text: print(f"{_CLEAR}faultline convert: {text}", end="", file=sys.stderr, flush=True)
+    finally:
+        print(_CLEAR, end="", file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True)
+class _Followed(Log):
+    """A log that says how far its frames are taken."""
+
+    say: Say = field(default=lambda _: None, repr=False)
+    doing: str = ""
+
+    def batches(self) -> Iterator[Batch]:
+        """All frames, as those of the log."""
+        total = self.report.frames + self.report.remote + self.report.errors
+        done, due_s = 0, time.monotonic()
+        for batch in super().batches():
+            if time.monotonic() >= due_s:
+                self.say(f"{self.doing}: {done:,} of {total:,} frames")
+                due_s = time.monotonic() + _EVERY_S
+            yield batch
+            done += len(batch)
+
+
+def _followed(log: Log, say: Say, doing: str) -> Log:
+    return _Followed(**{each.name: getattr(log, each.name) for each in fields(log)}, say=say, doing=doing)
+
+
+def convert(log: Log, target: Target, name: str, out: Path, say: Say = lambda _: None) -> Converted:
     """Write the log, and read it back.
 
     Raises:
@@ -77,10 +129,11 @@ def convert(log: Log, target: Target, name: str, out: Path) -> Converted:
         OSError: it cannot be written.
     """
     report = log.report
-    lost = _not_kept(log, target, name)
+    lost = _not_kept(_followed(log, say, "looking what it holds"), target, name)
     with written_whole(out) as path:
-        target.write(log, path)
+        target.write(_followed(log, say, "writing"), path)
         if path.is_file():
+            say("reading it back")
             back = open_any(path).report
             wanted, found = ((each.frames, each.remote, each.errors) for each in (report, back))
             if found != wanted or back.bad:

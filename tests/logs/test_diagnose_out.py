@@ -42,9 +42,9 @@ def test_a_row_is_a_tick_as_the_monitor_saw_it(out: Path) -> None:
 
     bundle, log = load_bundle(GOLDEN / "bundle"), open_log(GOLDEN / "log")
     events = list(Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch).log(log.relative()))
-    for t, *frame in log.relative():
-        for name, _, quality in bundle.table.decode(*frame):
-            came.setdefault(name, []).extend([t] if quality is Quality.GOOD else [])
+    for frame in log.relative():
+        for name, _, quality in bundle.table.decode(frame.can_id, frame.is_extended, frame.data):
+            came.setdefault(name, []).extend([frame.t] if quality is Quality.GOOD else [])
     rows = [row for row in parquet.read_table(out).to_pylist() if row["recording"] == "golden"]
     assert len(rows) == len(seen) == 600
     for row, (tick, alarm, sums) in zip(rows, seen, strict=True):

@@ -1,6 +1,7 @@
 """`faultline convert`: all frames in each format, and what a format cannot hold is said."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,28 @@ def test_what_a_format_cannot_hold_is_said(log: Path, capsys: pytest.CaptureFixt
     assert "asc counts times from the first frame, which was at 1700000000.0000" in said
     assert "csv has no channels: can0, can1 are not kept" in said
     assert "csv does not say which frames the logger sent: 1 are marked no longer" in said
+
+
+def test_progress_is_shown_on_a_terminal_only(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = [str(log), "--to", "candump", "--out", str(log.with_suffix(".txt"))]
+    assert convert.main(command) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert convert.main(command) == 0
+    clear = "\r\x1b[K"
+    said = [f"reading {log}", "looking what it holds: 0 of 6 frames", "writing: 0 of 6 frames", "reading it back"]
+    assert capsys.readouterr().err == "".join(f"{clear}faultline convert: {each}" for each in said) + clear
+
+
+def test_the_line_of_progress_is_gone_before_an_error(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with pytest.raises(InputError):
+        convert.main([str(log.with_name("absent.log")), "--to", "asc"])
+    assert capsys.readouterr().err.endswith("absent.log\r\x1b[K")
 
 
 def test_damage_is_said_and_the_rest_is_written(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
