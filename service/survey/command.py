@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
 
 
 def survey_log(log: Log, described: Sequence[Described] = (), units: Mapping[str, str] | None = None) -> Survey:
-    """Return what is in the log, and which signals of these messages of a DBC are, or those in `units` (name to unit)."""
+    """Return what is in the log, and which signals of these messages are, or those in `units` (name to unit)."""
     columns = [] if log.values is None else columns_of(log.values)
     given = [] if log.values is None or units is None else signals_of(log.values, units, columns)
     if not log.format.has_frames:

@@ -63,7 +63,7 @@ def test_groups_of_several_rates_are_one_log(tmp_path: Path) -> None:
     assert [t for t, _, _ in found["n"]] == [0.5 + k for k in range(300)]
     assert found["n"][60][1] == pytest.approx(1.0)
     assert [quality for _, _, quality in found["word"]] == ["ERROR", "ERROR"]
-    columns = {each.name: each for each in survey_log(log, None, None).columns}
+    columns = {each.name: each for each in survey_log(log).columns}
     assert [(columns[name].unit, columns[name].count) for name in "pn"] == [("kPa", 40_000), ("rpm", 300)]
     assert [columns[name].period_s for name in "pn"] == pytest.approx([0.01, 1.0], rel=1e-4)
 

@@ -43,7 +43,7 @@ def test_units_times_and_gaps(tmp_path: Path, dates: bool) -> None:
     assert [(t, quality) for t, _, quality in found] == [(0.0, "GOOD"), (1.0, "ERROR"), (1.5, "GOOD")]
     assert [found[0][1], found[2][1]] == [1000.0, 2000.0]
     assert [quality for _, _, quality in came(log, "word", "1")] == ["ERROR"] * 3
-    survey = survey_log(log, None, None)
+    survey = survey_log(log)
     assert [(each.name, each.unit, each.count, each.not_numbers) for each in survey.columns] == [
         ("p", "kPa", 2, 1),
         ("word", "1", 0, 3),
