@@ -17,12 +17,12 @@ from faultline.analysis.model import dump_model
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.manifest import GOLDEN, manifest_of
-from faultline.options import Parser, add_senders, senders_of
+from faultline.options import Parser, add_buses, add_senders, buses_of, senders_of
 from faultline.service.bundle.files import MANIFEST, SEAL, BundleError, decode_manifest, seal
 from faultline.service.bundle.load import Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.core.decision.consistency import FILE_NAME
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.writing import check_folder, write_folder
 
@@ -45,6 +45,7 @@ def main(argv: list[str]) -> int:
         "--version", type=int, default=0, metavar="N", help="counts up; a vehicle takes none older than one it had (0)"
     )
     add_senders(parser)
+    add_buses(parser)
     parser.add_argument("--force", action="store_true", help="replace the folder if it is a bundle")
     options = parser.parse_args(argv)
     if options.version < 0:
@@ -59,11 +60,12 @@ def main(argv: list[str]) -> int:
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
     _check_networks(tuning, runnable, options.tuning)
-    senders = senders_of(options.sender)
-    dbc = _dbc(options.dbc, bank, senders)
+    senders, buses = senders_of(options.sender), buses_of(options.bus)
+    dbc = _dbc(options.dbc, bank, senders, buses)
     _check_golden(tuning, bank, options.tuning)
     try:
-        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), options.version, senders)
+        chosen = options.version, senders, buses
+        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), *chosen)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     write_folder(options.out, files, _check_bundle)
@@ -81,25 +83,26 @@ def bundle_files(
     where: str,
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
+    buses: Mapping[str, str] = NO_BUSES,
 ) -> dict[str, bytes]:
-    """The files of the bundle by name; the same model, tuning, DBC and senders of messages give the same bytes.
+    """Return the files of the bundle by name; the same model, tuning, DBC, senders and buses of messages give the same.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    described = manifest_of(runnable, tuning, {}, dbc_name, version, senders)
+    described = manifest_of(runnable, tuning, {}, dbc_name, version, senders, buses)
     graphs = {
         name: with_metadata(raw, graph_metadata(described, name))
         for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
     }
     files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, dbc_name, version, senders)
+    manifest = manifest_of(runnable, tuning, files, dbc_name, version, senders, buses)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
 
 
-def _dbc(path: Path, bank: Bank, senders: Mapping[str, int]) -> bytes:
+def _dbc(path: Path, bank: Bank, senders: Mapping[str, int], buses: Mapping[str, str]) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
     if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, FAULTS, GOLDEN, MANIFEST, SEAL):
@@ -107,7 +110,7 @@ def _dbc(path: Path, bank: Bank, senders: Mapping[str, int]) -> bytes:
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
     raw = path.read_bytes()
-    compile_dbc(dbc_text(raw), {channel.signal: channel.unit for channel in bank.inputs}, str(path), senders)
+    compile_dbc(dbc_text(raw), {channel.signal: channel.unit for channel in bank.inputs}, str(path), senders, buses)
     return raw
 
 

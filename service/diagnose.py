@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 
-from faultline.options import Parser, add_senders, senders_of
+from faultline.options import Parser, add_channels, add_senders, channels_of, senders_of
 from faultline.service.bundle.load import Bundle, load_with_log
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
@@ -64,7 +64,7 @@ def _options(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("log", type=Path, nargs="+", help="instrumented recordings (folders), or log files")
     parser.add_argument("--bundle", type=Path, required=True, help="the bundle folder")
     parser.add_argument("--partial", action="store_true", help="accept the span that was read of a damaged log")
-    parser.add_argument("--channel", help="the bus to take, of a log of several")
+    add_channels(parser)
     add_senders(parser)
     parser.add_argument("--out", type=Path, help="write samples, residuals and events of every tick here, as Parquet")
     parser.add_argument("--json", action="store_true", help="print the events as JSON lines")
@@ -81,7 +81,8 @@ def _options(argv: list[str]) -> argparse.Namespace:
 
 def _opened(path: Path, options: argparse.Namespace) -> tuple[Log, Bundle]:
     """Return the log and the bundle, which fit each other; print what was lost of the log where that is accepted."""
-    bundle, log = load_with_log(options.bundle, path, options.channel, senders_of(options.sender))
+    channel, buses = channels_of(options.channel)
+    bundle, log = load_with_log(options.bundle, path, channel, senders_of(options.sender), buses)
     if log.report.lost and (options.partial or not log.report.damaged):
         print(f"faultline diagnose: {path}: {log.report.summary()}", file=sys.stderr)
     return log, bundle

@@ -41,7 +41,8 @@ def open_known(path: Path, say: Callable[[str], None]) -> Log:
         LogError: it is no log, or a bare one: without a recording's folder its DBC is not known.
     """
     log = open_log(path)
-    log.check_channels()
+    if not log.buses:
+        log.check_channels()
     if log.recording is None:
         raise LogError(f"{path}: a bare log names no DBC; give its recording's folder")
     if log.report.lost:

@@ -8,7 +8,7 @@ from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.tuning.file import Tuning
 from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
-from faultline.service.core.signals.dbc import NOBODY
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY
 
 GOLDEN = "golden.json"
 
@@ -20,8 +20,9 @@ def manifest_of(
     dbc_name: str,
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
+    buses: Mapping[str, str] = NO_BUSES,
 ) -> Manifest:
-    """The manifest; `files` are the others of the bundle by name, `senders` the source addresses of messages."""
+    """Return the manifest; `files` are the others of the bundle, `senders` and `buses` those of messages, by name."""
     bank = runnable.bank
     return Manifest(
         schema=SCHEMA,
@@ -60,6 +61,7 @@ def manifest_of(
         evidence=tuning.evidence,
         claim=tuning.claim,
         senders=dict(senders),
+        buses=dict(buses),
     )
 
 

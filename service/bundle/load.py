@@ -15,7 +15,7 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator, Manifest
 from faultline.service.core.residuals.generators import GeneratorBank, Residuals
 from faultline.service.core.residuals.graph_file import GraphError, check_graph_file
-from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.values import FloatArray
@@ -72,20 +72,26 @@ def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, 
 
 
 def load_with_log(
-    folder: Path, path: Path, channel: str | None, senders: Mapping[str, int] = NOBODY
+    folder: Path,
+    path: Path,
+    channel: str | None,
+    senders: Mapping[str, int] = NOBODY,
+    buses: Mapping[str, str] = NO_BUSES,
 ) -> tuple[Bundle, Log]:
-    """Load the bundle in `folder` and the log at `path`, of one bus if that is given, that it can diagnose.
+    """Load the bundle in `folder` and the log at `path`, of one channel if that is given, that it can diagnose.
 
-    `senders` are source addresses of messages by name, in place of those that the log's recording has.
+    `senders` are source addresses of messages by name, and `buses` the channels of buses by name, in place of those
+    that the log's recording has.
 
     Raises:
         InputError: one of them cannot be read, or they do not fit together.
     """
-    log = open_log(path, channel)
+    log = open_log(path, channel, buses)
     bundle = load_bundle(folder, senders={**log.senders, **senders})
     verify_golden(bundle)
     log.check_signals(bundle.table.units)
     log.check_channels(bundle.table.carries)
+    log.check_buses(bundle.table)
     log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:
@@ -174,7 +180,7 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -
 def _table(raw: bytes, manifest: Manifest, senders: Mapping[str, int], where: str) -> DecodeTable:
     units = {channel.signal: channel.unit for channel in manifest.inputs}
     try:
-        return compile_dbc(dbc_text(raw), units, where, senders)
+        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses)
     except InputError as error:
         raise BundleError(str(error)) from error
 

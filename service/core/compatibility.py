@@ -16,6 +16,7 @@ def _deciding(manifest: Manifest) -> tuple[object, ...]:
         manifest.start_within_s,
         manifest.inputs,
         manifest.senders,
+        manifest.buses,
         manifest.generators,
         manifest.modes,
         manifest.detectors,

@@ -301,7 +301,8 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
 
     `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow. `senders`
-    are the source addresses that were chosen for messages of the DBC, by their names.
+    are the source addresses that were chosen for messages of the DBC, by their names; `buses` the names of the buses on
+    which messages come, where the vehicle has several.
     """
 
     schema: Literal["faultline.bundle/5"]
@@ -325,3 +326,4 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     evidence: Evidence
     claim: Claim | None = None
     senders: dict[Name, Address] = {}
+    buses: dict[Name, Name] = {}

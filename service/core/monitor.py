@@ -51,9 +51,9 @@ class Monitor:
         self.watch = watch
         self._quality: Qualities | None = None
 
-    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Event]:
-        """Takes a frame received at log time `t_s` [s]; gives the events of the ticks that lie before it."""
-        return self._decide(self._observer.frame(t_s, can_id, is_extended, data))
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Event]:
+        """Take a frame received at log time `t_s` [s] on a bus; return the events of the ticks that lie before it."""
+        return self._decide(self._observer.frame(t_s, can_id, is_extended, data, bus))
 
     def advance(self, t_s: float) -> list[Event]:
         """Advance to log time `t_s` [s]; return the events of every tick up to and at it, frames or no frames."""

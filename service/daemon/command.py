@@ -10,6 +10,7 @@ from faultline.options import Parser
 from faultline.service.bundle.files import Trust
 from faultline.service.bundle.load import Bundle
 from faultline.service.bus import open_bus
+from faultline.service.core.errors import InputError
 from faultline.service.core.j1939.context import CodeTracker
 from faultline.service.daemon.config import (
     BundleConfig,
@@ -22,7 +23,7 @@ from faultline.service.daemon.config import (
     named,
 )
 from faultline.service.daemon.loop import Loop
-from faultline.service.daemon.pipeline import BusChannel, wanted_by, watched
+from faultline.service.daemon.pipeline import BusChannel, connect, wanted_by, watched
 from faultline.service.daemon.refused import Loader, RefusedBundles
 from faultline.service.daemon.reload import Reload
 from faultline.service.daemon.sequencer import Sequencer
@@ -46,7 +47,7 @@ def main(argv: list[str]) -> int:
     options, config = _asked(argv)
     notifier = Notifier()
     notifier.tell(STATUS="loading bundles")
-    load = Loader(lambda: _trust(config))
+    load = Loader(lambda: _trust(config), [bus.name for bus in config.bus])
     bundles, refused = _loaded(config, load, required=options.config is None)
     with ExitStack() as opened:
         journal = opened.enter_context(Journal(_store(config, options.config), _say, RING))
@@ -94,7 +95,13 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
     add = parser.add_argument
     add("--config", type=Path, help="the configuration; its interfaces may come and go, and need not be there yet")
     add("--bundle", type=Path, help="without a configuration: the bundle folder")
-    add("--bus", help="and the bus: socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
+    add(
+        "--bus",
+        action="append",
+        metavar="[NAME=]BUS",
+        help="and the bus: socketcan:NAME or udp_multicast:GROUP:PORT, which must be there; NAME=BUS for one that the "
+        "bundle names",
+    )
     add("--socket", type=Path, help="and where subscribers connect (Unix socket)")
     add("--control", type=Path, help="and, if wanted, where other processes ask (Unix socket)")
     add("--source", help="the vehicle's name in events (default: the host's)")
@@ -108,7 +115,7 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
         return options, load_config(options.config)
     parser.require(options, trial, "--config")
     config = Config(
-        bus=[BusConfig(name="bus", interface=options.bus)],
+        bus=_buses(options.bus),
         bundle=[BundleConfig(path=str(options.bundle), bus="bus")],
         trust=TrustConfig(allow_unsigned=True),
         events=EventsConfig(socket=str(options.socket)),
@@ -116,6 +123,14 @@ def _asked(argv: Sequence[str]) -> tuple[argparse.Namespace, Config]:
         source=named(options.source or socket.gethostname(), "--source"),
     )
     return options, config
+
+
+def _buses(given: Sequence[str]) -> list[BusConfig]:
+    """Return the buses of a trial: one without a name, and those that the bundle names."""
+    pairs = [each.rpartition("=") for each in given]
+    if [name for name, _, _ in pairs].count("") != 1:
+        raise InputError("--bus: give one bus without a name; those that the bundle names as NAME=BUS")
+    return [BusConfig(name=name or "bus", interface=interface) for name, _, interface in pairs]
 
 
 def _trust(config: Config) -> Trust | None:
@@ -157,4 +172,5 @@ def _lines(
         watching = [watched(bundle, config.source, speed, place=place) for place, bundle in here]
         codes = CodeTracker() if bus.trouble_codes else None
         lines.append(BusChannel(bus.name, opened, watching, _say, bus.interface, codes))
+    connect(lines)
     return lines

@@ -1,13 +1,15 @@
 """Pipeline of a bundle on a bus: its monitor, its traffic check, and the clock that turns arrival into log time."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 
-from faultline.service.bundle.files import one_line
+from faultline.service.bundle.files import BundleError, one_line
 from faultline.service.bundle.load import GRAPH_ERRORS, Bundle
 from faultline.service.bus import Bus
-from faultline.service.bus.base import Trouble
+from faultline.service.bus.base import BATCH, Trouble
 from faultline.service.bus.losses import Losses
 from faultline.service.core.compatibility import are_compatible
 from faultline.service.core.decision.decision import Decision
@@ -63,20 +65,42 @@ class Pipeline:
         self.place = place or bundle.where
         self._samples: list[Sample] = []
         self._renew()
+        self._waiting: list[tuple[float, str, Frame]] = []  # of a bundle of several buses: time, bus, frame
+        self._read_until: dict[str, float] = {}  # by bus: all frames until that monotonic time have been read
         self._start: float | None = None  # monotonic time of the first frame
         self._begun: float | None = None  # of the first look, or of the first frame where that was before
         self._out_until = -float("inf")
         self._out_s = 0.0
 
-    def hear(self, frames: Sequence[Frame]) -> Iterator[Event]:
-        """Take all frames up to the last one; yield the events of the ticks before it."""
+    def put(self, bus: str, frames: Sequence[Frame], now: float) -> None:
+        """Keep the frames of one of several buses, read at the monotonic time `now` [s], until all have been read."""
+        self._waiting += [(frame.t, bus, frame) for frame in frames]
+        self._read_until[bus] = frames[-1].t if len(frames) >= BATCH else now
+
+    def hear_all(self, frames: Sequence[Frame], now: float) -> Iterator[Event]:
+        """Take the frames of the bus without a name, and those that were put, in order of time; yield the events.
+
+        So far as all buses have been read: what may still be in a queue is waited for.
+        """
+        self.put("", frames, now)
+        until = min(self._read_until.get(bus, -float("inf")) for bus in ("", *self.bundle.table.buses)) - LAG_S
+        self._waiting.sort(key=lambda each: each[0])
+        count = bisect_right(self._waiting, until, key=lambda each: each[0])
+        ready, self._waiting = self._waiting[:count], self._waiting[count:]
+        for bus, group in groupby(ready, key=lambda each: each[1]):
+            yield from self.hear([frame for _, _, frame in group], bus)
+        if until > -float("inf"):
+            yield from self.silence(until + LAG_S)
+
+    def hear(self, frames: Sequence[Frame], bus: str = "") -> Iterator[Event]:
+        """Take all frames of a bus up to the last one; yield the events of the ticks before it."""
         for frame in frames:
             if frame.t < self._out_until:
                 continue
             if self._start is None:
                 self._start = frame.t
                 self._begun = frame.t if self._begun is None else self._begun
-            yield from self._monitor.frame(self._log_time(frame.t), frame.can_id, frame.is_extended, frame.data)
+            yield from self._monitor.frame(self._log_time(frame.t), frame.can_id, frame.is_extended, frame.data, bus)
         if frames:
             self._note(frames[-1].t)
 
@@ -113,6 +137,7 @@ class Pipeline:
         """Reset the diagnosis state: what comes next is unrelated."""
         self._renew()
         self._start = self._begun = None
+        self._waiting = []
 
     def taken(self) -> list[Sample]:
         """Return the ticks since the last call."""
@@ -121,8 +146,9 @@ class Pipeline:
 
     def take_up(self, bundle: Bundle) -> bool:
         """Go on with another bundle; return True if it is compatible, and the diagnosis state kept."""
-        if are_compatible(self.bundle.manifest, bundle.manifest) and self.bundle.table.layouts == bundle.table.layouts:
-            self.bundle = bundle._replace(table=self.bundle.table)  # with its counts
+        ours, theirs = self.bundle.table, bundle.table
+        if are_compatible(self.bundle.manifest, bundle.manifest) and ours.all_layouts == theirs.all_layouts:
+            self.bundle = bundle._replace(table=ours)  # with its counts
             self._monitor.rename(bundle.id)
             return True
         self.bundle, self._start, self._begun = bundle, None, None
@@ -173,6 +199,27 @@ def wanted_by(tables: Iterable[DecodeTable], codes: bool) -> list[Wanted]:
     return sorted(found | {whole_group(pgn) for pgn in GROUPS} if codes else found)
 
 
+def check_buses(bundle: Bundle, names: Collection[str]) -> None:
+    """Refuse a bundle that takes messages from a bus which is none of these.
+
+    Raises:
+        BundleError: it does.
+    """
+    for bus, table in bundle.table.buses.items():
+        if bus not in names:
+            messages = " and ".join(layout.name for layout in table.layouts)
+            raise BundleError(
+                f"{bundle.where}: {messages} come on bus {bus}, which the configuration has not; its buses are "
+                f"{', '.join(names)}: add a [[bus]] of that name"
+            )
+
+
+def connect(lines: Sequence["BusChannel"]) -> None:
+    """Let each bus listen for the pipelines of others some of whose messages come on it."""
+    for line in lines:
+        line.welcome([each for other in lines for each in other.bundles if line.name in each.bundle.table.buses])
+
+
 class BusChannel:
     """A bus and the bundles that listen to it."""
 
@@ -188,6 +235,8 @@ class BusChannel:
         """`interface` is what the configuration calls it; `codes`, where given, tracks what other devices report."""
         self.name, self.bus, self.bundles, self._say = name, bus, bundles, say
         self.interface = interface
+        self.guests: list[Pipeline] = []
+        """Pipelines of other buses some of whose messages come on this one."""
         self.losses = Losses(bus, [each.bundle.table for each in bundles])
         self._dropped, self._lost_at = bus.dropped, -float("inf")
         self._why = ""
@@ -201,6 +250,8 @@ class BusChannel:
             for frame in frames:
                 self._changes += self._codes.frame(*frame)
             self._changes += self._codes.look(now) if not frames else []
+        for guest in self.guests:
+            guest.put(self.name, frames, now)
         return [(bundle, self._heard_by(bundle, frames, now)) for bundle in self.bundles]
 
     def changes(self) -> list[Change]:
@@ -212,7 +263,10 @@ class BusChannel:
         """Yield the events of one bundle; if its graphs fail, the others go on."""
         events: list[Event] = []
         try:
-            events.extend(bundle.hear(frames) if frames else bundle.silence(now))  # those before a failure stay
+            if bundle.bundle.table.buses:
+                events.extend(bundle.hear_all(frames, now))
+            else:
+                events.extend(bundle.hear(frames) if frames else bundle.silence(now))  # those before a failure stay
         except FAILURES as error:
             out_s = bundle.fail(now)
             self._say(f"bundle {bundle.bundle.manifest.name} begins anew in {out_s:.0f} s: {one_line(error)}")
@@ -229,9 +283,16 @@ class BusChannel:
         self.bundles.append(watched)
         self._want()
 
+    def welcome(self, guests: list[Pipeline]) -> None:
+        """Listen for pipelines of other buses too, instead of those before."""
+        if guests != self.guests:
+            self.guests = guests
+            self._want()
+
     def _want(self) -> None:
         tables = [each.bundle.table for each in self.bundles]
-        self.bus.want(wanted_by(tables, self._codes is not None))
+        others = [each.bundle.table.of_bus(self.name) for each in self.guests]
+        self.bus.want(wanted_by([*tables, *others], self._codes is not None))
         self.losses.tables = tables
 
     def knows(self, now: float) -> bool:

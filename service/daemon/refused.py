@@ -4,7 +4,7 @@ The service is up meanwhile, with its sockets and the condition `bundle-refused`
 be a restart every few seconds, and nobody could ask why.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from faultline.service.bundle.files import Trust, one_line
@@ -13,7 +13,7 @@ from faultline.service.bundle.slots import spare
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
 from faultline.service.daemon.config import BundleConfig
-from faultline.service.daemon.pipeline import FAILURES, BusChannel, Pipeline, watched
+from faultline.service.daemon.pipeline import FAILURES, BusChannel, Pipeline, check_buses, connect, watched
 
 AGAIN_S, LONGEST_S = 5.0, 300.0
 """A refused bundle is tried again after so long; twice as long each time, and `LONGEST_S` at most [s]."""
@@ -24,15 +24,16 @@ NOT_TAKEN: tuple[type[Exception], ...] = (InputError, OSError, *FAILURES)
 class Loader:
     """Loads the bundles of a configuration, signed by those whom `trust` names: keys are read at each try.
 
-    A reload of the configuration sets `trust` anew.
+    A reload of the configuration sets `trust` anew. `buses` are the names of those that are configured.
     """
 
-    def __init__(self, trust: Callable[[], Trust | None]) -> None:
-        self.trust = trust
+    def __init__(self, trust: Callable[[], Trust | None], buses: Collection[str] = ()) -> None:
+        self.trust, self._buses = trust, buses
 
     def __call__(self, path: Path) -> Bundle:
         """Return the bundle in the folder, which computes its golden vectors; raises one of `NOT_TAKEN`."""
         bundle = load_bundle(path, self.trust())
+        check_buses(bundle, self._buses)
         verify_golden(bundle)
         return bundle
 
@@ -88,6 +89,7 @@ class RefusedBundles:
                 self._wait_s[each] = min(2.0 * self._wait_s[each], LONGEST_S)
                 self._due[each] = now + self._wait_s[each]
                 self._try(each, next(line for line in lines if line.name == each.bus), say, added)
+                connect(lines)
                 return  # a bundle takes a part of a second: one a look
 
     def _try(

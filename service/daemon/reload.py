@@ -12,7 +12,7 @@ from faultline.service.bundle.files import Trust, one_line
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.daemon.config import Config, load_config
-from faultline.service.daemon.pipeline import BusChannel, Pipeline
+from faultline.service.daemon.pipeline import BusChannel, Pipeline, check_buses, connect
 from faultline.service.daemon.refused import NOT_TAKEN, Loader
 
 FOR_A_RESTART = ("source", "bus", "bundle", "events", "store", "control", "memory")
@@ -56,11 +56,13 @@ class Reload:
         here = watched.bundle
         try:
             bundle = load_bundle(Path(watched.place), trust)
+            check_buses(bundle, [each.name for each in self._lines])
             if bundle.id == here.id:
                 self._say(f"bundle {here.manifest.name} {here.id[:12]} is the one that runs")
                 return
             verify_golden(bundle)
             alike = line.take_up(watched, bundle)
+            connect(self._lines)
         except NOT_TAKEN as error:
             self._say(f"not taken up: {one_line(error)}; bundle {here.manifest.name} {here.id[:12]} goes on")
             return

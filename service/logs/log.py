@@ -1,9 +1,11 @@
 """Log for commands: an instrumented recording, or a bare log file."""
 
 import hashlib
+import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import repeat
 from pathlib import Path
 
 from faultline.service.core.signals.columns import CanSignals
@@ -28,8 +30,8 @@ class Log:
     `report` says what a first pass over all of it found. `channels` are the names of the file's channels, by the index
     that batches have; `start_s` is the time of the first data frame. Of a bare file neither its DBC is known nor what
     `recording.toml` says: they are None. `channel` is the bus whose frames they are, None where the frames of all buses
-    in the log are merged. `values` is the table of a recording that has one, or a file that is a table; such a file has
-    no frames.
+    in the log are merged; `buses` are the channels of the buses that have names. `values` is the table of a recording
+    that has one, or a file that is a table; such a file has no frames.
     """
 
     id: str
@@ -41,6 +43,7 @@ class Log:
     dbc_path: Path | None = None
     recording: Recording | None = None
     channel: str | None = None
+    buses: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[Batch, ...] | None = field(default=None, repr=False)
     values: Table | None = field(default=None, repr=False)
 
@@ -73,16 +76,31 @@ class Log:
         Raises:
             LogError: a column of it has a unit that cannot be converted.
         """
-        frames = CanSignals(table, lambda: passing(self._relative_batches()))
-        if self.values is None:
-            return frames
-        beside = self.values.signals(table.units)
+        beside = [] if self.values is None else [Part(self.values.signals(table.units))]
         if not self.format.has_frames:
-            return beside
-        return MergedSignals([Part(frames, {name for name in table.units if self.values.has(name)}), Part(beside)])
+            return beside[0].signals
+        without = {name for name in table.units if self.values is not None and self.values.has(name)}
+        frames = CanSignals(table, lambda: passing(self._relative_batches()))
+        others = [CanSignals(of, partial(self._of_bus, bus)) for bus, of in table.buses.items()]
+        if not (others or beside):
+            return frames
+        return MergedSignals([*(Part(signals, without) for signals in (frames, *others)), *beside])
+
+    def by_bus(self, table: DecodeTable) -> Iterator[tuple[str, Frame]]:
+        """Yield the data frames of all buses that `table` takes messages from, with the bus's name, as they came."""
+        streams = [zip(repeat(bus), _frames(self._of_bus(bus)), strict=False) for bus in table.buses]
+        own = zip(repeat(""), _frames(self._relative_batches()), strict=False)
+        yield from heapq.merge(own, *streams, key=lambda each: each[1].t) if streams else own
 
     def _relative_batches(self) -> Iterator[Batch]:
-        return (replace(batch, time=batch.time - self.start_s).with_data for batch in self.batches())
+        return map(self._relative, self.batches())
+
+    def _of_bus(self, bus: str) -> Iterator[Batch]:
+        """Yield the data frames of another bus, in a pass of its own."""
+        return map(self._relative, Pass(self.source, self.format, self.buses[bus]).batches())
+
+    def _relative(self, batch: Batch) -> Batch:
+        return replace(batch, time=batch.time - self.start_s).with_data
 
     @property
     def duration_s(self) -> float:
@@ -135,7 +153,9 @@ class Log:
         on_bus = {name: unit for name, unit in units.items() if values is None or not values.has(name)}
         if not on_bus:
             return DecodeTable({}, units)
-        table = compile_dbc(self.dbc, on_bus, where, self.senders)
+        messages = self.recording.can_log.messages if self.recording else {}
+        table = compile_dbc(self.dbc, on_bus, where, self.senders, messages)
+        self.check_buses(table)
         self.check_senders(table)
         table.units = units  # those of the table beside it too
         return table
@@ -157,7 +177,10 @@ class Log:
         """
         channels = self.report.channels
         taken = [channels.get(self.channel, set())] if self.channel is not None else channels.values()
-        if unclear := table.undecided({each for found in taken for each in found}):
+        unclear = table.undecided({each for found in taken for each in found})
+        for bus, of in table.buses.items():
+            unclear += of.undecided(channels[self.buses[bus]])
+        if unclear:
             how = "" if self.recording is None else ", or `senders` under [can] in recording.toml"
             raise LogError(f"{self.id}: {'; '.join(unclear)}{how}")
 
@@ -174,6 +197,25 @@ class Log:
                 "export a bundle for this vehicle's DBC"
             )
 
+    def check_buses(self, table: DecodeTable) -> None:
+        """Check that it is known which channel each of the buses is that `table` names.
+
+        Raises:
+            LogError: of one it is not known, or the log has no such channel.
+        """
+        there = [name for name in self.report.channels if name]
+        for bus, of in table.buses.items():
+            if self.buses.get(bus) not in there and self.format.has_frames:
+                messages = " and ".join(layout.name for layout in of.layouts)
+                given = f"is channel {self.buses[bus]}, which it has not" if bus in self.buses else "is not known"
+                how = f"--channel {bus}=NAME"
+                if self.recording is not None:
+                    how += ", or `buses` under [can] in recording.toml"
+                raise LogError(
+                    f"{self.id}: {messages} come on bus {bus}, which {given}: its channels are "
+                    f"{', '.join(there) or 'without names'}; say which one it is with {how}"
+                )
+
     def check_channels(self, wanted: Wanted = anything) -> None:
         """Refuse to merge two buses: the same `wanted` message on both may be of two vehicles.
 
@@ -183,3 +225,8 @@ class Log:
         if self.channel is None and (both := self.report.on_two_channels(wanted)):
             how = "--channel" if self.recording is None else "`channel` under [can] in recording.toml"
             raise LogError(f"{self.id}: the same messages come on {' and '.join(both)}: say which bus with {how}")
+
+
+def _frames(batches: Iterable[Batch]) -> Iterator[Frame]:
+    for batch in batches:
+        yield from batch.frames()

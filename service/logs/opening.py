@@ -1,9 +1,10 @@
 """Opening of logs: a file in any format, a recording's folder, a table of values."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from faultline.service.core.signals.dbc import NO_BUSES
 from faultline.service.logs.batch import Batch
 from faultline.service.logs.candump import EXAMPLE
 from faultline.service.logs.formats import Format, format_of
@@ -16,21 +17,23 @@ from faultline.service.logs.tables.find import find_table_file, is_mf4
 from faultline.service.logs.tables.table import Table, open_table
 
 
-def open_log(path: Path, channel: str | None = None) -> Log:
+def open_log(path: Path, channel: str | None = None, buses: Mapping[str, str] = NO_BUSES) -> Log:
     """Open the log at `path`: the folder of an instrumented recording, or a log file in any format.
 
-    Of one `channel`, where that is given or the recording names it.
+    Of one `channel`, where that is given or the recording names it. `buses` are the channels of buses by their names,
+    before what the recording says.
 
     Raises:
         LogError: it is neither, or a bench recording, which has first to be ingested; or it holds no data frame, or
             none of the channel, or no times.
     """
     if not path.is_dir():
-        return _usable(_bare(path, channel))
+        return _usable(replace(_bare(path, channel), buses=buses))
     recording = load_recording(path)
     if recording.kind == "bench":
         raise LogError(f"{path}: a bench recording; run `faultline ingest {path} --out DIR` first and give its result")
-    return _usable(_recorded(path, recording, channel))
+    log = _usable(_recorded(path, recording, channel))
+    return replace(log, buses={**log.buses, **buses})
 
 
 def open_any(path: Path, channel: str | None = None) -> Log:
@@ -86,7 +89,7 @@ def _recorded(folder: Path, recording: Recording, channel: str | None) -> Log:
         log = _only_table(recording.id, source, _table(folder, columns, None))
         return replace(log, recording=recording)
     log = replace(_file(Source(folder / can.file), channel or can.channel), id=recording.id, recording=recording)
-    log = replace(log, dbc_path=folder / can.dbc)
+    log = replace(log, dbc_path=folder / can.dbc, buses=can.buses)
     if columns is None:
         return log
     values = _table(folder, columns, log.start_s)

@@ -37,7 +37,9 @@ class Can(_Part, frozen=True):
 
     `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
     another clock, the log is another one, but the drive is the same. `channel` is the bus to take of a log of several.
-    `senders` are the source addresses to take of messages that several devices send, by the messages' names.
+    `senders` are the source addresses to take of messages that several devices send, by the messages' names. Where the
+    signals are on several buses, `buses` are the channels of those with a name, and `messages` name the bus of a
+    message.
     """
 
     file: str
@@ -46,6 +48,8 @@ class Can(_Part, frozen=True):
     bench_sha256: Sha256 | None = None
     channel: str | None = None
     senders: dict[str, Address] = {}
+    buses: dict[str, str] = {}
+    messages: dict[str, str] = {}
 
 
 class Columns(_Part, frozen=True):

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from faultline.service.bundle.load import load_with_log
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import NOBODY
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY
 from faultline.service.recorded.service import Recording, Serving
 
 EVERY = 0.1  # of the log between two words of progress
@@ -20,15 +20,17 @@ def served(
     say: Callable[[str], None],
     channel: str | None = None,
     senders: Mapping[str, int] = NOBODY,
+    buses: Mapping[str, str] = NO_BUSES,
 ) -> Iterator[tuple[Path, Path]]:
     """Serve a finished recording, diagnosed with the bundle in the folder; yield the paths of its two sockets.
 
-    `channel` is the bus to take of a log of several, `senders` are the source addresses of messages that several send.
+    `channel` is the one to take of a log of several, `senders` are the source addresses of messages that several send,
+    `buses` the channels of buses by their names.
 
     Raises:
         InputError: the log or the bundle cannot be read, do not fit together, or the log has not all signals.
     """
-    bundle, log = load_with_log(folder, path, channel, senders)
+    bundle, log = load_with_log(folder, path, channel, senders, buses)
     if log.report.lost:
         say(f"{path}: {log.report.summary()}")
     recording = Recording(log, path, bundle, say, _Progress(log.duration_s, say))

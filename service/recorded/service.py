@@ -3,7 +3,10 @@
 import os
 import selectors
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 from faultline.service.bundle.load import Bundle
@@ -13,7 +16,7 @@ from faultline.service.daemon.control_server import ControlServer, page_of, page
 from faultline.service.daemon.fault_recorder import FaultRecorder
 from faultline.service.daemon.pipeline import LAG_S, BusChannel, Pipeline, watched
 from faultline.service.daemon.sequencer import Sequencer
-from faultline.service.logs import Log
+from faultline.service.logs import Frame, Log
 from faultline.service.outputs.control import Asker, ControlSocket, Then
 from faultline.service.outputs.socket import EventSocket
 from faultline.service.protocol.errors import RefusedError
@@ -40,7 +43,8 @@ class Recording:
     ) -> None:
         self.history = Ticks(bundle.manifest)
         self.records: list[Record] = []
-        self._bus = LogBus(log.relative())
+        self._buses: deque[str] = deque()  # of the frames that the bus gives
+        self._bus = LogBus(self._noted(log.by_bus(bundle.table)))
         self._line = BusChannel("log", self._bus, [watched(bundle, log.id, 1.0, self.history.add)], say, str(path))
         self._journal = Journal(None, say)
         sequencer = Sequencer(log.id, 0, run="", wall=lambda: None)
@@ -54,9 +58,16 @@ class Recording:
     def _diagnose(self, progress: Callable[[float], None]) -> None:
         [kept] = self._line.bundles
         while frames := self._bus.receive():
-            self._take(kept, list(kept.hear(frames)))
+            tagged = zip([self._buses.popleft() for _ in frames], frames, strict=True)
+            for bus, group in groupby(tagged, key=itemgetter(0)):
+                self._take(kept, list(kept.hear([frame for _, frame in group], bus)))
             progress(self._bus.now)
         self._take(kept, kept.silence(self._bus.now + LAG_S))
+
+    def _noted(self, frames: Iterable[tuple[str, Frame]]) -> Iterator[Frame]:
+        for bus, frame in frames:
+            self._buses.append(bus)
+            yield frame
 
     def _take(self, kept: Pipeline, events: list[Event]) -> None:
         self._fault_recorder.take(kept, events)

@@ -6,7 +6,7 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
-from faultline.options import Parser, add_senders, senders_of
+from faultline.options import Parser, add_channels, add_senders, channels_of, senders_of
 from faultline.service import distribution
 from faultline.service.core.errors import InputError
 from faultline.service.systemd import log_as
@@ -40,7 +40,8 @@ def main(argv: list[str]) -> int:
         return _serve(options)
     from faultline.service.recorded.command import served  # brings in the inference library, which serving does without
 
-    with served(options.recording, options.bundle, _say, options.channel, senders_of(options.sender)) as (
+    channel, buses = channels_of(options.channel)
+    with served(options.recording, options.bundle, _say, channel, senders_of(options.sender), buses) as (
         control,
         events,
     ):
@@ -89,7 +90,7 @@ def _asked(argv: Sequence[str]) -> argparse.Namespace:
     add("--token-file", help="and the file of tokens that may clear faults, one a line")
     add("--recording", type=Path, help="instead of a running service: a finished recording, or a log")
     add("--bundle", type=Path, help="and the bundle folder that diagnoses it")
-    add("--channel", help="and the bus to take, of a log of several")
+    add_channels(parser)
     add_senders(parser)
     add("--open", action="store_true", help="open the page in this machine's browser")
     options = parser.parse_args(argv)

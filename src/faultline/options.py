@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
@@ -95,6 +96,52 @@ def _sender(text: str) -> tuple[str, int]:
     if not message or not 0 <= number <= 253:
         raise argparse.ArgumentTypeError(f"{text}: give MESSAGE=ADDRESS, an address from 0x00 to 0xFD, as EEC1=0x3D")
     return message, number
+
+
+def add_channels(parser: argparse.ArgumentParser) -> None:
+    """Add `--channel`, of which `channels_of` makes the channel of all messages, and those of buses with names."""
+    parser.add_argument(
+        "--channel",
+        action="append",
+        default=[],
+        metavar="[BUS=]CHANNEL",
+        help="the bus to take, of a log of several; BUS=CHANNEL says which is the bus that the bundle calls so",
+    )
+
+
+def channels_of(given: Iterable[str]) -> tuple[str | None, dict[str, str]]:
+    """Return the channel of messages whose bus has no name, and channels by the buses' names.
+
+    >>> channels_of(["can0", "trailer=can1"])
+    ('can0', {'trailer': 'can1'})
+    """
+    pairs = [each.rpartition("=") for each in given]
+    plain = [channel for bus, _, channel in pairs if not bus]
+    return (plain[-1] if plain else None), {bus: channel for bus, _, channel in pairs if bus}
+
+
+def add_buses(parser: argparse.ArgumentParser) -> None:
+    """Add `--bus`, of which `buses_of` makes a mapping."""
+    parser.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="MESSAGE=BUS",
+        type=_bus,
+        help="this message comes on the bus of that name, where the vehicle has several; may be given more than once",
+    )
+
+
+def buses_of(given: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return the buses' names by message, of what `--bus` has been given."""
+    return dict(given)
+
+
+def _bus(text: str) -> tuple[str, str]:
+    message, _, bus = text.partition("=")
+    if not message or re.fullmatch(r"\w[\w.-]*", bus) is None:
+        raise argparse.ArgumentTypeError(f"{text}: give MESSAGE=BUS, as UDS_SENSORS=aftertreatment")
+    return message, bus
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -55,6 +55,9 @@ class Decoder(Protocol):
     ) -> list[tuple[str, float, Quality]]:
         """Name, value and quality of every wanted signal in a frame that came at log time `t` [s]."""
 
+    def of_bus(self, name: str) -> "Decoder":
+        """Return the decoder of another bus."""
+
 
 class Observer:
     """Frames and the clock in, ticks out. The clock is an argument. Ticks have ages where `gives_ages` is set."""
@@ -81,8 +84,8 @@ class Observer:
         self._due = np.inf  # log time of the next tick
         self.gives_ages = False
 
-    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Tick]:
-        """Takes a frame received at log time `t_s` [s]; gives the ticks that lie before it.
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Tick]:
+        """Take a frame received at log time `t_s` [s] on a bus; return the ticks that lie before it.
 
         A time before an earlier one is taken as that earlier one.
         """
@@ -91,7 +94,8 @@ class Observer:
         self._now = t
         if self._first is None:
             self._first, self._due = t, t + self._start_within
-        for signal, value, quality in self._table.decode(can_id, is_extended, data, t):
+        table = self._table.of_bus(bus) if bus else self._table
+        for signal, value, quality in table.decode(can_id, is_extended, data, t):
             self._sampler.receive(signal, t, value, quality)
         if self._origin is None and self._sampler.complete:
             self._origin = self._due = t + PHASE_S

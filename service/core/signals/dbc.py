@@ -37,17 +37,27 @@ SENSELESS: tuple[type[Exception], ...] = (
 BROKEN: tuple[type[Exception], ...] = (textparser.Error, *SENSELESS)
 """And where it breaks the grammar besides."""
 NOBODY: Mapping[str, int] = MappingProxyType({})
+NO_BUSES: Mapping[str, str] = MappingProxyType({})
 
 
-def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mapping[str, int] = NOBODY) -> DecodeTable:
+def compile_dbc(
+    text: str,
+    units: Mapping[str, str],
+    where: str,
+    senders: Mapping[str, int] = NOBODY,
+    buses: Mapping[str, str] = NO_BUSES,
+) -> DecodeTable:
     """Return the table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
+
+    `buses` are the names of the buses of some messages: the table has tables of its own for these.
 
     `senders` are the source addresses that are chosen for some messages of J1939, whatever the DBC has there. A message
     without one to which the DBC gives the null address (0xFE) is taken from any sender, as long as there is but one.
 
     Raises:
         InputError: the text is no valid DBC; a wanted signal is absent, ambiguous, in a unit that cannot be converted
-            to the one wanted, or in a message that makes no sense; a sender is chosen that cannot be.
+            to the one wanted, or in a message that makes no sense; a sender or a bus is given to a message that cannot
+            have it.
     """
     messages, says_formats = _messages(text, units, where)
     carriers: dict[str, list[str]] = {name: [] for name in units}
@@ -61,15 +71,21 @@ def compile_dbc(text: str, units: Mapping[str, str], where: str, senders: Mappin
                 raise InputError(f"{where}: {why}")
             check_message(message, wanted, where)
             carrying.append((message, wanted))
-    layouts: dict[tuple[int, bool], Layout] = {}
+    by_bus: dict[str, dict[tuple[int, bool], Layout]] = {"": {}}
     for message, wanted in carrying:
+        layouts = by_bus.setdefault(buses.get(message.name, ""), {})
         layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where)
         key = layout.identifier, message.is_extended_frame
         if (before := layouts.setdefault(key, layout)) is not layout:
             raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
     _check_carriers(carriers, where)
-    _check_senders(senders, layouts.values(), where)
-    return DecodeTable(layouts, units)
+    found = [layout for layouts in by_bus.values() for layout in layouts.values()]
+    _check_senders(senders, found, where)
+    _check_buses(buses, found, where)
+    table = DecodeTable(by_bus.pop(""), units)
+    for bus, layouts in by_bus.items():
+        table.add_bus(bus, DecodeTable(layouts))
+    return table
 
 
 def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Message], bool]:
@@ -276,3 +292,11 @@ def _check_senders(senders: Mapping[str, int], layouts: Collection[Layout], wher
             raise InputError(f"{where}: a sender is chosen for {name}; messages of J1939 with wanted signals: {there}")
         if not 0 <= address < NULL:
             raise InputError(f"{where}: sender {address} is chosen for {name}; an address is one of 0x00 to 0xFD")
+
+
+def _check_buses(buses: Mapping[str, str], layouts: Collection[Layout], where: str) -> None:
+    known = [layout.name for layout in layouts]
+    for name, bus in buses.items():
+        if name not in known:
+            there = ", ".join(known)
+            raise InputError(f"{where}: bus {bus} is given to {name}; messages with wanted signals: {there}")

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import nan
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from faultline.service.core.j1939.identifiers import (
     ADDRESS_CLAIMED,
@@ -75,12 +75,14 @@ class DecodeTable:
 
     Frames are counted by message: those `taken`, and those that were `rejected`, why. `parts` puts together the
     messages that are longer than a frame of J1939; None where none is wanted. `units` are those of the wanted signals
-    by name, also of signals that a table beside the bus gives.
+    by name, also of signals that a table beside the bus gives. `buses` are the tables of other buses of the vehicle
+    whose messages are wanted too, by the buses' names; what is counted is counted here for all of them.
     """
 
     def __init__(self, layouts: Mapping[tuple[int, bool], Layout], units: Mapping[str, str] = NONE) -> None:
         """`layouts` by identifier, one of J1939 without priority, and whether it has 29 bits."""
         self.units = units
+        self.buses: dict[str, DecodeTable] = {}
         self._layouts = tuple(layouts.values())
         extended = [layout for (_, is_extended), layout in layouts.items() if is_extended]
         j1939 = [layout for layout in extended if layout.j1939]
@@ -97,10 +99,27 @@ class DecodeTable:
         self.rejected = Rejected(other_source=senders.others, claimed=senders.claimed, senders=senders.other)
         self.arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
 
+    def add_bus(self, name: str, table: Self) -> None:
+        """Add the messages of another bus, whose frames `table` decodes; they are counted here from now on."""
+        self.buses[name] = table
+        for counts, other in ((self.taken, table.taken), (self.repeated, table.repeated)):
+            counts.update(other)
+        table.taken, table.repeated, table.rejected = self.taken, self.repeated, self.rejected
+        table.sources.count_in(self.sources)
+
+    def of_bus(self, name: str) -> "DecodeTable":
+        """Return the table of a bus; this one for the bus without a name."""
+        return self.buses[name] if name else self
+
     @property
     def layouts(self) -> tuple[Layout, ...]:
-        """Return the layouts of the messages that carry wanted signals."""
+        """Return the layouts of the messages that carry wanted signals, without those of other buses."""
         return self._layouts
+
+    @property
+    def all_layouts(self) -> tuple[Layout, ...]:
+        """Return the layouts of the messages of all buses."""
+        return sum((table.layouts for table in self.buses.values()), self._layouts)
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
@@ -147,12 +166,16 @@ class DecodeTable:
     def remarks(self) -> list[str]:
         """Return what is worth knowing of a log, a sentence each: senders of what the DBC gives to any, lost parts."""
         sole, not_whole = self._senders.sole(), self.parts.not_whole() if self.parts is not None else []
+        for table in self.buses.values():
+            sole += table.sources.sole()
+            not_whole += table.parts.not_whole() if table.parts is not None else []
         found = [f"of any sender, by the DBC: {', '.join(sole)}"] if sole else []
         return [*found, f"messages that are not whole, and not used: {', '.join(not_whole)}"] if not_whole else found
 
     def strangers(self) -> list[str]:
         """Return what to decide or mend, a sentence each: messages that several send, or that came from others only."""
-        return self._senders.unclear(self.taken)
+        found = self._senders.unclear(self.taken)
+        return found + [text for table in self.buses.values() for text in table.strangers()]
 
     def undecided(self, identifiers: Collection[tuple[int, bool]]) -> list[str]:
         """Return, of all identifiers of a log (and whether they have 29 bits), which messages several send."""
@@ -163,6 +186,8 @@ class DecodeTable:
         found: Counter[str] = Counter()
         for (name, _why), count in self.parts.losses.items() if self.parts is not None else ():
             found[name] += count
+        for table in self.buses.values():
+            found += table.incomplete()
         return found
 
     def run_at(self, speed: float) -> None:
@@ -171,6 +196,8 @@ class DecodeTable:
             arrivals.speed = max(1.0, speed)
         if self.parts is not None:
             self.parts.speed = max(1.0, speed)
+        for table in self.buses.values():
+            table.run_at(speed)
 
     def decode(
         self, can_id: int, is_extended: bool, data: bytes, t: float | None = None

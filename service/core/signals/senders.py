@@ -54,6 +54,10 @@ class Senders:
         found = self._groups.get(group_of(identifier), ())
         return next((each for each in found if not (identifier ^ each.identifier) & each.mask), None)
 
+    def count_in(self, other: "Senders") -> None:
+        """Count what is not taken where those of another bus are counted."""
+        self.others, self.other, self.claimed = other.others, other.other, other.claimed
+
     def is_sole(self, layout: Layout, address: int) -> bool:
         """Count a frame of a message that is taken from any; False if more than one have sent it."""
         seen = self.counts[layout.name]

@@ -56,10 +56,10 @@ class Traffic:
     def __init__(self, table: DecodeTable, inputs: Sequence[Input], begin_s: float, speed: float = 1.0) -> None:
         self._table = table
         self._signals = [channel.signal for channel in inputs]
-        self._messages = {layout.name: layout for layout in table.layouts}
+        self._messages = {layout.name: layout for layout in table.all_layouts}
         self._heard: float | None = None  # when the last expected frame came
         self._begin, self._stretch = begin_s, max(1.0, speed)
-        slowest = max((layout.period_s or 0.0 for layout in table.layouts), default=0.0)
+        slowest = max((layout.period_s or 0.0 for layout in table.all_layouts), default=0.0)
         self._quiet_s, self._silent_s = max(QUIET_S, 2.0 * slowest), max(SILENT_S, 3.0 * slowest)
         self._total = self._expected()
         self._counts = deque([_Count(begin_s, self._counted())])

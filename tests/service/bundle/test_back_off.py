@@ -11,7 +11,7 @@ from faultline.service.daemon.pipeline import BusChannel
 from faultline.service.daemon.refused import AGAIN_S, LONGEST_S, Loader, RefusedBundles
 
 BUNDLE = BundleConfig(path="/slots/current", bus="can0")
-LINE = cast(BusChannel, SimpleNamespace(name="can0", bundles=[]))
+LINE = cast(BusChannel, SimpleNamespace(name="can0", bundles=[], welcome=list))
 
 
 class Damaged(Loader):

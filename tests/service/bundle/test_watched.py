@@ -99,7 +99,7 @@ class Broken(Monitor):
 
     frames = 0
 
-    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes) -> list[Event]:
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Event]:
         self.frames += 1
         if self.frames == 2:
             raise ValueError("a matrix that\ncannot be inverted")

@@ -86,7 +86,7 @@ class Heard:
     def __init__(self) -> None:
         self.told: list[tuple[str, float]] = []
 
-    def frame(self, t_s: float, _id: int, _extended: bool, _data: bytes) -> list[Event]:
+    def frame(self, t_s: float, _id: int, _extended: bool, _data: bytes, _bus: str = "") -> list[Event]:
         self.told.append(("frame", t_s))
         return []
 
