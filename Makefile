@@ -14,16 +14,19 @@ demo: .venv/.demo  ## the main job, end to end, with a picture
 	@$(BIN)/faultline demo
 
 # A file's tests stay in one process, as they share what is made for them, and the costliest file begins first. Those of
-# the service run with the vehicle's libraries alone, in more processes than there are cores, as they mostly wait. What
-# must not share the machine comes after, by itself.
+# the service run with the vehicle's libraries alone, beside the others, as they mostly wait; what they print comes at the
+# end. What must not share the machine comes after, by itself.
 WORKERS ?= 3
-WAITING ?= 6
+WAITING ?= 4
+SERVICE_TESTS := out/test-service.txt
 TOGETHER := -m "not alone and not long" --dist loadfile --no-loadscope-reorder --durations 20 --durations-min 8
 test: lint .venv-vehicle/.done  ## everything that CI checks
 	@bash tests/broker.sh
 	@bash tests/browser.sh
-	@$(BIN)/python -m pytest $(TOGETHER) -n $(WORKERS) --ignore tests/service
-	@$(VEHICLE)/python -m pytest $(TOGETHER) -n $(WAITING) tests/service
+	@mkdir -p out
+	@$(VEHICLE)/python -m pytest $(TOGETHER) -n $(WAITING) tests/service > $(SERVICE_TESTS) 2>&1 & service=$$!; \
+	$(BIN)/python -m pytest $(TOGETHER) -n $(WORKERS) --ignore tests/service; code=$$?; \
+	wait $$service || code=1; cat $(SERVICE_TESTS); exit $$code
 	@$(BIN)/python -m pytest -m alone
 
 ALL ?=
