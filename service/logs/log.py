@@ -12,7 +12,7 @@ from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.dbc import NOBODY, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.merging import MergedSignals, Part
+from faultline.service.core.signals.merging import MergedPart, MergedSignals
 from faultline.service.core.signals.received import Signals
 from faultline.service.logs.batch import Batch
 from faultline.service.logs.formats import Format
@@ -20,7 +20,7 @@ from faultline.service.logs.pieces import Source
 from faultline.service.logs.reading import Pass
 from faultline.service.logs.recording import Recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
-from faultline.service.logs.tables.table import Table
+from faultline.service.logs.tables.table import ValueTable
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Log:
     channel: str | None = None
     buses: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[Batch, ...] | None = field(default=None, repr=False)
-    values: Table | None = field(default=None, repr=False)
+    values: ValueTable | None = field(default=None, repr=False)
 
     def batches(self) -> Iterator[Batch]:
         """All frames of the channel, with times in order, as columns: remote and error frames too.
@@ -76,7 +76,7 @@ class Log:
         Raises:
             LogError: a column of it has a unit that cannot be converted.
         """
-        beside = [] if self.values is None else [Part(self.values.signals(table.units))]
+        beside = [] if self.values is None else [MergedPart(self.values.signals(table.units))]
         if not self.format.has_frames:
             return beside[0].signals
         without = {name for name in table.units if self.values is not None and self.values.has(name)}
@@ -84,7 +84,7 @@ class Log:
         others = [CanSignals(of, partial(self._of_bus, bus)) for bus, of in table.buses.items()]
         if not (others or beside):
             return frames
-        return MergedSignals([*(Part(signals, without) for signals in (frames, *others)), *beside])
+        return MergedSignals([*(MergedPart(signals, without) for signals in (frames, *others)), *beside])
 
     def by_bus(self, table: DecodeTable) -> Iterator[tuple[str, Frame]]:
         """Yield the data frames of all buses that `table` takes messages from, with the bus's name, as they came."""

@@ -14,7 +14,7 @@ from faultline.service.logs.reading import Pass
 from faultline.service.logs.recording import Columns, Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport
 from faultline.service.logs.tables.find import find_table_file, is_mf4
-from faultline.service.logs.tables.table import Table, open_table
+from faultline.service.logs.tables.table import ValueTable, open_table
 
 
 def open_log(path: Path, channel: str | None = None, buses: Mapping[str, str] = NO_BUSES) -> Log:
@@ -72,7 +72,7 @@ def _bare(path: Path, channel: str | None) -> Log:
     return _file(source, channel) if file is None else _only_table(path.stem, source, open_table(str(path), file))
 
 
-def _only_table(name: str, source: Source, values: Table) -> Log:
+def _only_table(name: str, source: Source, values: ValueTable) -> Log:
     def no_frames(*_: object) -> Iterator[Batch]:
         raise LogError(f"a {values.file.kind}, which has no CAN frames; give a CAN log")
 
@@ -103,7 +103,7 @@ def _recorded(folder: Path, recording: Recording, channel: str | None) -> Log:
     return replace(log, values=values)
 
 
-def _table(folder: Path, columns: Columns, start_s: float | None) -> Table:
+def _table(folder: Path, columns: Columns, start_s: float | None) -> ValueTable:
     path = folder / columns.file
     file = find_table_file(Source(path), columns.time)
     if file is None:

@@ -9,8 +9,8 @@ import numpy as np
 from faultline.service.core.signals.units import conversion
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.report import LogReport
-from faultline.service.logs.tables.table import Table
-from faultline.service.survey.signals import Found
+from faultline.service.logs.tables.table import ValueTable
+from faultline.service.survey.signals import SignalRow
 
 
 class ColumnRow(msgspec.Struct):
@@ -53,7 +53,7 @@ class _Column:
         self.least, self.greatest = min(self.least, float(values.min())), max(self.greatest, float(values.max()))
 
 
-def columns_of(table: Table) -> list[ColumnRow]:
+def columns_of(table: ValueTable) -> list[ColumnRow]:
     """Return what each column holds, in the file's order."""
     found = {name: _Column() for name in table.file.units}
     for stream in table.file.streams(list(found), LogReport()):
@@ -70,7 +70,7 @@ def _row(name: str, unit: str, column: _Column) -> ColumnRow:
     return ColumnRow(name, unit, column.count, column.not_numbers, first, last, period, least, greatest)
 
 
-def signals_of(table: Table, units: Mapping[str, str], columns: list[ColumnRow]) -> list[Found]:
+def signals_of(table: ValueTable, units: Mapping[str, str], columns: list[ColumnRow]) -> list[SignalRow]:
     """Return which of the signals in `units` (name to unit) the table gives, and why not."""
     counts = {each.name: each for each in columns}
     found = []
@@ -84,5 +84,5 @@ def signals_of(table: Table, units: Mapping[str, str], columns: list[ColumnRow])
             why = "the column holds no number"
         elif conversion((how and how.unit) or counts[name].unit or unit, unit) is None:
             why = f"its unit {counts[name].unit!r} cannot be converted to {unit!r}"
-        found.append(Found(signal, name if name in counts else "", "", not why, [], [], why))
+        found.append(SignalRow(signal, name if name in counts else "", "", not why, [], [], why))
     return found

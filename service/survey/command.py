@@ -18,7 +18,7 @@ from faultline.service.survey.columns import columns_of, signals_of
 from faultline.service.survey.document import Survey, survey_of
 from faultline.service.survey.signals import Contents, find_signals, parts_of
 from faultline.service.survey.text import text_of
-from faultline.service.survey.traffic import Traffic
+from faultline.service.survey.traffic import LogTraffic
 
 EXAMPLE = """example:
   faultline log drive.blf --dbc truck.dbc
@@ -57,7 +57,7 @@ def survey_log(log: Log, described: Sequence[Described] = (), units: Mapping[str
     given = [] if log.values is None or units is None else signals_of(log.values, units, columns)
     if not log.format.has_frames:
         return survey_of(log, [], {}, [], columns, given)
-    traffic, parts = Traffic(log.start_s, has_times=log.format.has_times), parts_of(described)
+    traffic, parts = LogTraffic(log.start_s, has_times=log.format.has_times), parts_of(described)
     for batch in log.batches():
         traffic.add(batch)
         parts.add(batch)

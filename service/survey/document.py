@@ -7,13 +7,13 @@ import msgspec
 from faultline.service.core.j1939.identifiers import SOURCE_MASK, group_of
 from faultline.service.logs import Log
 from faultline.service.survey.columns import ColumnRow
-from faultline.service.survey.signals import Found
-from faultline.service.survey.traffic import Message
+from faultline.service.survey.signals import SignalRow
+from faultline.service.survey.traffic import MessageTraffic
 
 SCHEMA = "faultline.log/1"
 
 
-class Place(msgspec.Struct):
+class BadPlace(msgspec.Struct):
     """A place that could not be read: its number, in the report's unit, and why."""
 
     number: int
@@ -29,7 +29,7 @@ class Damage(msgspec.Struct):
 
     bad: int
     unit: str
-    places: list[Place]
+    places: list[BadPlace]
     lost_bytes: int
     last_line_cut: bool
     missing: str
@@ -38,7 +38,7 @@ class Damage(msgspec.Struct):
     sentences: list[str]
 
 
-class Channel(msgspec.Struct):
+class ChannelRow(msgspec.Struct):
     """A channel: its data frames, and those without data (remote and error frames)."""
 
     name: str
@@ -46,7 +46,7 @@ class Channel(msgspec.Struct):
     without_data: int
 
 
-class Gap(msgspec.Struct):
+class GapRow(msgspec.Struct):
     """A silence of a message: when it began, after the first frame [s], and how long it was [s]."""
 
     at_s: float
@@ -72,10 +72,10 @@ class MessageRow(msgspec.Struct):
     period_s: float | None
     shortest: int
     longest: int
-    gaps: list[Gap]
+    gaps: list[GapRow]
 
 
-class Sender(msgspec.Struct):
+class SenderRow(msgspec.Struct):
     """A source address of J1939 on a channel: its frames and parameter groups."""
 
     channel: str
@@ -103,20 +103,20 @@ class Survey(msgspec.Struct):
     others: int
     is_damaged: bool
     damage: Damage
-    channels: list[Channel]
+    channels: list[ChannelRow]
     messages: list[MessageRow]
-    senders: list[Sender]
+    senders: list[SenderRow]
     columns: list[ColumnRow]
-    signals: list[Found]
+    signals: list[SignalRow]
 
 
 def survey_of(
     log: Log,
-    messages: Sequence[Message],
+    messages: Sequence[MessageTraffic],
     without_data: Mapping[int, int],
     names: Sequence[str],
     columns: list[ColumnRow],
-    signals: list[Found],
+    signals: list[SignalRow],
 ) -> Survey:
     """The document of a log."""
     report = log.report
@@ -135,7 +135,7 @@ def survey_of(
         is_damaged=report.damaged,
         damage=_damage(log),
         channels=[
-            Channel(name, sum(each.count for each in messages if each.channel == k), without_data.get(k, 0))
+            ChannelRow(name, sum(each.count for each in messages if each.channel == k), without_data.get(k, 0))
             for k, name in enumerate(names)
             if log.channel in (None, name)
         ],
@@ -151,7 +151,7 @@ def _damage(log: Log) -> Damage:
     return Damage(
         bad=report.bad,
         unit=report.unit,
-        places=[Place(*each) for each in report.places],
+        places=[BadPlace(*each) for each in report.places],
         lost_bytes=report.lost_bytes,
         last_line_cut=report.truncated,
         missing=report.missing,
@@ -161,7 +161,7 @@ def _damage(log: Log) -> Damage:
     )
 
 
-def _row(message: Message, names: Sequence[str], end_s: float, has_times: bool) -> MessageRow:
+def _row(message: MessageTraffic, names: Sequence[str], end_s: float, has_times: bool) -> MessageRow:
     number, is_extended = message.identifier, message.is_extended
     return MessageRow(
         channel=names[message.channel],
@@ -177,16 +177,16 @@ def _row(message: Message, names: Sequence[str], end_s: float, has_times: bool) 
         period_s=message.period_s if has_times else None,
         shortest=message.shortest,
         longest=message.longest,
-        gaps=[Gap(round(at, 6), round(length, 6)) for at, length in message.gaps(end_s)] if has_times else [],
+        gaps=[GapRow(round(at, 6), round(length, 6)) for at, length in message.gaps(end_s)] if has_times else [],
     )
 
 
-def _senders(messages: Sequence[Message], names: Sequence[str]) -> list[Sender]:
-    found: dict[tuple[int, int], Sender] = {}
+def _senders(messages: Sequence[MessageTraffic], names: Sequence[str]) -> list[SenderRow]:
+    found: dict[tuple[int, int], SenderRow] = {}
     for each in messages:
         if each.is_extended:
             address = each.identifier & SOURCE_MASK
-            sender = found.setdefault((each.channel, address), Sender(names[each.channel], address, 0, []))
+            sender = found.setdefault((each.channel, address), SenderRow(names[each.channel], address, 0, []))
             sender.frames += each.count
             sender.groups = sorted({*sender.groups, group_of(each.identifier)})
     return [found[key] for key in sorted(found)]

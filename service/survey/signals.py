@@ -11,10 +11,10 @@ from faultline.service.core.signals.dbc_messages import Described
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.layout import Layout
 from faultline.service.core.signals.values import Quality
-from faultline.service.survey.traffic import Message, Parts
+from faultline.service.survey.traffic import MessageTraffic, WholeMessages
 
 
-class Found(msgspec.Struct):
+class SignalRow(msgspec.Struct):
     """A signal: whether it is in the log, where, from which senders, and why not."""
 
     signal: str
@@ -29,13 +29,13 @@ class Found(msgspec.Struct):
 class Contents(NamedTuple):
     """A log's messages, those that came in parts, those of channels that were not chosen, and the channels' names."""
 
-    messages: Sequence[Message]
-    parts: Parts
+    messages: Sequence[MessageTraffic]
+    parts: WholeMessages
     elsewhere: Mapping[str, set[tuple[int, bool]]]
     names: Sequence[str]
 
 
-def parts_of(described: Collection[Described]) -> Parts:
+def parts_of(described: Collection[Described]) -> WholeMessages:
     """Return what puts together those messages that are too long for a frame of J1939."""
     long = [each for each in described if each.layout is not None and each.layout.j1939 and each.layout.size > FRAME]
     tables = [(each.name, _table(each.layout, each.is_extended)) for each in long if each.layout is not None]
@@ -43,22 +43,22 @@ def parts_of(described: Collection[Described]) -> Parts:
     def name_of(identifier: int) -> str | None:
         return next((name for name, table in tables if table.layout_of(identifier, True) is not None), None)
 
-    return Parts(name_of)
+    return WholeMessages(name_of)
 
 
 def find_signals(
     described: Collection[Described], contents: Contents, wanted: Collection[str] | None = None
-) -> list[Found]:
+) -> list[SignalRow]:
     """Return each signal of the messages; and those that are wanted and that no message has."""
     found = [row for each in described for row in _of_message(each, contents)]
     absent = sorted(set(wanted or ()) - {each.signal for each in found})
-    return found + [Found(name, "", "", False, [], [], "the DBC has no such signal") for name in absent]
+    return found + [SignalRow(name, "", "", False, [], [], "the DBC has no such signal") for name in absent]
 
 
-def _of_message(message: Described, contents: Contents) -> Iterator[Found]:
+def _of_message(message: Described, contents: Contents) -> Iterator[SignalRow]:
     identifier = f"{message.identifier:08X}" if message.is_extended else f"{message.identifier:03X}"
     if message.layout is None:
-        yield from (Found(name, message.name, identifier, False, [], [], message.why) for name in message.signals)
+        yield from (SignalRow(name, message.name, identifier, False, [], [], message.why) for name in message.signals)
         return
     table = _table(message.layout, message.is_extended)
     came = [*contents.messages, *contents.parts.messages.values()]
@@ -70,7 +70,7 @@ def _of_message(message: Described, contents: Contents) -> Iterator[Found]:
     for name in message.signals:
         is_there = not why and Quality.GOOD in qualities[name]
         reason = "" if is_there else why or _never(qualities[name])
-        yield Found(name, message.name, identifier, is_there, channels, senders, reason)
+        yield SignalRow(name, message.name, identifier, is_there, channels, senders, reason)
 
 
 def _table(layout: Layout, is_extended: bool) -> DecodeTable:
@@ -78,7 +78,7 @@ def _table(layout: Layout, is_extended: bool) -> DecodeTable:
     return DecodeTable({(layout.identifier, is_extended): layout})
 
 
-def _short(layout: Layout, same: Sequence[Message]) -> str:
+def _short(layout: Layout, same: Sequence[MessageTraffic]) -> str:
     """Say so where no frame is as long as the DBC has it."""
     if any(length >= layout.size for each in same for length in each.lengths):
         return ""
@@ -117,7 +117,7 @@ def _counted(losses: Counter[str]) -> str:
 
 
 def _qualities(
-    message: Described, layout: Layout, table: DecodeTable, same: Sequence[Message]
+    message: Described, layout: Layout, table: DecodeTable, same: Sequence[MessageTraffic]
 ) -> dict[str, set[Quality]]:
     """What each signal was worth in the frames that were kept, until all were good."""
     found: dict[str, set[Quality]] = {name: set() for name in message.signals}

@@ -24,7 +24,7 @@ _FORMATS = [TP_CM >> 8, TP_DT >> 8]
 
 
 @dataclass
-class Message:
+class MessageTraffic:
     """The data frames of one identifier on one channel. Times are after the log's first data frame [s]."""
 
     channel: int
@@ -91,12 +91,12 @@ class Message:
             self.data += [frame.data for frame in some.frames()]
 
 
-class Traffic:
+class LogTraffic:
     """State: the messages so far, by key (`logs.seen`), and the frames without data of each channel."""
 
     def __init__(self, start_s: float, *, has_times: bool) -> None:
         self._start_s, self._has_times = start_s, has_times
-        self.messages: dict[int, Message] = {}
+        self.messages: dict[int, MessageTraffic] = {}
         self.without_data: dict[int, int] = {}
 
     def add(self, batch: Batch) -> None:
@@ -112,11 +112,11 @@ class Traffic:
         for rows in np.split(order, begins[1:]) if len(order) else []:
             key = int(keys[rows[0]])
             if key not in self.messages:
-                self.messages[key] = Message(*parts_of(key))
+                self.messages[key] = MessageTraffic(*parts_of(key))
             self.messages[key].add(time[rows], batch[rows])
 
 
-class Parts:
+class WholeMessages:
     """Puts together what comes in parts of messages that `name_of` names. State: a reassembler of each channel.
 
     `messages` are those that were whole, by channel and identifier; `announced` the identifiers of all.
@@ -125,7 +125,7 @@ class Parts:
     def __init__(self, name_of: Callable[[int], str | None]) -> None:
         self._name_of = name_of
         self._reassemblers: dict[int, Reassembler] = {}
-        self.messages: dict[tuple[int, int], Message] = {}
+        self.messages: dict[tuple[int, int], MessageTraffic] = {}
         self.announced: set[int] = set()
 
     def add(self, batch: Batch) -> None:
@@ -140,7 +140,7 @@ class Parts:
                 whole = self._reassemblers[channel].take(time, frame.can_id, frame.data)
                 if whole is not None:
                     key = channel, whole.identifier
-                    self.messages.setdefault(key, Message(*key, is_extended=True)).take(whole.data)
+                    self.messages.setdefault(key, MessageTraffic(*key, is_extended=True)).take(whole.data)
 
     def losses(self, name: str) -> Counter[str]:
         """Return how many messages of this name were not whole, by why."""

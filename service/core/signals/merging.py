@@ -11,7 +11,7 @@ import numpy as np
 from faultline.service.core.signals.received import Column, Received, Signals
 
 
-class Part(NamedTuple):
+class MergedPart(NamedTuple):
     """A source, and the signals of it that are not taken, as another source has them."""
 
     signals: Signals
@@ -21,7 +21,7 @@ class Part(NamedTuple):
 class MergedSignals:
     """The signals of all parts, in order of time; a piece ends where the first of the parts' pieces does."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[MergedPart]) -> None:
         self._parts = parts
 
     def pieces(self, *, judged: bool = True) -> Iterator[Received]:
@@ -47,7 +47,7 @@ class MergedSignals:
         return [sentence for part in self._parts for sentence in part.signals.strangers()]
 
 
-def _of(part: Part, judged: bool) -> Iterator[Received]:
+def _of(part: MergedPart, judged: bool) -> Iterator[Received]:
     for piece in part.signals.pieces(judged=judged):
         yield piece._replace(columns={name: each for name, each in piece.columns.items() if name not in part.without})
 

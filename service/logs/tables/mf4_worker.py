@@ -1,7 +1,7 @@
 """The process that reads data channels of an MF4 by asammdf, and writes them to standard output.
 
 Its arguments are the file and the channels that are wanted. Each message is its length and msgpack, as those of
-`logs.mf4_worker`: first `Channels`, then `Part`s, those of all groups by their first time, at last `Ended`.
+`logs.mf4_worker`: first `DataChannels`, then `DataRows`s, those of all groups by their first time, at last `Ended`.
 """
 
 import heapq
@@ -22,7 +22,7 @@ _MASTER = 2  # type of a channel that is the times of its group
 _FRAMES = "CAN_"
 
 
-class Channel(msgspec.Struct):
+class DataChannel(msgspec.Struct):
     """A channel: its name, unit, and the number of its group among those with data."""
 
     name: str
@@ -30,13 +30,13 @@ class Channel(msgspec.Struct):
     group: int
 
 
-class Channels(msgspec.Struct, tag=True):
+class DataChannels(msgspec.Struct, tag=True):
     """The channels of the file."""
 
-    channels: list[Channel]
+    channels: list[DataChannel]
 
 
-class Part(msgspec.Struct, tag=True):
+class DataRows(msgspec.Struct, tag=True):
     """Rows of a group: times [s] and values by channel, as bytes of float64; infinite where they are no numbers."""
 
     group: int
@@ -59,7 +59,7 @@ class _Reader:
         self._mdf = mdf
         self._start_s = mdf.header.start_time.timestamp()
         self.bad: list[tuple[int, str, int]] = []
-        self.channels: list[Channel] = []
+        self.channels: list[DataChannel] = []
         self.groups: list[_Group] = []
         seen: set[str] = set()
         for number, group in enumerate(mdf.groups):
@@ -72,11 +72,11 @@ class _Reader:
                 if channel.channel_type != _MASTER and channel.name not in seen:
                     seen.add(channel.name)
                     kept[channel.name] = index
-                    self.channels.append(Channel(channel.name, _unit(channel), len(self.groups)))
+                    self.channels.append(DataChannel(channel.name, _unit(channel), len(self.groups)))
             if kept:
                 self.groups.append(_Group(number, rows, kept))
 
-    def parts(self, names: Collection[str]) -> Iterator[Part]:
+    def parts(self, names: Collection[str]) -> Iterator[DataRows]:
         """Yield the rows of all groups with any of these channels, of all groups where there are none."""
         streams = [
             self._of(k, group, wanted)
@@ -86,7 +86,7 @@ class _Reader:
         for _, part in heapq.merge(*streams, key=lambda each: each[0]):
             yield part
 
-    def _of(self, k: int, group: _Group, names: list[str]) -> Iterator[tuple[float, Part]]:
+    def _of(self, k: int, group: _Group, names: list[str]) -> Iterator[tuple[float, DataRows]]:
         for begin in range(0, group.rows, _ROWS):
             count = min(_ROWS, group.rows - begin)
             try:
@@ -96,7 +96,7 @@ class _Reader:
                 continue
             if len(time):
                 raw = {name: each.tobytes() for name, each in values.items()}
-                yield float(time[0]), Part(k, (time + self._start_s).tobytes(), raw)
+                yield float(time[0]), DataRows(k, (time + self._start_s).tobytes(), raw)
 
     def _read(
         self, group: _Group, names: list[str], begin: int, count: int
@@ -135,7 +135,7 @@ def main(path: Path, names: Collection[str]) -> None:
 
     cut = missing(path)
     reader = _Reader(MDF(path, use_display_names=False))
-    write(Channels(reader.channels))
+    write(DataChannels(reader.channels))
     for part in reader.parts(names):
         write(part)
     write(Ended(cut, reader.bad))

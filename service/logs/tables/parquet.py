@@ -9,7 +9,7 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.parquet import COLUMNS
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport
-from faultline.service.logs.tables.rows import TIME_UNITS, Rows, is_time, title
+from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, is_time, title
 
 if TYPE_CHECKING:
     import pyarrow
@@ -28,11 +28,11 @@ class ParquetTable:
         self._per_s = TIME_UNITS.get(units[time], 1.0)
         self.units = {name: unit for name, unit in units.items() if name != time}
 
-    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
+    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[TableRows]]:
         """Return the rows: see `TableFile`."""
         return [self._rows([name for name in self.units if name in names], report)]
 
-    def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[Rows]:
+    def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[TableRows]:
         from pyarrow import ArrowException, parquet
 
         report.unit = "row"
@@ -49,15 +49,15 @@ class ParquetTable:
                     report.reject(first, f"{count} rows cannot be read: {' '.join(str(error).split())[:200]}")
                 first += count
 
-    def _usable(self, part: "pyarrow.RecordBatch", names: Sequence[str], first: int, report: LogReport) -> Rows:
+    def _usable(self, part: "pyarrow.RecordBatch", names: Sequence[str], first: int, report: LogReport) -> TableRows:
         time = _seconds(part.column(self._columns[self._time])) / self._per_s
         has_time = np.isfinite(time)
         for row in np.flatnonzero(~has_time).tolist():
             report.reject(first + row, "no time")
         values = {name: _numbers(part.column(self._columns[name])) for name in names}
         if has_time.all():
-            return Rows(time, values)
-        return Rows(time[has_time], {name: each[has_time] for name, each in values.items()})
+            return TableRows(time, values)
+        return TableRows(time[has_time], {name: each[has_time] for name, each in values.items()})
 
 
 def _numbers(column: "pyarrow.Array") -> FloatArray:

@@ -1,4 +1,4 @@
-"""Rows of a table: times, and what its columns had then."""
+"""TableRows of a table: times, and what its columns had then."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ _TIMES = frozenset(("t", "ts", "epoch", "date", "datetime", "zeit", "elapsed", "
 _TITLE = re.compile(r"([^\[(]*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 
 
-class Rows(NamedTuple):
+class TableRows(NamedTuple):
     """N rows: log times (N,) [s], and by column its values (N,): NaN: there is none; infinite: it is no number."""
 
     time: FloatArray
@@ -35,7 +35,7 @@ class TableFile(Protocol):
     def units(self) -> Mapping[str, str]:
         """The units of its columns by name."""
 
-    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
+    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[TableRows]]:
         """Return the rows of each table with any of these columns, of all tables where `names` is empty.
 
         Raises:

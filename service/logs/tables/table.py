@@ -7,13 +7,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from faultline.service.core.signals.merging import MergedSignals, Part
+from faultline.service.core.signals.merging import MergedPart, MergedSignals
 from faultline.service.core.signals.received import Column, Received, Signals
 from faultline.service.core.signals.units import conversion
 from faultline.service.core.signals.values import Quality
 from faultline.service.logs.order import Ordering
 from faultline.service.logs.report import LogError, LogReport
-from faultline.service.logs.tables.rows import Rows, TableFile
+from faultline.service.logs.tables.rows import TableFile, TableRows
 
 _ERROR = int(Quality.ERROR)
 _SHOWN = 20  # columns in an error
@@ -38,7 +38,7 @@ class _Pick(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class ValueTable:
     """A table beside a log, or as one.
 
     `where` is the file's path. `maps` says which columns are signals; without an entry a column is the signal of its
@@ -90,7 +90,7 @@ class Table:
 
 
 class _TableSignals:
-    def __init__(self, table: Table, picks: list[_Pick]) -> None:
+    def __init__(self, table: ValueTable, picks: list[_Pick]) -> None:
         self._table, self._picks = table, picks
 
     def pieces(self, *, judged: bool = True) -> Iterator[Received]:
@@ -101,14 +101,14 @@ class _TableSignals:
         if len(streams) == 1:
             yield from self._received(streams[0])
         else:
-            parts = [Part(_Given(self._received(stream))) for stream in streams]
+            parts = [MergedPart(_Given(self._received(stream))) for stream in streams]
             yield from MergedSignals(parts).pieces(judged=judged)
 
     def strangers(self) -> list[str]:
         """Return nothing: which columns there are is known before."""
         return []
 
-    def _received(self, stream: Iterator[Rows]) -> Iterator[Received]:
+    def _received(self, stream: Iterator[TableRows]) -> Iterator[Received]:
         ordering = Ordering(LogReport())
         last = -np.inf
         for rows in stream:
@@ -119,7 +119,7 @@ class _TableSignals:
             last = float(time[-1])
             yield Received(float(time[0]), last, time, before, self._columns(rows))
 
-    def _columns(self, rows: Rows) -> dict[str, Column]:
+    def _columns(self, rows: TableRows) -> dict[str, Column]:
         found = {}
         for pick in self._picks:
             if pick.column not in rows.values:
@@ -154,7 +154,7 @@ def open_table(
     maps: Mapping[str, ColumnMap] | None = None,
     offset_s: float | None = None,
     start_s: float | None = None,
-) -> Table:
+) -> ValueTable:
     """Read a table once, for what is in it and what was lost.
 
     `start_s` is the file's time at the CAN log's first frame, None where there is no CAN log: then log time begins with
@@ -178,7 +178,7 @@ def open_table(
     report.length_s = last - first
     if offset_s is not None:
         start_s = -offset_s
-    table = Table(where, file, maps or {}, first if start_s is None else start_s, report, (first, last))
+    table = ValueTable(where, file, maps or {}, first if start_s is None else start_s, report, (first, last))
     for signal, each in table.maps.items():
         if each.column not in file.units:
             there = ", ".join([*file.units][:_SHOWN])

@@ -17,7 +17,7 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.delimited import find_table
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport, shown
-from faultline.service.logs.tables.rows import TIME_UNITS, Rows, is_time, title
+from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, is_time, title
 
 _HEAD_LINES = 20
 _LONGEST_LINE = 1 << 20
@@ -25,7 +25,7 @@ _DELIMITERS = (",", ";", "\t")
 _NOTHING = frozenset(("", "-", "--", "nan", "null", "none", "na", "n/a", "#n/a"))
 
 
-class Header(NamedTuple):
+class TableHeader(NamedTuple):
     """A header: its line (from 1), the delimiter, titles, units, the number of the times, and the first row's line."""
 
     line: int
@@ -36,7 +36,7 @@ class Header(NamedTuple):
     first: int
 
 
-def find_header(head: bytes, time: str | None = None) -> Header | None:
+def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
     """Return the header of a table in the first bytes of a file; None where it is none, or one of CAN frames.
 
     `time` names the column of the times, which is else known by its name.
@@ -56,12 +56,14 @@ def find_header(head: bytes, time: str | None = None) -> Header | None:
     return None
 
 
-def _header(line: int, delimiter: str, cells: list[str], below: list[str] | None, time: int) -> Header:
+def _header(line: int, delimiter: str, cells: list[str], below: list[str] | None, time: int) -> TableHeader:
     found = [title(cell) for cell in cells]
     units = [unit for _, unit in found]
     if below is not None and len(below) == len(cells):
         units = [each.strip("[]() ") or unit for each, unit in zip(below, units, strict=True)]
-    return Header(line, delimiter, [name for name, _ in found], units, time, line + (2 if below is not None else 1))
+    return TableHeader(
+        line, delimiter, [name for name, _ in found], units, time, line + (2 if below is not None else 1)
+    )
 
 
 class TextTable:
@@ -69,7 +71,7 @@ class TextTable:
 
     kind = "CSV table of values"
 
-    def __init__(self, source: Source, header: Header) -> None:
+    def __init__(self, source: Source, header: TableHeader) -> None:
         self._source, self._header = source, header
         self.units = {
             name: unit
@@ -77,11 +79,11 @@ class TextTable:
             if k != header.time and name
         }
 
-    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[Rows]]:
+    def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[TableRows]]:
         """Return the rows: see `TableFile`."""
         return [self._rows([name for name in self.units if name in names], report)]
 
-    def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[Rows]:
+    def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[TableRows]:
         parser = _Parser(self._header, names, report)
         rest = b""
         for piece in self._source.pieces(report):
@@ -96,15 +98,15 @@ class TextTable:
 
 
 class _Parser:
-    """Rows of whole lines. State: the number of the next line."""
+    """TableRows of whole lines. State: the number of the next line."""
 
-    def __init__(self, header: Header, names: Sequence[str], report: LogReport) -> None:
+    def __init__(self, header: TableHeader, names: Sequence[str], report: LogReport) -> None:
         self._header, self._names, self._report = header, names, report
         self._use = [header.time, *(header.names.index(name) for name in names)]
         self._unit = TIME_UNITS.get(header.units[header.time], 1.0)
         self.line = 1
 
-    def rows(self, text: bytes) -> Rows:
+    def rows(self, text: bytes) -> TableRows:
         """Return the rows of a text of whole lines."""
         begin, count = self.line, text.count(b"\n")
         self.line += count
@@ -116,7 +118,7 @@ class _Parser:
         table = self._at_once(lines, count)
         if table is None:
             table = self._one_by_one(lines.split("\n")[:-1], begin)
-        return Rows(table[:, 0], {name: table[:, k + 1] for k, name in enumerate(self._names)})
+        return TableRows(table[:, 0], {name: table[:, k + 1] for k, name in enumerate(self._names)})
 
     def _at_once(self, text: str, count: int) -> FloatArray | None:
         """Return the cells (N, 1 + n), if all are numbers; else None."""
