@@ -1,4 +1,4 @@
-"""TableRows of a table: times, and what its columns had then."""
+"""Rows of a table: times, and what its columns had then."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence

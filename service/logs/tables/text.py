@@ -98,7 +98,7 @@ class TextTable:
 
 
 class _Parser:
-    """TableRows of whole lines. State: the number of the next line."""
+    """Rows of whole lines. State: the number of the next line."""
 
     def __init__(self, header: TableHeader, names: Sequence[str], report: LogReport) -> None:
         self._header, self._names, self._report = header, names, report
