@@ -128,7 +128,7 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool, out: Tic
     faults, equations = meanings(bundle.manifest)
     found = stands = False
     blind = {generator.test for generator in bundle.manifest.generators}
-    context = LogContext(log.id)
+    context = LogContext(log.id, log.channels)
     for event in monitor.signals(log.signals(bundle.table, context.passing)):
         _print_context(context.until((monitor.origin_s or 0.0) + event.t_s, monitor.origin_s), as_json)
         if event.diagnoses:

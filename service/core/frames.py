@@ -7,10 +7,15 @@ import numpy.typing as npt
 
 
 class Frames(Protocol):
-    """N data frames in order of time [s]: `time`, `identifier` and `length` (N,), and `data` (N, W), 0 beyond it."""
+    """N data frames in order of time [s]: `time`, `identifier` and `length` (N,), and `data` (N, W), 0 beyond it.
+
+    `channel` (N,) is the index of the channel that they came on.
+    """
 
     @property
     def time(self) -> npt.NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def channel(self) -> npt.NDArray[np.uint8]: ...  # noqa: D102
     @property
     def identifier(self) -> npt.NDArray[np.uint32]: ...  # noqa: D102
     @property

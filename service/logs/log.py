@@ -81,7 +81,7 @@ class Log:
             return beside[0].signals
         without = {name for name in table.units if self.values is not None and self.values.has(name)}
         frames = CanSignals(table, lambda: passing(self._relative_batches()))
-        others = [CanSignals(of, partial(self._of_bus, bus)) for bus, of in table.buses.items()]
+        others = [CanSignals(of, partial(self._passed, bus, passing)) for bus, of in table.buses.items()]
         if not (others or beside):
             return frames
         return MergedSignals([*(MergedPart(signals, without) for signals in (frames, *others)), *beside])
@@ -94,6 +94,9 @@ class Log:
 
     def _relative_batches(self) -> Iterator[Batch]:
         return map(self._relative, self.batches())
+
+    def _passed(self, bus: str, passing: Callable[[Iterable[Batch]], Iterator[Batch]]) -> Iterator[Batch]:
+        return passing(self._of_bus(bus))
 
     def _of_bus(self, bus: str) -> Iterator[Batch]:
         """Yield the data frames of another bus, in a pass of its own."""

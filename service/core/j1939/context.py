@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from faultline.service.core.frames import Frames
 from faultline.service.core.j1939.dm1 import NO_OC, Code, Diagnostics, Lamps, decode, older_spns
@@ -96,18 +97,21 @@ class CodeTracker:
             found += self._said(t, can_id & 0xFF, NAMES[pgn], data)
         return found
 
-    def frames(self, frames: Frames) -> list[Change]:
-        """Take frames in order of time; only those of the groups, and those at which it is looked who is silent."""
-        near = np.isin(frames.identifier >> 16 & 0x3FF, list(_FORMATS)) & frames.is_extended
+    def frames(self, frames: Frames, own: npt.NDArray[np.bool_] | bool = True) -> list[Change]:
+        """Take frames in order of time, `own` (N,) those of the bus; only those of the groups are looked at.
+
+        The times of all say when it is looked who is silent.
+        """
+        near = np.isin(frames.identifier >> 16 & 0x3FF, list(_FORMATS)) & frames.is_extended & own
         rows = deque([*np.flatnonzero(near).tolist(), len(frames)])
         found: list[Change] = []
         while (row := min(rows[0], int(np.searchsorted(frames.time, self._due)))) < len(frames):
+            if row < rows[0]:
+                found += self.look(float(frames.time[row]))
+                continue
+            rows.popleft()
             data = frames.data[row, : frames.length[row]].tobytes()
-            found += self.frame(
-                float(frames.time[row]), int(frames.identifier[row]), bool(frames.is_extended[row]), data
-            )
-            if row == rows[0]:
-                rows.popleft()
+            found += self.frame(float(frames.time[row]), int(frames.identifier[row]), True, data)
         return found
 
     def look(self, t: float) -> list[Change]:

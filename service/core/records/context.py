@@ -60,7 +60,12 @@ class Context(msgspec.Struct, frozen=True, kw_only=True):
             "of a log that ends before sample 0"
         ),
     ]
-    bus: Annotated[str | None, Meta(description="the bus it came on, as in the configuration; null of a log")]
+    bus: Annotated[
+        str | None,
+        Meta(
+            description="the bus it came on, as in the configuration; of a log of several channels the channel, else null"
+        ),
+    ]
     sender: Annotated[int, Meta(description="source address")]
     message: Annotated[
         Literal["DM1", "DM2"],

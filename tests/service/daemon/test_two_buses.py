@@ -12,6 +12,7 @@ from faultline.service.bundle.files import SEAL, BundleError, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.context import decode_context
 from faultline.service.core.records.event import Event, decode
 from faultline.service.daemon.command import main
 from faultline.service.daemon.pipeline import BusChannel, check_buses, connect, watched
@@ -69,6 +70,26 @@ def test_diagnose_takes_each_message_from_its_bus(
     assert diagnose.main([str(log), *given]) == 1
     found = [decode(line) for line in capfdbinary.readouterr().out.splitlines()]
     assert told(found) == told(events)
+
+
+def test_a_device_of_one_bus_is_not_that_of_the_other(
+    bundle: Path, log: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    """Both have address 0, and trouble codes of their own: neither takes the other's for a change."""
+    lines = log.read_text().splitlines()
+    codes = [
+        f"({float(lines[0].split()[0].strip('()')) + k:.6f}) can{k % 2} 18FECA00#00FF{1 + k % 2:02X}000101FFFF"
+        for k in range(40)
+    ]
+    path = tmp_path / "codes.log"
+    path.write_text("\n".join(sorted([*lines, *codes])) + "\n")
+    given = ["--bundle", str(bundle), "--channel", "can0", "--channel", f"{OWN}=can1", "--json"]
+    assert diagnose.main([str(path), *given]) == 1
+    records = [
+        decode_context(line) for line in capfdbinary.readouterr().out.splitlines() if b"faultline.context" in line
+    ]
+    appeared = [(each.bus, [code.spn for code in each.codes]) for each in records if each.codes]
+    assert appeared == [("can0", [1]), ("can1", [2])]
 
 
 def test_frame_by_frame_and_by_columns_are_the_same(bundle: Path, log: Path, events: list[Event]) -> None:
