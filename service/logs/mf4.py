@@ -1,4 +1,4 @@
-"""MF4 logs (ASAM MDF 4), by asammdf (extra `mf4`) in a process of its own.
+"""MF4 logs (ASAM MDF 4): ordinary ones by `logs.mf4_ordinary`, the others by asammdf (extra `mf4`) in another process.
 
 asammdf trusts what a file says of itself: a damaged one may make it loop, take all memory or crash. So it runs in
 another process (`logs.mf4_worker`), whose memory is limited and which is stopped when it says nothing for long.
@@ -9,7 +9,9 @@ import select
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any
 
@@ -18,6 +20,8 @@ import numpy as np
 
 from faultline.service.logs.batch import Batch, impossible
 from faultline.service.logs.channels import Channels
+from faultline.service.logs.mf4_ordinary import OrdinaryMf4
+from faultline.service.logs.mf4_tree import OddError, missing
 from faultline.service.logs.mf4_worker import LENGTH, Ended, Part
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport
@@ -34,19 +38,37 @@ def read_mf4(source: Source, report: LogReport, channels: Channels) -> Iterator[
     """The frames of a log in order of time.
 
     Raises:
-        ModuleNotFoundError: asammdf is not installed.
+        ModuleNotFoundError: asammdf is needed and not installed.
     """
-    check_asammdf()
     report.unit = "record"
-    with source.plain(report) as path, TemporaryFile() as errors:
+    with source.plain(report) as path:
+        try:
+            ordinary = OrdinaryMf4(path)
+        except OddError:
+            yield from _by_asammdf(path, report, channels)
+            return
+        first = 0
+        for batch in ordinary.batches():
+            yield from _checked(batch, first, report, channels)
+            first += len(batch)
+        _end(missing(path), ordinary.bad, report)
+
+
+def _by_asammdf(path: Path, report: LogReport, channels: Channels) -> Iterator[Batch]:
+    check_asammdf()
+    with TemporaryFile() as errors:
         for message in messages(_WORKER, [str(path)], Part | Ended, errors, report):
             if isinstance(message, Part):
-                yield from _batch(message, report, channels)
+                yield from _checked(_batch(message), message.first, report, channels)
             elif isinstance(message, Ended):
-                for record, reason, count in message.bad:
-                    report.reject(record, reason)
-                    report.bad += count - 1
-                report.missing = report.missing or message.missing
+                _end(message.missing, message.bad, report)
+
+
+def _end(cut: str, bad: Sequence[tuple[int, str, int]], report: LogReport) -> None:
+    for record, reason, count in bad:
+        report.reject(record, reason)
+        report.bad += count - 1
+    report.missing = report.missing or cut
 
 
 def check_asammdf() -> None:
@@ -101,24 +123,27 @@ def _taken(pipe: IO[bytes], size: int) -> bytes:
     return bytes(parts)
 
 
-def _batch(part: Part, report: LogReport, channels: Channels) -> Iterator[Batch]:
-    """The frames of a part; those that no bus carries are rejected."""
-    count = len(part.length)
-    numbers = np.frombuffer(part.channel, np.uint8)
-    index = np.zeros(256, np.uint8)
-    for number in np.flatnonzero(np.bincount(numbers)).tolist():
-        index[number] = channels.index(str(number).encode())
-    batch = Batch(
+def _batch(part: Part) -> Batch:
+    """The frames of a part, with the file's numbers of channels."""
+    return Batch(
         np.frombuffer(part.time, np.float64),
-        index[numbers],
+        np.frombuffer(part.channel, np.uint8),
         np.frombuffer(part.identifier, np.uint32),
         np.frombuffer(part.flags, np.uint8),
         np.frombuffer(part.length, np.uint8),
-        np.frombuffer(part.data, np.uint8).reshape(count, -1),
+        np.frombuffer(part.data, np.uint8).reshape(len(part.length), -1),
     )
+
+
+def _checked(batch: Batch, first: int, report: LogReport, channels: Channels) -> Iterator[Batch]:
+    """The frames with the log's channels; those that no bus carries are rejected. `first` is the first one's number."""
+    index = np.zeros(256, np.uint8)
+    for number in np.flatnonzero(np.bincount(batch.channel)).tolist():
+        index[number] = channels.index(str(number).encode())
+    batch = replace(batch, channel=index[batch.channel])
     bad = impossible(batch)
     if bad.any():
         for row in np.flatnonzero(bad).tolist():
-            report.reject(part.first + row, "a frame that no bus carries")
+            report.reject(first + row, "a frame that no bus carries")
         batch = batch[~bad]
     yield batch

@@ -62,9 +62,7 @@ class Context(msgspec.Struct, frozen=True, kw_only=True):
     ]
     bus: Annotated[
         str | None,
-        Meta(
-            description="the bus it came on, as in the configuration; of a log of several channels the channel, else null"
-        ),
+        Meta(description="the bus it came on, as in the configuration; of a log of several channels its channel"),
     ]
     sender: Annotated[int, Meta(description="source address")]
     message: Annotated[

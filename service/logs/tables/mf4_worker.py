@@ -15,7 +15,8 @@ import msgspec
 import numpy as np
 
 from faultline.service.core.signals.values import FloatArray
-from faultline.service.logs.mf4_worker import MEMORY, Ended, missing, write
+from faultline.service.logs.mf4_tree import missing
+from faultline.service.logs.mf4_worker import MEMORY, Ended, write
 
 _ROWS = 1 << 14
 _MASTER = 2  # type of a channel that is the times of its group
