@@ -26,6 +26,7 @@ CODE = (
     "signals/senders.py",
     "signals/arrivals.py",
     "signals/sampling.py",
+    "signals/latest.py",
     "signals/values.py",
     "j1939/transport.py",
     "decision/isolation.py",

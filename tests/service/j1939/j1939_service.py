@@ -87,13 +87,14 @@ class FakeService:
 
     def stop(self) -> None:
         """Goes away, as a service that is stopped: its sockets are gone and its connections end."""
-        for each in (*self._listeners, *self._clients):
-            with suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-            each.close()
-        for path in (self.control, self.events):
-            path.unlink(missing_ok=True)
-        self._listeners, self._clients, self._subscribers = [], [], []
+        with self._changed:
+            for each in (*self._listeners, *self._clients):
+                with suppress(OSError):
+                    each.shutdown(socket.SHUT_RDWR)
+                each.close()
+            for path in (self.control, self.events):
+                path.unlink(missing_ok=True)
+            self._listeners, self._clients, self._subscribers = [], [], []
 
     def tell(self, *faults: Fault) -> None:
         """Remembers these from now on, and tells that something has changed."""
@@ -107,7 +108,11 @@ class FakeService:
         with suppress(OSError):  # closed: that is the end
             while True:
                 client, _ = listener.accept()
-                self._clients.append(client)
+                with self._changed:
+                    if listener not in self._listeners:  # stopped meanwhile
+                        client.close()
+                        return
+                    self._clients.append(client)
                 threading.Thread(target=self._served, args=(client, serve), daemon=True).start()
 
     def _served(self, client: socket.socket, serve: Any) -> None:
