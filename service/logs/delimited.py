@@ -119,8 +119,8 @@ class Table(NamedTuple):
 
 def find_table(head: bytes) -> Table | None:
     """The header in the first lines of a CSV file that names an identifier and data; None where there is none."""
-    for line in head.lstrip(b"\xef\xbb\xbf").split(b"\n")[:_HEAD_LINES]:
-        for delimiter in (b",", b";", b"\t"):
+    for line in head.lstrip(b"\xef\xbb\xbf").split(b"\n", _HEAD_LINES)[:_HEAD_LINES]:
+        for delimiter in (each for each in (b",", b";", b"\t") if each in line):
             titles = [each.strip(' "\r') for each in line.decode("latin-1").split(delimiter.decode())]
             table = _table(line.strip(), delimiter, titles)
             if table is not None:

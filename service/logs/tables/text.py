@@ -41,10 +41,10 @@ def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
 
     `time` names the column of the times, which is else known by its name.
     """
-    text = head.removeprefix(b"\xef\xbb\xbf").decode("latin-1" if b"\xff" in head else "utf-8", "replace")
-    lines = text.splitlines()
+    first = b"\n".join(head.removeprefix(b"\xef\xbb\xbf").split(b"\n", _HEAD_LINES + 2)[: _HEAD_LINES + 2])
+    lines = first.decode("latin-1" if b"\xff" in first else "utf-8", "replace").splitlines()
     for number, line in enumerate(lines[:_HEAD_LINES]):
-        for delimiter in _DELIMITERS:
+        for delimiter in (each for each in _DELIMITERS if each in line):
             cells = _cells(line, delimiter)
             at = [k for k, cell in enumerate(cells) if (title(cell)[0] == time if time else is_time(title(cell)[0]))]
             if len(cells) < 2 or not at:
