@@ -98,7 +98,7 @@ def _diagnose(path: Path, log: Log, bundle: Bundle, options: argparse.Namespace,
     if len(options.log) > 1 and not options.json:
         print(f"{path}:")
     if out is not None:
-        out.begin(log.id)
+        out.begin(log.id, str(path))
     watch = out.add if out is not None else None
     monitor = Monitor(
         bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch, watches_ages=out is not None

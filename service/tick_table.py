@@ -32,7 +32,7 @@ Column = tuple[str, str, str, str]
 """Name, type, unit, meaning."""
 
 TICK_COLUMNS: tuple[Column, ...] = (
-    ("recording", "text", "", "its id, or the log file's name"),
+    ("recording", "text", "", "its id, or the log file's name without ending; its path where that was there before"),
     ("tick", "number", "", "number of the sample, from 0"),
     ("t_s", "float", "s", "time since sample 0, as in events"),
     ("log_s", "float", "s", "time since the first frame or row of the log"),
@@ -43,7 +43,7 @@ TICK_COLUMNS: tuple[Column, ...] = (
     ("diagnoses", "diagnoses", "", "explanations of a confirmed fault, best first, as in events"),
 )
 EVENT_COLUMNS: tuple[Column, ...] = (
-    ("recording", "text", "", "its id, or the log file's name"),
+    ("recording", "text", "", "its id, or the log file's name without ending; its path where that was there before"),
     ("seq", "number", "", "number of the event in its recording, from 1"),
     ("tick", "number", "", "sample at which it was decided"),
     ("t_s", "float", "s", "time since sample 0"),
@@ -84,10 +84,12 @@ class TickTable:
         self._generators = [each.name for each in manifest.generators]
         self._period_s = manifest.period_s
         self._recording = ""
+        self._begun: set[str] = set()
 
-    def begin(self, recording: str) -> None:
-        """What is added from now on is of this recording."""
-        self._recording = recording
+    def begin(self, recording: str, path: str) -> None:
+        """Begin a recording: what is added from now on is of it. One whose id was there before is named by its path."""
+        self._recording = path if recording in self._begun else recording
+        self._begun.add(self._recording)
 
     def add(self, tick: Tick, decision: Decision) -> None:
         """Add a tick that has ages, with what was decided at it."""
@@ -176,7 +178,7 @@ def _rows(path: Path, columns: Sequence[Column]) -> Iterator[_Rows]:
     import pyarrow
     from pyarrow import parquet
 
-    text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+    text = pyarrow.string()  # Parquet packs what repeats by itself
     texts = pyarrow.list_(pyarrow.string())
     one = pyarrow.struct([("faults", texts), ("rank", pyarrow.int32()), ("p", pyarrow.float64()), ("near", texts)])
     types = {

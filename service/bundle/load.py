@@ -91,6 +91,10 @@ def load_with_log(
     verify_golden(bundle)
     log.check_signals(bundle.table.units)
     log.check_channels(bundle.table.carries)
+    for bus in buses:
+        if bus not in bundle.table.buses:
+            there = ", ".join(bundle.table.buses) or "no bus"
+            raise InputError(f"--channel {bus}={buses[bus]}: the bundle {folder} names {there}")
     log.check_buses(bundle.table)
     log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)

@@ -65,11 +65,14 @@ class Dialect(Protocol):
         """Say in the report what is missing, once all lines were read."""
 
 
+_MARK = b"\xef\xbb\xbf"  # an editor's byte order mark
+
+
 def read_text(source: Source, report: LogReport, channels: Channels, dialect: Dialect) -> Iterator[Batch]:
     """The frames of a log, a batch for each piece of the file."""
     reader, lines = TextReader(dialect, report, channels), WholeLines(report)
-    for piece in source.pieces(report):
-        if text := lines.take(piece):
+    for number, piece in enumerate(source.pieces(report)):
+        if text := lines.take(piece if number else piece.removeprefix(_MARK)):
             yield from reader.read(text)
         if lines.is_endless:
             report.missing = "no line ends within 64 MiB"

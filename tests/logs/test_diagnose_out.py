@@ -122,3 +122,15 @@ def test_without_pyarrow_it_is_said_before_the_log_is_read(tmp_path: Path, monke
         main([str(tmp_path / "absent.log"), "--bundle", BUNDLE, "--out", str(tmp_path / "t.parquet")])
     assert error.value.name == "pyarrow"
     assert not (tmp_path / "t.parquet").exists()
+
+
+def test_recordings_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "can.log").write_bytes((GOLDEN / "log" / "can.log").read_bytes())
+    logs = [str(tmp_path / name / "can.log") for name in "ab"]
+    out = tmp_path / "ticks.parquet"
+    assert main([*logs, "--bundle", BUNDLE, "--out", str(out)]) == 1
+    counts = parquet.read_table(out).group_by("recording").aggregate([("tick", "count")]).to_pydict()
+    assert counts["recording"] == ["can", logs[1]]
+    assert len(set(counts["tick_count"])) == 1

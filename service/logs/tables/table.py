@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
+from math import isfinite
 from typing import NamedTuple
 
 import msgspec
@@ -74,11 +76,21 @@ class ValueTable:
         Raises:
             LogError: the unit of one cannot be converted.
         """
+        self._check_names(units)
         picks = [self._pick(name, unit) for name, unit in units.items() if self.has(name)]
         return _TableSignals(self, picks)
 
+    def _check_names(self, units: Mapping[str, str]) -> None:
+        """Refuse an entry whose signal nobody wants, and whose name is nearly that of one that has no entry."""
+        open_names = [name for name in units if name not in self.maps]
+        for name in self.maps.keys() - units.keys():
+            if near := get_close_matches(name, open_names, 1, 0.8):
+                raise LogError(f"{self.where}: [table.signals] {name} is none of the signals: did you mean {near[0]}?")
+
     def _pick(self, signal: str, unit: str) -> _Pick:
         how = self.maps.get(signal, ColumnMap(signal))
+        if not (isfinite(how.scale) and isfinite(how.offset)):
+            raise LogError(f"{self.where}: scale and offset of {signal} under [table.signals] must be numbers")
         given = how.unit or self.file.units[how.column] or unit
         found = conversion(given, unit)
         if found is None:

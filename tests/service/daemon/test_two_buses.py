@@ -142,6 +142,11 @@ def test_a_bus_that_nobody_maps_is_named(bundle: Path, log: Path, given: list[st
         diagnose.main([str(log), "--bundle", str(bundle), "--channel", "can0", *given])
 
 
+def test_a_bus_that_the_bundle_does_not_name_is_refused(bundle: Path, log: Path) -> None:
+    with pytest.raises(InputError, match=r"--channel trialer=can1: the bundle .* names trailer"):
+        diagnose.main([str(log), "--bundle", str(bundle), "--channel", "can0", "--channel", "trialer=can1"])
+
+
 @pytest.mark.parametrize("first", ["own", "other"])
 def test_live_frames_of_two_buses_are_taken_in_order_of_time(
     bundle: Path, log: Path, events: list[Event], first: str

@@ -193,3 +193,8 @@ def test_zeros_of_a_power_cut_cost_nothing_but_themselves(tmp_path: Path) -> Non
         log = opened(tmp_path, "".join(lines[:10]) + "\0" * zeros + "".join(lines[10:]))
         assert (log.report.frames, log.report.bad, log.report.lost_bytes) == (20, 1, zeros)
         assert log.report.places == [(11, "zeros")]
+
+
+def test_a_byte_order_mark_costs_nothing(tmp_path: Path) -> None:
+    log = opened(tmp_path, "\ufeff" + "".join(f"({t}) can0 123#00\n" for t in ABSOLUTE))
+    assert (log.format.name, log.report.frames, log.report.lost) == ("candump", 20, False)

@@ -197,3 +197,17 @@ def test_a_table_has_no_frames_to_replay(tmp_path: Path) -> None:
     log = opened(tmp_path, "time,p\n0,1\n1,2\n")
     with pytest.raises(LogError, match=re.escape("x.csv: a CSV table of values, which has no CAN frames")):
         next(log.relative())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("y_p_tp =", "y_p_tpp =", r"\[table.signals\] y_p_tpp is none of the signals: did you mean y_p_tp\?"),
+        ("offset = 0.5", "offset = nan", "scale and offset of y_p_tp .* must be numbers"),
+    ],
+)
+def test_an_entry_that_would_do_nothing_or_harm_is_refused(beside: Path, old: str, new: str, words: str) -> None:
+    path = beside / "recording.toml"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(LogError, match=words):
+        main([str(beside), "--bundle", str(GOLDEN / "bundle")])
