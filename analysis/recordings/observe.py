@@ -21,7 +21,7 @@ from faultline.service.logs import Log, LogError, open_log
 
 START_WITHIN_S = 5.0
 NO_FRAMES = DecodeTable({})
-"""Of an observer that is given signals."""
+"""The decode table of an observer that is given signals: it is asked for no frame."""
 
 
 class Blind:

@@ -95,7 +95,6 @@ def load_with_log(
         if bus not in bundle.table.buses:
             there = ", ".join(bundle.table.buses) or "no bus"
             raise InputError(f"--channel {bus}={buses[bus]}: the bundle {folder} names {there}")
-    log.check_buses(bundle.table)
     log.check_senders(bundle.table)
     log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
     if log.recording is not None:

@@ -158,7 +158,6 @@ class Log:
             return DecodeTable({}, units)
         messages = self.recording.can_log.messages if self.recording else {}
         table = compile_dbc(self.dbc, on_bus, where, self.senders, messages)
-        self.check_buses(table)
         self.check_senders(table)
         table.units = units  # those of the table beside it too
         return table
@@ -178,6 +177,9 @@ class Log:
         Raises:
             LogError: a message that `table` takes from any sender comes from more than one, and none was chosen.
         """
+        self.check_buses(table)
+        if not self.format.has_frames:
+            return
         channels = self.report.channels
         taken = [channels.get(self.channel, set())] if self.channel is not None else channels.values()
         unclear = table.undecided({each for found in taken for each in found})

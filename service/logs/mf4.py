@@ -51,7 +51,7 @@ def read_mf4(source: Source, report: LogReport, channels: Channels) -> Iterator[
         for batch in ordinary.batches():
             yield from _checked(batch, first, report, channels)
             first += len(batch)
-        _end(missing(path), ordinary.bad, report)
+        note_end(missing(path), ordinary.bad, report)
 
 
 def _by_asammdf(path: Path, report: LogReport, channels: Channels) -> Iterator[Batch]:
@@ -61,10 +61,11 @@ def _by_asammdf(path: Path, report: LogReport, channels: Channels) -> Iterator[B
             if isinstance(message, Part):
                 yield from _checked(_batch(message), message.first, report, channels)
             elif isinstance(message, Ended):
-                _end(message.missing, message.bad, report)
+                note_end(message.missing, message.bad, report)
 
 
-def _end(cut: str, bad: Sequence[tuple[int, str, int]], report: LogReport) -> None:
+def note_end(cut: str, bad: Sequence[tuple[int, str, int]], report: LogReport) -> None:
+    """Report how the end is missing, and the records (number, reason, count) that cannot be read."""
     for record, reason, count in bad:
         report.reject(record, reason)
         report.bad += count - 1

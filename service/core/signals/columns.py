@@ -31,7 +31,7 @@ ROWS = 1 << 13
 """Frames that count, of as many batches as have them, that are decoded at once."""
 
 _NUMBERS = 1 << 18
-"""Of groups, with data page and destination, in identifiers of 29 bits."""
+"""The count of numbers that a group can have, with data page and destination, in an identifier of 29 bits."""
 _IS_EXTENDED = np.uint32(1 << 31)
 _NONE, _SINGLY = -1, -2
 _DOUBTED = int(Quality.DOUBTED)

@@ -7,7 +7,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from faultline.service.logs.mf4 import check_asammdf, messages
+from faultline.service.logs.mf4 import check_asammdf, messages, note_end
 from faultline.service.logs.mf4_worker import Ended
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogReport
@@ -56,10 +56,7 @@ def _read(source: Source, names: Collection[str], report: LogReport) -> Generato
             if isinstance(message, DataRows):
                 yield message
             elif isinstance(message, Ended):
-                for record, reason, count in message.bad:
-                    report.reject(record, reason)
-                    report.bad += count - 1
-                report.missing = report.missing or message.missing
+                note_end(message.missing, message.bad, report)
 
 
 def mf4_tables(source: Source) -> Mf4Tables | None:

@@ -213,3 +213,13 @@ def test_a_configuration_without_that_bus_refuses_the_bundle(bundle: Path, tmp_p
         main([*given, "--bus", "udp_multicast:239.74.163.9:43999"])
     with pytest.raises(InputError, match="give one bus without a name"):
         main([*given, "--bus", "trailer=udp_multicast:239.74.163.9:43999"])
+
+
+def test_a_table_gives_the_signals_of_any_bus(bundle: Path, tmp_path: Path) -> None:
+    """It has no channels, so none is asked for."""
+    path = tmp_path / "x.csv"
+    path.write_text(
+        "time,y_p_tp,y_p_ap,y_p_du,n_p,dc_dose\n" + "".join(f"{k / 5},1e5,1e5,1e5,0,0\n" for k in range(50))
+    )
+    with pytest.raises(InputError, match="could never tell, so no alarm is no all-clear"):
+        diagnose.main([str(path), "--bundle", str(bundle)])
