@@ -114,13 +114,13 @@ class Demo:
     def _bundle(self) -> None:
         calibrated, tuning, bundle = self._out / "calibrated.toml", self._out / "tuning.json", self._out / "bundle"
         [calibrate] = self._of("calibrate")
-        found = json.loads(self._call("structure", "uds4", "--json", "-"))
+        found = json.loads(self._call("structure", "uds", "--json", "-"))
         tests = [test for test in found["tests"] if test.get("residual")]
         self._step(f"structure: {len(found['mtes'])} tests in the thesis's model, {len(tests)} with integral causality")
         for test in tests:
             print(f"   {test['name']} predicts {test['predicts']}, sensitive to {', '.join(test['faults'])}")
         self._step("calibrate: the thesis's four-state model is fitted to one fault-free run")
-        self._show(self._call("calibrate", "uds4", calibrate, "--out", calibrated, show=True))
+        self._show(self._call("calibrate", "uds", calibrate, "--out", calibrated, show=True))
         self._step("tune: thresholds and ranking evidence from other fault-free runs")
         self._show(self._call("tune", calibrated, *self._of("tune"), "--out", tuning, show=True))
         self._step("export: ten tests with integral causality as one ONNX graph in one bundle")

@@ -50,7 +50,7 @@ def report(name: str, samples: list[float], unit: str = "us") -> None:
 
 def graphs() -> None:
     """Ten generators in one graph against ten sessions, interleaved."""
-    bank = build_bank(load_model("uds4"))
+    bank = build_bank(load_model("uds"))
     z = np.array([[1.0e5, 1.0e6, 1.0e6, 22.0, 0.5]])
     x = bank.start(z[0])[None]
     fused = Graph(bank.graph())
@@ -80,7 +80,7 @@ def networks() -> None:
     from faultline.training.recipe import DEFAULT
     from faultline.training.samples import load_samples
 
-    model = load_model("uds4")
+    model = load_model("uds")
     bank = build_bank(model)
     with tempfile.TemporaryDirectory() as folder:
         given = ["--cycle", "drive", "--kind", "instrumented", "--duration", "200", "--id", "bench", "--out", folder]

@@ -27,7 +27,7 @@ from faultline.training.saved import load_weights, weights_of
 from faultline.writing import check_folder, write_files
 
 EXAMPLE = """example:
-  faultline train uds4 logs/bench-training-s1 --out networks
+  faultline train uds logs/bench-training-s1 --out networks
 
 then give `--networks networks` to `faultline tune` and `faultline export`.
 """

@@ -14,7 +14,7 @@ LINE_S = 10.0
 
 
 class Progress:
-    """`with Progress("uds4") as progress: training.run(progress.tell, ...)`; everything goes to standard error."""
+    """`with Progress("uds") as progress: training.run(progress.tell, ...)`; everything goes to standard error."""
 
     def __init__(self, title: str) -> None:
         self._console = Console(stderr=True)

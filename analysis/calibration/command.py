@@ -26,7 +26,7 @@ from faultline.service.logs import Log
 from faultline.writing import check_file, check_folder, write_files
 
 EXAMPLE = """example:
-  faultline calibrate uds4 logs/bench-training-s1 --validate logs/bench-validation-s2 --out calibrated.toml --report out
+  faultline calibrate uds logs/bench-training-s1 --validate logs/bench-validation-s2 --out calibrated.toml --report out
 """
 
 PICTURE = "free-run.png"

@@ -41,7 +41,7 @@ def residual_program(
             implicit step solves; a state has no initial value from the signals at hand; `name` is no identifier.
     """
     if not _IDENTIFIER.fullmatch(name) or name in RESERVED or keyword.iskeyword(name):
-        raise InputError(f"name {name!r}: is no identifier of Python and C; use letters, digits and _ as in uds4_t02")
+        raise InputError(f"name {name!r}: is no identifier of Python and C; use letters, digits and _ as in uds_t02")
     if not sequence.known:
         raise InputError(
             f"{model.name}: {', '.join(sequence.equations)} contain no known signal; nothing can be tested"

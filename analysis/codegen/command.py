@@ -17,10 +17,10 @@ from faultline.writing import check_folder, write_files
 PERIOD_S = 0.2
 
 EXAMPLE = """examples:
-  faultline code uds4 --out code                                     (every test that can be run)
-  faultline code uds4 --test t01 --residual e16 --filter 2 --out code   (one residual of any causality)
+  faultline code uds --out code                                     (every test that can be run)
+  faultline code uds --test t01 --residual e16 --filter 2 --out code   (one residual of any causality)
 
-Files, classes and functions begin with the names of model, test and residual: uds4_t01_e16.
+Files, classes and functions begin with the names of model, test and residual: uds_t01_e16.
 """
 
 

@@ -52,7 +52,7 @@ def words_in(text: str) -> set[str]:
 
 
 def class_name(name: str) -> str:
-    """The Python class of a program: uds4_t02 becomes Uds4T02."""
+    """The Python class of a program: uds_t02 becomes Uds4T02."""
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 

@@ -39,7 +39,7 @@ from faultline.service.pages import check_engine
 from faultline.writing import check_folder, write_file, write_files
 
 EXAMPLE = """examples:
-  faultline discover uds4 logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
+  faultline discover uds logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
   faultline discover found/model.toml --undo
 
 DIR gets report.html, discovery.json and summary.md; with --apply model.toml, which every other command takes; and

@@ -1,7 +1,7 @@
 """The model file: TOML to `Model`.
 
     schema = 1
-    name = "uds4"
+    name = "uds"
     warm_up_s = 20.0         after this long no state remembers its assumed start [s]  (20 if absent)
     [known.y_p_tp]           unit, description, min, max, noise, zero, drift, added  (the last three may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
@@ -24,6 +24,7 @@ from pathlib import Path
 
 import sympy as sp
 
+from faultline import systems
 from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
@@ -43,28 +44,37 @@ from faultline.analysis.model.tables import Table
 
 SCHEMA = 1
 
+SYSTEMS = Path(systems.__file__).parent
+MODEL = "model.toml"
+NO_MODELS = ("system.toml", "effects.toml", "experiments.toml")
+
 
 def load_model(path: str | Path) -> Model:
-    """The model in a file, or the shipped one of that name.
+    """The model in a file or in the folder of a system, or the shipped one of that name.
 
     Raises:
         ModelError: there is no such file, or it is no valid model.
     """
     shipped = shipped_models()
-    file = Path(path) if Path(path).is_file() else shipped.get(str(path), Path(path))
+    file = Path(path) / MODEL if Path(path).is_dir() else Path(path)
+    file = file if file.is_file() else shipped.get(str(path), file)
     try:
         text = file.read_bytes().decode()
     except OSError as error:
         names = ", ".join(shipped)
-        raise ModelError(f"{path}: cannot be read; give a model file, or a shipped model: {names}") from error
+        raise ModelError(
+            f"{path}: cannot be read; give a model file, a system's folder, or a shipped model: {names}"
+        ) from error
     except UnicodeDecodeError as error:
         raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
     return parse_model(text, str(path))
 
 
 def shipped_models() -> Mapping[str, Path]:
-    """The models that come with the program, by name."""
-    return {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
+    """The models that come with the program: a system's by its name, its others as `uds/production`."""
+    found = sorted(path for path in SYSTEMS.glob("*/*.toml") if path.name not in NO_MODELS)
+    named = {path: path.parent.name if path.name == MODEL else f"{path.parent.name}/{path.stem}" for path in found}
+    return {name: path for path, name in sorted(named.items(), key=lambda each: each[1])}
 
 
 def parse_model(text: str, where: str) -> Model:

@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class Table:
-    """A table at a `place` like `uds4.toml: equation[3]`; reads take keys away, `done` refuses what is left."""
+    """A table at a `place` like `uds.toml: equation[3]`; reads take keys away, `done` refuses what is left."""
 
     def __init__(self, data: Mapping[str, object], place: str, *, top: bool = False) -> None:
         self._data = dict(data)

@@ -181,7 +181,7 @@ def _ambient(found: Report) -> list[str]:
         )
     if abs(found.ambient_pa - ATMOSPHERE) > WEATHER:
         lines.append(
-            "before calibrating, set the model's ambient pressures (uds4, uds1: p_tank, p_exh) to "
+            "before calibrating, set the model's ambient pressures (uds, uds/production: p_tank, p_exh) to "
             f"{found.ambient_pa:.0f} Pa; the shipped ones assume {ATMOSPHERE:.0f} Pa"
         )
     return lines

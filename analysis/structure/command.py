@@ -22,10 +22,10 @@ from faultline.service.core.errors import InputError
 from faultline.writing import write_files
 
 EXAMPLE = """examples:
-  faultline structure uds4 --tests
-  faultline structure uds4 --without y_p_tp y_p_ap --json analysis.json
+  faultline structure uds --tests
+  faultline structure uds --without y_p_tp y_p_ap --json analysis.json
   faultline structure calibrated.toml --without y_p_tp y_p_ap --model production.toml    (to tune and export)
-  faultline structure uds4 --why fA_t fA_p --causality integral
+  faultline structure uds --why fA_t fA_p --causality integral
   faultline structure model.json --figures figures    (a structural model in matrix form: X, F, Z, names)
 
 It exits with 1 where the model has no test, or where --why asks for two faults that cannot be told apart; with 2 where

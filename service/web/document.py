@@ -65,7 +65,7 @@ def document(*, guarded: bool = False) -> Json:
 
 
 def _paths(guarded: bool) -> Json:
-    system = _parameter("system", "path", {"type": "string", "pattern": queries.SYSTEM}, "the name of a system", "uds4")
+    system = _parameter("system", "path", {"type": "string", "pattern": queries.SYSTEM}, "the name of a system", "uds")
     code = _parameter("code", "path", {"type": "string", "pattern": queries.CODE}, "the number of a fault", "3")
     faults, fault = "/v1/components/{system}/faults", "/v1/components/{system}/faults/{code}"
 

@@ -43,13 +43,13 @@ class Made:
 @pytest.fixture
 def made(tmp_path: Path) -> Made:
     entry = {"command": "calibrate", "recordings": [CALIBRATED], "blocks": 30}
-    text = dump_model(load_model("uds4").with_parameters({"A_du": A_DU}, entry))
+    text = dump_model(load_model("uds").with_parameters({"A_du": A_DU}, entry))
     golden = load_bundle(GOLDEN)
     tuning = Tuning(
         schema=SCHEMA,
         model_sha256=model_digest(text),
         recordings=[TUNED],
-        modes=modes_of(load_model("uds4")),
+        modes=modes_of(load_model("uds")),
         start_within_s=START_WITHIN_S,
         calibrated=[],
         zero=[d.offset for d in golden.manifest.detectors],
@@ -85,7 +85,7 @@ def test_the_bundle_loads_computes_and_says_what_it_was_made_from(
     assert origin.model_sha256 == hashlib.sha256(made.model.read_bytes()).hexdigest()
     assert (bundle.manifest.detectors, bundle.manifest.evidence) == (tuning.detectors, tuning.evidence)
     assert (bundle.manifest.modes, bundle.manifest.start_within_s) == (tuning.modes, tuning.start_within_s)
-    assert {fault.name for fault in bundle.manifest.faults} == set(load_model("uds4").faults)
+    assert {fault.name for fault in bundle.manifest.faults} == set(load_model("uds").faults)
     assert set(contents(out)) == {*bundle.manifest.files, "manifest.json", "manifest.sha256"}
     assert (out / bundle.manifest.dbc).read_bytes() == DBC.read_bytes()
     assert len(bundle.golden.r) == 40
@@ -111,7 +111,7 @@ def test_the_graph_has_the_models_own_parameters(made: Made, tmp_path: Path) -> 
     exported = load_bundle(tmp_path / "bundle").bank()
     z = np.tile([1e5, 9.2e5, 9.1e5, 24.0, 0.4], (30, 1))
     r = np.array([exported.step(sample, np.ones(5, dtype=np.bool_)).r for sample in z])
-    bank = build_bank(load_model("uds4"))
+    bank = build_bank(load_model("uds"))
     expected = bank.simulate([{"A_du": A_DU}, {}], z, bank.start(z[0]))
     np.testing.assert_allclose(r, expected[:, 0], atol=1e-3)
     assert np.abs(r - expected[:, 1]).max() > 100.0

@@ -56,7 +56,7 @@ class Result:
 
 def run(number: int) -> Result:
     """Calibrates the truck of this number."""
-    truck, model = vehicle(f"truck-{number}"), load_model("uds4")
+    truck, model = vehicle(f"truck-{number}"), load_model("uds")
     system = system_of(model, model.calibrated)
     with tempfile.TemporaryDirectory() as folder:
         training, validation = (_sections(truck, cycle, number, model, system, Path(folder)) for cycle in CYCLES_USED)

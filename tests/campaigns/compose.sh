@@ -50,7 +50,7 @@ done
 # The other two subscribers: the page says the same, and the broker holds the fault.
 fetch() { python3 -c 'import sys, urllib.request as u; print(u.urlopen(u.Request(f"http://{sys.argv[1]}", headers={"Host": "localhost"}), timeout=10).read().decode())' "$1"; }
 fetch $LISTEN/ | grep -q '<title>faultline</title>'
-PAGE=$(fetch $LISTEN/v1/components/uds4/faults | python3 -c 'import json, sys; print(json.load(sys.stdin)["items"][0]["fault_name"])')
+PAGE=$(fetch $LISTEN/v1/components/uds/faults | python3 -c 'import json, sys; print(json.load(sys.stdin)["items"][0]["fault_name"])')
 RETAINED=$("${COMPOSE[@]}" logs --no-color mqtt 2>/dev/null | grep -c "connected, as" || true)
 resident() { awk '/VmRSS/ {print int($2 / 1024)}' "/proc/$(docker inspect --format '{{.State.Pid}}' "$("${COMPOSE[@]}" ps -q "$1")")/status"; }
 size() { docker image inspect --format '{{.Size}}' "$1" | awk '{print int($1 / 1000000)}'; }

@@ -71,7 +71,7 @@ class Workshop:
         """The model file, and the recording that it was calibrated on."""
         training = self.made("training", 1, TRAINING_S)
         model = self.folder / "model.toml"
-        words = ["uds4", str(training), "--out", str(model)]
+        words = ["uds", str(training), "--out", str(model)]
         code, told = quietly(calibrate, words)
         if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
             self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))

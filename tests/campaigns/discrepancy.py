@@ -68,7 +68,7 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
         training = record_case(case, CYCLES["training"], "training", case.seed, case.effects, root, duration_s)
         held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root, duration_s)
         start, busy = time.monotonic(), time.process_time()
-        model = load_model("uds4")
+        model = load_model("uds")
         library = {name: effect for name, effect in load_library().items() if name not in case.without}
         data = load(model, [training], [held], _nothing)
         found = discover(data, library, Inline(), None, _quiet)
@@ -136,7 +136,7 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     written = root / "experiment.toml"
     written.write_text(best.experiment.cycle())
     extra = record_case(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
-    data = load(load_model("uds4"), [training, extra], [held], _nothing)
+    data = load(load_model("uds"), [training, extra], [held], _nothing)
     again = discover(data, load_library(), Inline(), None, _quiet)
     return {
         "proposed": best.experiment.name,
@@ -155,7 +155,7 @@ def _closure(case: Case, found: Discovery, data: Data, root: Path) -> dict[str, 
     off = root / "off"
     training = record_case(case, CYCLES["training"], "training", case.seed, {}, off)
     held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
-    twin = discover(load(load_model("uds4"), [training], [held], _nothing), {}, Inline(), None, _quiet)
+    twin = discover(load(load_model("uds"), [training], [held], _nothing), {}, Inline(), None, _quiet)
     runs, floor = (shown(d.study, d.baseline, d.outcome.nominal, d.outcome.chosen) for d in (found, twin))
     errors = {"before": runs.before.agreement, "after": runs.after.agreement, "floor": floor.before.agreement}
     by_regime = {

@@ -167,7 +167,7 @@ def run(case: Case) -> dict[str, Any]:
             record_case(case, CYCLES[name], name, case.seed + k, case.effects, Path(folder), DURATION_S)
             for k, name in enumerate(("training", "validation"))
         ]
-        data = load(load_model("uds4"), paths[:1], paths[1:], lambda _: None)
+        data = load(load_model("uds"), paths[:1], paths[1:], lambda _: None)
         named = {title: variant(data) for title, variant in VARIANTS.items()}
     return {"case": case.name, "effects": [*case.effects], "named": named}
 

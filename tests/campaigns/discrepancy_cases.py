@@ -22,7 +22,7 @@ STRONG = 1.0
 class Truth:
     """The library's `entry` for an effect of the rig, `scale` times the rig's size in its unit; where it acts.
 
-    `equations` are those of uds4 that it changes. `forms` are other entries for the same effect; `besides` are entries
+    `equations` are those of uds that it changes. `forms` are other entries for the same effect; `besides` are entries
     for what the rig does along with it.
     """
 

@@ -38,7 +38,7 @@ def of_record(case: Case) -> tuple[dict[str, float], dict[str, tuple[str, ...]]]
             record_case(case, CYCLES[name], name, case.seed + k, {}, Path(folder), DURATION_S)
             for k, name in enumerate(("training", "validation"))
         )
-        data = load(load_model("uds4"), [training], [held], lambda _: None)
+        data = load(load_model("uds"), [training], [held], lambda _: None)
         study = Study(data.key, data.model, load_library(), data.training_sections, data.held_sections)
         judge = Judge(study, baseline_of(study))
         directions = [judge.direction(name) for name in study.library]

@@ -86,7 +86,7 @@ def where(r: Result) -> set[str]:
 @cache
 def _changed(name: str) -> frozenset[str]:
     """The equations of the model that an entry changes."""
-    model = load_model("uds4")
+    model = load_model("uds")
     new = rewritten(model, load_library()[name]).equations
     return frozenset(e for e, equation in model.equations.items() if new[e].text != equation.text)
 

@@ -42,7 +42,7 @@ PARTS: dict[str, dict[str, tuple[str, ...]]] = {
         "graphs: what both run as": ("analysis/graph/writer.py", "analysis/graph/runnable.py"),
     },
     "equations": {
-        "equations and parameters (TOML)": ("analysis/model/uds4.toml",),
+        "equations and parameters (TOML)": ("systems/uds/model.toml",),
         "calibration, with the free run": ("analysis/calibration", "analysis/simulation"),
         "implicit steps as ONNX": tuple(
             f"analysis/graph/{name}.py" for name in ("bank", "formula", "linear", "network", "step", "independence")
@@ -95,7 +95,7 @@ def calibration_cpu_s(folder: Path) -> float:
     given += ["--duration", str(RECORDING_S), "--id", "training"]
     must(rig, [*given, "--out", str(folder / "logs"), "--truth", str(folder / "truth")])
     busy = time.process_time()
-    must(calibrate, ["uds4", str(folder / "logs" / "training"), "--out", str(folder / "model.toml")])
+    must(calibrate, ["uds", str(folder / "logs" / "training"), "--out", str(folder / "model.toml")])
     return time.process_time() - busy
 
 
@@ -158,7 +158,7 @@ def main() -> None:
     records = [json.loads(line) for line in (RESULTS / "grey-box.jsonl").read_text().splitlines()]
     with tempfile.TemporaryDirectory() as folder:
         measured = calibration_cpu_s(Path(folder))
-    text = page(records, counted(load_model("uds4")), measured)
+    text = page(records, counted(load_model("uds")), measured)
     code = digest("analysis", "training", "testbench")
     text += f"\nCode {code}; trainings of the commits {', '.join(sorted({r['commit'] for r in records}))}. "
     (RESULTS / "effort.md").write_text(text + provenance(commit, time.monotonic() - start) + "\n")

@@ -43,7 +43,7 @@ Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 
 KEPT, PAGE = Path("docs/results/grey-box.jsonl"), Path("docs/results/grey-box.md")
-MODEL = "uds4"
+MODEL = "uds"
 BAND = 2.576
 """Of sigma: the adaptive band that 99 % shall lie within."""
 

@@ -35,6 +35,9 @@ CODE = (
 TESTS = (
     "sampling",
     "decode",
+    "decoded_columns",
+    "dbc",
+    "context",
     "senders",
     "reassembly",
     "arrivals",
@@ -43,7 +46,18 @@ TESTS = (
     "isolation",
     "health",
 )
-COPIED = ("src", "service", "analysis", "training", "testbench", "dbc", "tests", "pyproject.toml", "README.md")
+COPIED = (
+    "src",
+    "service",
+    "analysis",
+    "training",
+    "testbench",
+    "dbc",
+    "systems",
+    "tests",
+    "pyproject.toml",
+    "README.md",
+)
 
 
 class Mutant(NamedTuple):

@@ -10,7 +10,7 @@ from faultline.training.recipe import DEFAULT
 
 
 def test_what_is_counted_is_what_is_there() -> None:
-    count = counted(load_model("uds4"))
+    count = counted(load_model("uds"))
     assert (count.tests, count.equations) == (10, 8)
     assert count.networks == DEFAULT.members * count.of_a_member
     assert count.of_a_member > 100 * count.equations
@@ -28,7 +28,7 @@ def test_every_part_has_lines_and_lines_are_not_empty_ones(tmp_path: Path) -> No
 
 def test_the_page_says_both() -> None:
     records = [json.loads(line) for line in (RESULTS / "grey-box.jsonl").read_text().splitlines()]
-    count = counted(load_model("uds4"))
+    count = counted(load_model("uds"))
     said = page(records, count, 12.3)
     assert "| CPU time | 12 s | 65 s (12 trainings, median) |" in said
     assert f"| learnt numbers, 10 tests | 8 | {count.networks}: 5 members of {count.of_a_member} |" in said

@@ -28,7 +28,7 @@ def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Pa
     torch.set_num_threads(1)
     case = Case("bench", None, 0)
     training = made(case, "training", folder, 1, 600.0)
-    assert calibrate(["uds4", str(training), "--out", str(folder / "model.toml")]) == 0
+    assert calibrate(["uds", str(training), "--out", str(folder / "model.toml")]) == 0
     model = load_model(str(folder / "model.toml"))
     networks, _, _ = trained(model, training, DEFAULT, 0, tests=DISTINCT)
     assert len(networks.graph) < 1.5e6

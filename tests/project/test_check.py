@@ -23,7 +23,7 @@ def tree() -> check.Tree:
         ("tests/service/daemon/test_remembering.py", "service/core/memory/fault_memory.py"),  # by several imports
         ("tests/analysis/discrepancy/test_gate.py", "tests/analysis/discrepancy/made_study.py"),
         ("tests/analysis/calibration/test_fit.py", "tests/analysis/calibration/made_drive.py"),
-        ("tests/analysis/model/test_shipped_models.py", "analysis/model/uds4.toml"),  # data of a package
+        ("tests/analysis/model/test_shipped_models.py", "systems/uds/model.toml"),  # data of a package
         ("tests/service/mqtt/test_mqtt_page.py", "docs/mqtt.md"),  # named in the test
         ("tests/testbench/test_rig_command.py", "testbench/plant.py"),
     ],

@@ -9,7 +9,7 @@ from shutil import copy2
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("src", "service", "analysis", "training", "testbench", "dbc", "pyproject.toml")
+FOLDERS = ("src", "service", "analysis", "training", "testbench", "dbc", "systems", "pyproject.toml")
 
 PLANTS = {
     "a gateway of another one": ("service/mqtt/daemon.py", "from faultline.service.web.asking import SharedControl"),

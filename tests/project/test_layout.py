@@ -13,7 +13,7 @@ import pytest
 from faultline.service import distribution
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("service", "analysis", "training", "testbench", "dbc")
+FOLDERS = ("service", "analysis", "training", "testbench", "dbc", "systems")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 

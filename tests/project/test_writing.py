@@ -14,7 +14,7 @@ from bad_conditions import Condition, Killed, started
 from faultline.writing import check_file, check_folder, write_file, write_files, write_folder, written_whole
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("service", "analysis", "training", "testbench", "dbc", "src/faultline")
+PACKAGES = ("service", "analysis", "training", "testbench", "dbc", "systems", "src/faultline")
 
 OTHERS = {
     "src/faultline/writing.py": "it does",

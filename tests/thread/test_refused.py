@@ -83,7 +83,7 @@ def service(tmp_path: Path) -> Iterator[Service]:
 def test_the_other_slot_runs_and_why_is_a_condition(service: Service) -> None:
     service.damage("b")
     service.start()
-    assert [system["name"] for system in service.ask()["systems"]] == ["uds4"]
+    assert [system["name"] for system in service.ask()["systems"]] == ["uds"]
     service.until("the condition", lambda: service.refused)
     assert "current/ode.onnx: its bytes differ" in service.refused[0]
 

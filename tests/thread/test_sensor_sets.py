@@ -21,6 +21,6 @@ def test_recordings_without_the_added_sensors_are_refused(command: Callable[[lis
     described = (few / "recording.toml").read_text()
     (few / "recording.toml").write_text(described.replace('sensor_set = "instrumented"', 'sensor_set = "production"'))
     held = ["--held-out", str(LOG)] if command is discover else []
-    message = r"few/recording.toml: sensor_set is 'production', the model uds4 needs 'instrumented'; give recordings of"
+    message = r"few/recording.toml: sensor_set is 'production', the model uds needs 'instrumented'; give recordings of"
     with pytest.raises(InputError, match=message):
-        command(["uds4", str(few), *held, "--out", str(tmp_path / "out")])
+        command(["uds", str(few), *held, "--out", str(tmp_path / "out")])

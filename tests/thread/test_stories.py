@@ -49,7 +49,7 @@ def added(model: Path) -> set[str]:
 
 
 def shipped() -> Model:
-    return load_model("uds4")
+    return load_model("uds")
 
 
 def discovered(folder: Path) -> dict[str, Any]:

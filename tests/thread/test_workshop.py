@@ -48,7 +48,7 @@ def recorded(folder: Path, dwell_s: int, *fault: str) -> Path:
 def followed(path: Path) -> tuple[Cycle, Verdict]:
     """What every tick of the log says, as the control socket would send it."""
     bundle = load_bundle(GOLDEN / "bundle")
-    here: Any = SimpleNamespace(name="uds4", bundle=bundle, recorder=SimpleNamespace(latest=None))
+    here: Any = SimpleNamespace(name="uds", bundle=bundle, recorder=SimpleNamespace(latest=None))
     cycle = Cycle(msgspec.convert(json.loads(msgspec.json.encode(description(here))), SystemDescription), plan(), 600.0)
 
     def watch(tick: Observed, decision: Decision) -> None:

@@ -45,7 +45,7 @@ def circuit(seed: int, ticks: int = 1500, stretches: int = 1, noise: float = 1e-
 def dosing(seed: int, ticks: int = 400) -> Samples:
     """Signals of the dosing system that wander in their ranges: enough for scales and shapes, no physics."""
     rng = np.random.default_rng(seed)
-    model = load_model("uds4")
+    model = load_model("uds")
     steps = rng.uniform(0.2, 0.8, (-(-ticks // 20), len(model.known)))
     share = np.repeat(steps, 20, axis=0)[:ticks] + rng.normal(0.0, 0.01, (ticks, len(model.known)))
     lower, upper = (np.array([getattr(k, bound) for k in model.known.values()]) for bound in ("min", "max"))

@@ -57,7 +57,7 @@ def test_the_check_sees_a_product_of_two_devices(one_device: None) -> None:
 @pytest.mark.parametrize("recipe", [DEFAULT, THESIS], ids=lambda recipe: recipe.name)
 def test_a_training_stays_on_its_device(one_device: None, recipe: Any) -> None:
     samples, looks = dosing(1, 250), []
-    begun = Training(layout_of(load_model("uds4"), ["t02"]), samples, recipe, 0, device=META)
+    begun = Training(layout_of(load_model("uds"), ["t02"]), samples, recipe, 0, device=META)
     for phase in recipe.phases:  # the first iteration of each
         assert begun.step().device == META
         begun.done += phase.iterations

@@ -29,7 +29,7 @@ TABLE = {
 
 
 def test_every_function_has_the_arguments_of_the_computational_graph() -> None:
-    layout = layout_of(load_model("uds4"))
+    layout = layout_of(load_model("uds"))
     names = [name.split(".")[1] for name in layout.states] + [*layout.signals]
     found: dict[str, dict[str, str]] = {test.name: {} for test in layout.tests}
     for f, name in enumerate(layout.states):
@@ -45,7 +45,7 @@ def test_every_function_has_the_arguments_of_the_computational_graph() -> None:
 
 
 def test_a_state_begins_with_the_tests_own_signals_and_is_sensed_by_any() -> None:
-    layout = layout_of(load_model("uds4"), ["t02", "t21"])
+    layout = layout_of(load_model("uds"), ["t02", "t21"])
     assert [test.name for test in layout.tests] == ["t02", "t21"]
     place = {name: f for f, name in enumerate(layout.states)}
     assert layout.starts[place["t21.p_ap"]].gain == {"y_p_du": 1.0}
@@ -56,12 +56,12 @@ def test_a_state_begins_with_the_tests_own_signals_and_is_sensed_by_any() -> Non
 
 
 def test_h_that_is_a_state_is_known_as_one() -> None:
-    assert layout_of(load_model("uds4"), ["t02"]).direct(0) == 0
+    assert layout_of(load_model("uds"), ["t02"]).direct(0) == 0
     assert layout_of(load_model("rc")).direct(0) is None
 
 
 def test_what_cannot_be_a_network_is_refused_with_the_reason() -> None:
     with pytest.raises(InputError, match=r"--tests t01: cannot be a network: no residual equation has integral caus"):
-        layout_of(load_model("uds4"), ["t01"])
-    with pytest.raises(InputError, match=r"--tests t99: uds4 has no such test; it has t01, t02"):
-        layout_of(load_model("uds4"), ["t99"])
+        layout_of(load_model("uds"), ["t01"])
+    with pytest.raises(InputError, match=r"--tests t99: uds has no such test; it has t01, t02"):
+        layout_of(load_model("uds"), ["t99"])

@@ -32,8 +32,8 @@ PARITY = 1e-5
 @pytest.mark.parametrize(
     ("layout", "samples", "recipe"),
     [
-        (layout_of(load_model("uds4")), dosing(1), dataclasses.replace(DEFAULT, members=3, folds=3)),
-        (layout_of(load_model("uds4"), ["t02", "t13"]), dosing(2), dataclasses.replace(THESIS, hidden=(16, 16, 16))),
+        (layout_of(load_model("uds")), dosing(1), dataclasses.replace(DEFAULT, members=3, folds=3)),
+        (layout_of(load_model("uds"), ["t02", "t13"]), dosing(2), dataclasses.replace(THESIS, hidden=(16, 16, 16))),
         (rc(), circuit(1), dataclasses.replace(DEFAULT, members=2, folds=2)),
     ],
     ids=["default", "thesis", "rc"],
@@ -87,7 +87,7 @@ def sigma_of(spread: Variances, windows: Windows, run: Run, newest: bool) -> npt
 
 
 def test_recordings_side_by_side_are_each_by_itself() -> None:
-    layout, samples = layout_of(load_model("uds4"), ["t06", "t21"]), dosing(3)
+    layout, samples = layout_of(load_model("uds"), ["t06", "t21"]), dosing(3)
     examples = reckoned(layout, samples, Equations(layout))
     scaling = scaling_of(examples, "spread")
     networks = Networks(layout, dataclasses.replace(DEFAULT, folds=2), 2)

@@ -44,8 +44,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     logs = tuple(tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
     networks, tuning, bundle = folder / "networks", folder / "tuning.json", folder / "bundle"
     with patch.dict("faultline.training.command.RECIPES", {"default": QUICK}):
-        assert train(["three_tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
-    given = ["three_tank", "--networks", str(networks)]
+        assert train(["three-tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
+    given = ["three-tank", "--networks", str(networks)]
     assert tune([*given, *map(str, logs[1:]), "--out", str(tuning)]) == 0
     dbc = str(logs[0] / "tanks.dbc")
     assert export([*given, "--tuning", str(tuning), "--dbc", dbc, "--out", str(bundle)]) == 0
@@ -55,7 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> None:
     bundle = load_bundle(made.bundle)
     verify_golden(bundle)
-    networks = load_networks(made.networks, load_model("three_tank")).description
+    networks = load_networks(made.networks, load_model("three-tank")).description
     manifest = bundle.manifest
     assert [graph.file for graph in manifest.graphs] == ["ode.onnx", "rnn.onnx"]
     names = [generator.name for generator in manifest.generators]
@@ -82,36 +82,36 @@ def test_a_leak_keeps_its_name_beside_networks(made: Made, tmp_path: Path, capsy
 def test_tuning_and_export_must_have_the_same_networks(made: Made, tmp_path: Path) -> None:
     dbc, out = str(made.logs[0] / "tanks.dbc"), str(tmp_path / "bundle")
     with pytest.raises(InputError, match=r"tuning\.json: was made with networks that are not those of --netw"):
-        export(["three_tank", "--tuning", str(made.tuning), "--dbc", dbc, "--out", out])
+        export(["three-tank", "--tuning", str(made.tuning), "--dbc", dbc, "--out", out])
     with pytest.raises(InputError, match=r"used to train the networks; tune on fault-free recordings of their own"):
-        tune(["three_tank", "--networks", str(made.networks), str(made.logs[0]), "--out", out])
+        tune(["three-tank", "--networks", str(made.networks), str(made.logs[0]), "--out", out])
 
 
 def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"was trained on the signals .*; train for uds4 anew"):
-        load_networks(made.networks, load_model("uds4"))
+    with pytest.raises(InputError, match=r"was trained on the signals .*; train for uds anew"):
+        load_networks(made.networks, load_model("uds"))
     with pytest.raises(InputError, match=r"nowhere: no networks: .*; `faultline train` writes them"):
-        load_networks(tmp_path / "nowhere", load_model("three_tank"))
+        load_networks(tmp_path / "nowhere", load_model("three-tank"))
     damaged = tmp_path / "damaged"
     shutil.copytree(made.networks, damaged)
     graph = bytearray((damaged / "rnn.onnx").read_bytes())
     graph[1000] ^= 1
     (damaged / "rnn.onnx").write_bytes(graph)
     with pytest.raises(InputError, match=r"rnn\.onnx: is not the graph that networks\.json is of; copy the"):
-        load_networks(damaged, load_model("three_tank"))
+        load_networks(damaged, load_model("three-tank"))
 
 
 def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_path: Path) -> None:
     short = tanks.record(tmp_path / "short", 7, 160.0)
-    given = ["three_tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
+    given = ["three-tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
     with patch("faultline.training.saved.PHASES", QUICK.phases):
         assert train(given) == 0
-    model = load_model("three_tank")
+    model = load_model("three-tank")
     before, after = (load_networks(folder, model).description for folder in (made.networks, tmp_path / "adapted"))
     assert after.recordings == [*before.recordings, open_log(short).sha256]
     assert (after.members, after.recipe) == (before.members, before.recipe)
     with pytest.raises(InputError, match=r"used to train the networks; tune on"):
-        tune(["three_tank", "--networks", str(tmp_path / "adapted"), str(made.logs[0]), "--out", str(tmp_path / "t")])
+        tune(["three-tank", "--networks", str(tmp_path / "adapted"), str(made.logs[0]), "--out", str(tmp_path / "t")])
     with pytest.raises(InputError, match=r"--recipe: networks that are adapted have their own; leave it out"):
         train([*given, "--recipe", "thesis"])
     with pytest.raises(InputError, match=r"weights\.pt: is of other tests or of another model; give the same --tests"):
@@ -121,28 +121,28 @@ def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_p
     for content in (b"", b"hello"):
         (damaged / "weights.pt").write_bytes(content)
         with pytest.raises(InputError, match=r"weights\.pt: cannot be read, .+; train the networks anew"):
-            train(["three_tank", str(short), "--from", str(damaged)])
+            train(["three-tank", str(short), "--from", str(damaged)])
     shutil.copy(tmp_path / "adapted" / "weights.pt", damaged)
     with pytest.raises(InputError, match=r"weights\.pt: is not of the graph beside it; copy the whole folder"):
-        train(["three_tank", str(short), "--from", str(damaged)])
+        train(["three-tank", str(short), "--from", str(damaged)])
 
 
 def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_path: Path) -> None:
     short = tanks.record(tmp_path / "short", 6, 60.0)
     out = ["--out", str(tmp_path / "never")]
     with pytest.raises(InputError, match=r"short: \d+ s in which all signals can be used .*; \d+ s more are needed"):
-        train(["three_tank", str(short), *out])
+        train(["three-tank", str(short), *out])
     with pytest.raises(InputError, match=r"this recording is named twice; name it once"):
-        train(["three_tank", str(made.logs[0]), str(made.logs[0]), *out])
+        train(["three-tank", str(made.logs[0]), str(made.logs[0]), *out])
     with pytest.raises(InputError, match=r"--tests t99: three_tank has no such test"):
-        train(["three_tank", str(made.logs[0]), "--tests", "t99", *out])
+        train(["three-tank", str(made.logs[0]), "--tests", "t99", *out])
     with pytest.raises(InputError, match=r"--members 0: at least 1"):
-        train(["three_tank", str(made.logs[0]), "--members", "0", *out])
+        train(["three-tank", str(made.logs[0]), "--members", "0", *out])
     t = np.arange(0.0, 200.0, tanks.FRAME_S)
     u = np.interp(t, [0.0, 60.0, 120.0, 200.0], [0.5, 0.7, 0.45, 0.6])
     levels = tanks.levels(t, u, None)
     levels[:, 1] = 0.31
     stuck = tanks.write(tmp_path / "stuck", t, u, levels)
     with pytest.raises(InputError, match=r"stuck: y2 hardly moves .*: a sensor that is stuck, or an input"):
-        train(["three_tank", str(stuck), *out])
+        train(["three-tank", str(stuck), *out])
     assert not (tmp_path / "never").exists()

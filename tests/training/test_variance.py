@@ -48,7 +48,7 @@ def test_sigma_is_that_of_the_operating_point() -> None:
 
 def test_the_predicted_signal_takes_no_part() -> None:
     """The wound: beside the state that predicts it, it told the residual, and sigma grew with a fault."""
-    layout = layout_of(load_model("uds4"))
+    layout = layout_of(load_model("uds"))
     size = len(layout.states)
     for t, row in enumerate(variance_columns(layout)):
         signals = {int(c) - 2 * size for c in row if c >= 2 * size}

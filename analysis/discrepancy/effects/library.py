@@ -26,12 +26,13 @@ from faultline.analysis.discrepancy.effects.effect import Change, Effect, Effect
 from faultline.analysis.model import Differential, ModelError
 from faultline.analysis.model.check import check_name
 from faultline.analysis.model.expression import FUNCTIONS, parse_expression
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.model.model import check_bounds
 from faultline.analysis.model.tables import Table, first_repeated
 
 SCHEMA = 1
 
-SHIPPED = Path(__file__).with_name("library.toml")
+SHIPPED = SYSTEMS / "uds" / "effects.toml"
 
 EXPERIMENTS = {
     "pressure_ladder": "steps of pressure from 6 to 12.5 bar without dosing",

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import exp
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +27,7 @@ from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of
 from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Equation, Known, Model, Unknown
 from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.model.tables import Table
 from faultline.analysis.recordings.track import Track
 from faultline.analysis.simulation import Drive, System, run, system_of
@@ -35,7 +35,7 @@ from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-SHIPPED = Path(__file__).with_name("experiments.toml")
+SHIPPED = SYSTEMS / "uds" / "experiments.toml"
 
 BEFORE_S = 40.0
 """From the start of a recording until its cycle begins: standing still, building pressure, the model's warm-up."""

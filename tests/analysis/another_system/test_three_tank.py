@@ -48,7 +48,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     folder = tmp_path_factory.mktemp("tanks")
     logs = [tanks.record(folder / f"steps-{seed}", seed, DURATION_S) for seed in (1, 2, 3)]
     model, tuning, bundle = folder / "calibrated.toml", folder / "tuning.json", folder / "bundle"
-    assert calibrate(["three_tank", str(logs[0]), "--out", str(model)]) == 0
+    assert calibrate(["three-tank", str(logs[0]), "--out", str(model)]) == 0
     assert tune([str(model), str(logs[1]), str(logs[2]), "--out", str(tuning)]) == 0
     assert export([str(model), "--tuning", str(tuning), "--dbc", str(logs[0] / "tanks.dbc"), "--out", str(bundle)]) == 0
     return Bench(folder, model, bundle)
@@ -72,7 +72,7 @@ def test_the_bundle_keeps_the_dbcs_own_name_and_the_models_units(bench: Bench) -
     manifest = load_bundle(bench.bundle).manifest
     assert manifest.dbc == "tanks.dbc"
     assert {channel.unit for channel in manifest.inputs} == {"1", "m"}
-    assert manifest.generators[0].warm_up_ticks == round(load_model("three_tank").warm_up_s / manifest.period_s)
+    assert manifest.generators[0].warm_up_ticks == round(load_model("three-tank").warm_up_s / manifest.period_s)
 
 
 def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> None:

@@ -33,7 +33,7 @@ STEP_S = 0.05
 BUS_S, ECU_S = 0.1, 0.2
 """Between frames of the added sensors, and of the ECU."""
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 UDS4_SYSTEM = system_of(UDS4, UDS4.calibrated)
 
 LATE_S = 0.03

@@ -40,7 +40,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("made")
     model, beside = folder / "datasheet.toml", folder / "beside.toml"
     model.write_text(dump_model(freed(UDS4, FREE)))
-    beside.write_text(dump_model(freed(load_model("uds1"), FREE)))
+    beside.write_text(dump_model(freed(load_model("uds/production"), FREE)))
     true = {name: p.value for name, p in UDS4.parameters.items()} | {"A_du": AREA}
     first, second, other = (
         write_recording(folder / f"holds-{seed}", frames(UDS4, true, seed, delay_s=DELAY_S), vehicle)
@@ -91,7 +91,7 @@ def test_the_same_recording_gives_the_same_bytes(made: Made, reported: Reported)
 
 def test_the_result_is_printed(reported: Reported) -> None:
     told = json.loads(reported.printed)
-    assert told["model"] == "uds4"
+    assert told["model"] == "uds"
     assert told["vehicle"] == "made"
     assert told["sources"] == ["made"]
     assert list(told["parameters"]) == list(FREE)
@@ -123,7 +123,7 @@ def test_a_report_is_a_page_a_picture_and_numbers(reported: Reported) -> None:
     assert width > 800
     assert height > 600
     page = (folder / "report.md").read_text()
-    assert page.startswith("# Calibration of uds4 of vehicle made\n")
+    assert page.startswith("# Calibration of uds of vehicle made\n")
     assert "![Free run](free-run.png)" in page
     for name in (*FREE, "holds-3", "holds-4"):
         assert name in page
@@ -146,7 +146,7 @@ def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> N
 
 
 def test_a_calibrated_model_is_of_one_vehicle(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'm"):
+    with pytest.raises(InputError, match=r"holds-5: recorded on vehicle 'another', the calibration of uds is of 'm"):
         calibrate([str(made.calibrated), str(made.other), "--out", str(tmp_path / "c.toml")])
 
 
@@ -170,7 +170,7 @@ def test_a_model_that_does_not_describe_the_data_is_not_written(
 def test_a_model_without_priors_is_refused(made: Made, tmp_path: Path) -> None:
     model = tmp_path / "fixed.toml"
     model.write_text(dump_model(freed(UDS4, ())))
-    with pytest.raises(InputError, match=r"uds4: no parameter has a prior; give `prior` to those that shall be"):
+    with pytest.raises(InputError, match=r"uds: no parameter has a prior; give `prior` to those that shall be"):
         calibrate([str(model), str(made.first), "--out", str(tmp_path / "calibrated.toml")])
 
 
@@ -178,7 +178,7 @@ def test_a_recording_that_is_too_short_is_refused_and_nothing_is_written(tmp_pat
     short = write_recording(tmp_path / "short", [frame for frame in frames(UDS4, {}, 6) if frame.t < 45.0])
     out = tmp_path / "calibrated.toml"
     with pytest.raises(InputError, match=r"short: in no 50 s on end .*do all inputs tell"):
-        calibrate(["uds4", str(short), "--out", str(out)])
+        calibrate(["uds", str(short), "--out", str(out)])
     assert not out.exists()
 
 
@@ -213,7 +213,7 @@ def test_tuning_refuses_a_recording_named_twice(made: Made, tmp_path: Path) -> N
 
 
 def test_tuning_refuses_another_vehicle(made: Made, tmp_path: Path) -> None:
-    message = r"holds-5: recorded on vehicle 'another', the calibration of uds4 is of 'm"
+    message = r"holds-5: recorded on vehicle 'another', the calibration of uds is of 'm"
     with pytest.raises(InputError, match=message):
         tune([str(made.calibrated), str(made.other), "--out", str(tmp_path / "tuning.json")])
 

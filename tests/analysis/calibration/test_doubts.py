@@ -12,7 +12,7 @@ from faultline.analysis.calibration.validate import Agreement, Validation
 
 @pytest.fixture(scope="module")
 def good() -> Fit:
-    return calibrated("uds1", 0).fit
+    return calibrated("uds/production", 0).fit
 
 
 def off_by(rms: float, mode: str, normalised: float | None = None) -> dict[str, Validation]:

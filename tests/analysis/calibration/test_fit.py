@@ -13,7 +13,7 @@ from faultline.analysis.simulation import system_of
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
-UDS1 = load_model("uds1")
+UDS1 = load_model("uds/production")
 SEEDS = range(4)
 
 
@@ -51,7 +51,7 @@ def test_parameters_are_found_and_the_stated_errors_are_honest() -> None:
 
 def test_with_all_the_noise_that_the_model_states() -> None:
     """The noise of the speed biases the hose by some percent: what it makes within a cell is not in the weights."""
-    cases = [calibrated("uds1", seed) for seed in SEEDS]
+    cases = [calibrated("uds/production", seed) for seed in SEEDS]
     z = [relative_z(case) for case in cases]
     rms = np.sqrt(np.mean([value**2 for found in z for value in found.values()]))
     assert 0.5 < rms < 2.0, rms
@@ -69,7 +69,7 @@ def test_the_command_s_delay_is_found() -> None:
     """Four steps, each up to 0.2 s early or late: their mean is known to 0.06 s, and no better is claimed."""
     errors = []
     for seed in SEEDS:
-        case = calibrated("uds1", seed)
+        case = calibrated("uds/production", seed)
         stated = 0.3 * np.sqrt(case.fit.covariance[-1, -1])
         assert 0.05 < stated < 0.08, seed
         errors.append(case.fit.unknowns.delay(case.fit.x)["dc_dose"] - DELAY_S)
@@ -99,14 +99,14 @@ def test_zero_errors_are_found_against_each_other() -> None:
 
 def test_what_no_sensor_tells_stays_at_the_datasheet() -> None:
     """The search has to know the priors: from another start the pump filter's area comes back."""
-    found = calibrated("uds4", 0, 4).fit
-    assert found.values["A_p"] == pytest.approx(load_model("uds4").parameters["A_p"].value, rel=0.05)
+    found = calibrated("uds", 0, 4).fit
+    assert found.values["A_p"] == pytest.approx(load_model("uds").parameters["A_p"].value, rel=0.05)
     assert abs(found.x[found.unknowns.parameters.index("D_p")]) < 0.5
 
 
 def test_searches_from_all_starts_agree() -> None:
     """And the model of four states finds what that of one does on a vehicle with the same errors."""
-    four, one = calibrated("uds4", 0, 4).fit, calibrated("uds1", 0).fit
+    four, one = calibrated("uds", 0, 4).fit, calibrated("uds/production", 0).fit
     assert four.starts == (4, 4)
     assert one.starts == (1, 1)
     for name in ("A_t", "A_du", "A_ori", "A_dos"):
@@ -114,7 +114,7 @@ def test_searches_from_all_starts_agree() -> None:
 
 
 def test_a_bound_that_excludes_the_truth_is_told() -> None:
-    case = calibrated("uds1", 0)
+    case = calibrated("uds/production", 0)
     assert case.fit.at_bound == ()
     name = "A_dos"
     parameters = dict(UDS1.parameters)
@@ -131,16 +131,16 @@ def test_a_bound_that_excludes_the_truth_is_told() -> None:
 
 def test_a_model_that_runs_from_no_start_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
-        raise InputError("uds4: no free run is found")
+        raise InputError("uds: no free run is found")
 
-    case = calibrated("uds1", 0)
+    case = calibrated("uds/production", 0)
     monkeypatch.setattr("faultline.analysis.calibration.problem.run", fails)
     with pytest.raises(InputError, match="no free run is found"):
         fit(case.system, case.sections, silent, 2)
 
 
 def test_the_same_data_give_the_same_numbers() -> None:
-    case = calibrated("uds1", 0)
+    case = calibrated("uds/production", 0)
     again = fit(case.system, case.sections, silent, 1)
     assert (again.x == case.fit.x).all()
     assert (again.covariance == case.fit.covariance).all()

@@ -15,7 +15,7 @@ SCALED = ("A_t", "A_du", "A_ori", "A_dos", "B_du")
 
 
 def fixed_scale() -> Fit:
-    case = calibrated("uds1", 0)
+    case = calibrated("uds/production", 0)
     names = [name for name in case.system.parameters if name != "D_p"]
     model = freed(case.model.with_parameters({"D_p": case.true["D_p"]}, {}), names)
     system = system_of(model, names)
@@ -23,14 +23,14 @@ def fixed_scale() -> Fit:
 
 
 def test_the_displacement_is_the_anchor_of_the_flow() -> None:
-    found = identify(calibrated("uds1", 0).fit)
+    found = identify(calibrated("uds/production", 0).fit)
     assert found.anchors == {"D_p": SCALED}
     assert not found.estimates["D_p"].told
     assert found.estimates["D_p"].relative_spread == 0.0
 
 
 def test_in_four_states_it_is_the_same() -> None:
-    found = identify(calibrated("uds4", 0, 4).fit)
+    found = identify(calibrated("uds", 0, 4).fit)
     assert list(found.anchors) == ["D_p"]
     assert set(found.anchors["D_p"]) == {"A_t", "A_du", "A_ori", "A_dos", "B_ap"}
     assert not found.estimates["A_p"].told
@@ -38,15 +38,15 @@ def test_in_four_states_it_is_the_same() -> None:
 
 def test_the_pump_filter_is_not_told() -> None:
     """No sensor is behind it: its area has no effect on what is measured but through the leak."""
-    found = identify(calibrated("uds1", 0).fit)
-    prior = calibrated("uds1", 0).model.parameters["A_p"].prior
+    found = identify(calibrated("uds/production", 0).fit)
+    prior = calibrated("uds/production", 0).model.parameters["A_p"].prior
     assert not found.estimates["A_p"].told
     assert found.estimates["A_p"].spread == pytest.approx(prior, rel=0.01)
     assert all(found.estimates[name].told for name in (*SCALED, "C_v"))
 
 
 def test_relative_to_the_anchor_much_more_is_known() -> None:
-    found = identify(calibrated("uds1", 0).fit)
+    found = identify(calibrated("uds/production", 0).fit)
     anchor = found.estimates["D_p"].spread
     for name in SCALED:
         estimate = found.estimates[name]
@@ -56,7 +56,7 @@ def test_relative_to_the_anchor_much_more_is_known() -> None:
 
 def test_without_a_prior_of_the_displacement_nothing_needs_an_anchor() -> None:
     found = identify(fixed_scale())
-    whole = identify(calibrated("uds1", 0).fit)
+    whole = identify(calibrated("uds/production", 0).fit)
     assert found.anchors == {}
     assert "D_p" not in found.estimates
     for name in SCALED:
@@ -67,13 +67,15 @@ def test_without_a_prior_of_the_displacement_nothing_needs_an_anchor() -> None:
 
 
 def test_leak_and_orifice_are_hard_to_tell_apart() -> None:
-    pairs = {(first, second): value for first, second, value in identify(calibrated("uds1", 0).fit).correlated}
+    pairs = {
+        (first, second): value for first, second, value in identify(calibrated("uds/production", 0).fit).correlated
+    }
     assert -1.0 < pairs.pop(("C_v", "A_ori")) < -0.9
     assert all(abs(value) < 0.9 for value in pairs.values())
 
 
 def test_an_interval_is_of_the_logarithm() -> None:
-    estimate = identify(calibrated("uds1", 0).fit).estimates["B_du"]
+    estimate = identify(calibrated("uds/production", 0).fit).estimates["B_du"]
     low, high = estimate.interval(0.1)
     assert low * high == pytest.approx(estimate.value**2)
     assert np.log(high / low) == pytest.approx(2 * QUANTILE * 0.1)
@@ -82,7 +84,7 @@ def test_an_interval_is_of_the_logarithm() -> None:
 
 def test_a_parameter_that_may_be_zero_has_an_interval_in_its_unit() -> None:
     """The wound: 0 % was printed of a parameter that is zero in the file."""
-    fit = calibrated("uds1", 0).fit
+    fit = calibrated("uds/production", 0).fit
     k = fit.unknowns.parameters.index("B_du")
     priors, spreads, values = fit.unknowns.priors.copy(), fit.unknowns.spreads.copy(), fit.unknowns.values.copy()
     priors[k], spreads[k], values[k] = 0.0, 3.0, 0.0
@@ -97,7 +99,7 @@ def test_a_parameter_that_may_be_zero_has_an_interval_in_its_unit() -> None:
 
 
 def test_without_data_the_priors_are_all_there_is() -> None:
-    given = calibrated("uds1", 0).fit
+    given = calibrated("uds/production", 0).fit
     n = len(given.x)
     nothing = dataclasses.replace(given, x=np.zeros(n), covariance=np.eye(n), information=np.zeros((n, n)))
     found = identify(nothing)

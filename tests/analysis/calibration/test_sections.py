@@ -141,7 +141,7 @@ def test_a_log_that_is_shorter_than_the_warm_up_is_told_so() -> None:
 
 def test_a_model_without_an_input_is_refused() -> None:
     system = SimpleNamespace(inputs=())
-    with pytest.raises(InputError, match="the model uds4 has no input, and a free run without one says nothing"):
+    with pytest.raises(InputError, match="the model uds has no input, and a free run without one says nothing"):
         divided(UDS4, cast(System, system), {}, "a")
 
 
@@ -233,7 +233,7 @@ def test_a_state_that_no_sensor_sees_needs_an_initial_expression() -> None:
     unknown = dict(UDS4.unknown)
     unknown["p_bp"] = dataclasses.replace(unknown["p_bp"], initial=())
     model = dataclasses.replace(UDS4, unknown=unknown)
-    with pytest.raises(InputError, match=r"^uds4: unknown.p_bp.initial: no expression uses only sensors' signals"):
+    with pytest.raises(InputError, match=r"^uds: unknown.p_bp.initial: no expression uses only sensors' signals"):
         log_sections(model, dataclasses.replace(UDS4_SYSTEM, model=model), LOG)
 
 

@@ -315,7 +315,7 @@ def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tm
         (tmp_path / "base.json").write_bytes(msgspec.json.encode(changed))
 
     written(msgspec.structs.replace(base, detectors=base.detectors[1:]))
-    with pytest.raises(InputError, match=r"base.json: its tests are t06.ode, .* those of uds4 t02.ode, .*; adapt a ba"):
+    with pytest.raises(InputError, match=r"base.json: its tests are t06.ode, .* those of uds t02.ode, .*; adapt a ba"):
         fleet.tune(*given)
     written(msgspec.structs.replace(base, modes=msgspec.structs.replace(base.modes, settle_ticks=3)))
     with pytest.raises(InputError, match=r"base.json: its operating modes are not the model's; adapt a base of the sa"):
@@ -333,7 +333,7 @@ def test_a_recording_of_too_few_sensors_is_refused(fleet: Fleet, more: tuple[str
     few = Path(shutil.copytree(fleet.drives["b1"], tmp_path / "few"))
     described = (few / "recording.toml").read_text()
     (few / "recording.toml").write_text(described.replace('sensor_set = "instrumented"', 'sensor_set = "production"'))
-    message = r"few/recording.toml: sensor_set is 'production', the model uds4 needs 'instrumented'; give recordings of"
+    message = r"few/recording.toml: sensor_set is 'production', the model uds needs 'instrumented'; give recordings of"
     with pytest.raises(InputError, match=message):
         fleet.tune(fleet.b, few, *more, *([fleet.base] if more else []))
 
@@ -370,14 +370,14 @@ def test_also_refuses_what_is_no_other_vehicle_of_the_kind(fleet: Fleet, tmp_pat
     d = fleet.drives
     with pytest.raises(InputError, match=r"--also .*b.toml: no recording of that vehicle; give its model file and its"):
         fleet.tune(fleet.a, d["a1"], "--also", fleet.b)
-    with pytest.raises(InputError, match=r"a2: recorded on vehicle 'a', the calibration of uds4 is of 'b'"):
+    with pytest.raises(InputError, match=r"a2: recorded on vehicle 'a', the calibration of uds is of 'b'"):
         fleet.tune(fleet.a, d["a1"], "--also", fleet.b, d["a2"])
     with pytest.raises(InputError, match=r"--also 1: its model is of 'a' again; name the drives of a vehicle together"):
         fleet.tune(fleet.a, d["a1"], "--also", fleet.a, d["a2"])
     other = tmp_path / "other.toml"
     other.write_text(dump_model(dataclasses.replace(of("b"), warm_up_s=5.0)))
     with pytest.raises(
-        InputError, match=r"--also 1: .*: its tests are not those of uds4 \(.*\); give vehicles that wer"
+        InputError, match=r"--also 1: .*: its tests are not those of uds \(.*\); give vehicles that wer"
     ):
         fleet.tune(fleet.a, d["a1"], "--also", other, d["b1"])
     with pytest.raises(InputError, match=r"b1: this recording is used twice; tune on"):

@@ -11,7 +11,7 @@ from faultline.analysis.calibration.validate import STEADY, Validation, validate
 from faultline.analysis.model import load_model
 from faultline.analysis.simulation import system_of
 
-UDS1 = load_model("uds1")
+UDS1 = load_model("uds/production")
 SYSTEM = system_of(UDS1, UDS1.calibrated)
 SPEED = (20.0, 22.0, 24.0, 28.0, 30.0, 27.0) * 3
 DOSE = (0.0, 0.3, 0.4, 1.0, 0.7, 0.0) * 3

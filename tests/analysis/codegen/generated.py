@@ -26,8 +26,8 @@ needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C com
 
 @once
 def golden_samples() -> tuple[tuple[str, ...], Array]:
-    """The signals of uds4 (nz,) and the samples (600, nz) of the golden log: filter fA_du clogs at 70 s."""
-    bank = build_bank(load_model("uds4"))
+    """The signals of uds (nz,) and the samples (600, nz) of the golden log: filter fA_du clogs at 70 s."""
+    bank = build_bank(load_model("uds"))
     log = open_known(GOLDEN, print)
     table = compile_dbc(log.dbc, {channel.signal: channel.unit for channel in bank.inputs}, str(GOLDEN))
     z = np.array([tick.z for tick in observe(bank, log.signals(table))])

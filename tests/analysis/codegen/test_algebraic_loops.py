@@ -208,8 +208,8 @@ def test_several_solutions_are_refused_with_the_reason(
 
 def test_the_square_roots_of_the_one_state_model_are_refused_and_their_loop_is_named() -> None:
     """Thesis 7.3: the pressures of the one-state model leave two roots open for the flow."""
-    model = load_model("uds1")
+    model = load_model("uds/production")
     widest = mtes_sets(structure_of(model))[-1]
     sequence = computation_sequence(model, widest, "e10")
     with pytest.raises(InputError, match=r"algebraic loop e01, e02, e06, e07, e08 cannot be solved for .*several"):
-        residual_program(model, sequence, name="uds1_t15")
+        residual_program(model, sequence, name="uds_production_t15")

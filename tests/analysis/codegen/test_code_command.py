@@ -7,42 +7,42 @@ from pathlib import Path
 import pytest
 
 from faultline.analysis.codegen.command import main
-from faultline.analysis.model import file as model_file
+from faultline.analysis.model.file import shipped_models
 from faultline.service.core.errors import InputError
 
 
 def test_every_test_that_can_be_run_is_written_in_both_languages(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["uds4", "--out", str(tmp_path / "code")]) == 0
+    assert main(["uds", "--out", str(tmp_path / "code")]) == 0
     names = {path.name for path in (tmp_path / "code").iterdir()}
     tests = ["t02", "t06", "t08", "t09", "t10", "t12", "t13", "t19", "t20", "t21"]
-    assert names == {f"uds4_{test}.{ending}" for test in tests for ending in ("py", "h", "c")}
-    assert "wrote uds4_t02.py, uds4_t02.h, uds4_t02.c: residual e16, integral causality" in capsys.readouterr().out
+    assert names == {f"uds_{test}.{ending}" for test in tests for ending in ("py", "h", "c")}
+    assert "wrote uds_t02.py, uds_t02.h, uds_t02.c: residual e16, integral causality" in capsys.readouterr().out
     for test in tests:
-        ast.parse((tmp_path / "code" / f"uds4_{test}.py").read_text())
+        ast.parse((tmp_path / "code" / f"uds_{test}.py").read_text())
 
 
 def test_one_residual_of_another_causality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--test", "t01", "--residual", "e16", "--filter", "2", "--out", str(tmp_path)]) == 0
+    assert main(["uds", "--test", "t01", "--residual", "e16", "--filter", "2", "--out", str(tmp_path)]) == 0
     assert "derivative causality" in capsys.readouterr().out
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "uds4_t01_e16.c", "-o", "t01.o"]
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "uds_t01_e16.c", "-o", "t01.o"]
     subprocess.run(["cc", *strict], cwd=tmp_path, check=True)
 
 
 def test_models_and_forms_go_into_one_folder_and_link_together(tmp_path: Path) -> None:
-    chosen = ["three_tank", "--test", "t10", "--residual", "e12"]
-    assert main(["uds4", "--test", "t10", "--out", str(tmp_path)]) == 0
-    assert main(["three_tank", "--test", "t10", "--out", str(tmp_path)]) == 0
+    chosen = ["three-tank", "--test", "t10", "--residual", "e12"]
+    assert main(["uds", "--test", "t10", "--out", str(tmp_path)]) == 0
+    assert main(["three-tank", "--test", "t10", "--out", str(tmp_path)]) == 0
     assert main([*chosen, "--out", str(tmp_path)]) == 0
     assert main([*chosen, "--form", "derivative", "--out", str(tmp_path)]) == 0
-    names = {"uds4_t10", "three_tank_t10", "three_tank_t10_e12", "three_tank_t10_e12_derivative"}
+    names = {"uds_t10", "three_tank_t10", "three_tank_t10_e12", "three_tank_t10_e12_derivative"}
     assert {path.stem for path in tmp_path.iterdir()} == names
     (tmp_path / "main.c").write_text("int main(void) { return 0; }\n")
     subprocess.run(["cc", "main.c", *(f"{name}.c" for name in names), "-lm"], cwd=tmp_path, check=True)
 
 
-RC = (Path(model_file.__file__).parent / "rc.toml").read_text()
+RC = shipped_models()["rc"].read_text()
 
 
 @pytest.mark.parametrize(
@@ -92,24 +92,24 @@ def test_a_model_without_any_test_says_why(tmp_path: Path, text: str, reason: st
 
 def test_a_form_without_a_residual_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
-        main(["uds4", "--form", "derivative", "--out", str(tmp_path)])
+        main(["uds", "--form", "derivative", "--out", str(tmp_path)])
     assert "--form needs --residual" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["uds4", "--test", "t99"], "uds4: no test t99; those are t01, t02"),
+        (["uds", "--test", "t99"], "uds: no test t99; those are t01, t02"),
         (
-            ["uds4", "--test", "t01"],
-            "uds4: t01 cannot be run: no residual equation has integral causality; name another",
+            ["uds", "--test", "t01"],
+            "uds: t01 cannot be run: no residual equation has integral causality; name another",
         ),
-        (["uds4", "--test", "t02", "--residual", "e01"], "residual e01 is not among e03, e04"),
-        (["uds1", "--test", "t09", "--residual", "e10"], "more than one solution|cannot be solved|loop"),
-        (["uds1"], "uds1: no test can be run; choose one with --test and --residual"),
+        (["uds", "--test", "t02", "--residual", "e01"], "residual e01 is not among e03, e04"),
+        (["uds/production", "--test", "t09", "--residual", "e10"], "more than one solution|cannot be solved|loop"),
+        (["uds/production"], "uds_production: no test can be run; choose one with --test and --residual"),
         (["model.json"], "model.json: a structural model has no formulas, .*; write its equations as formulas"),
         (
-            ["uds4", "--test", "t01", "--residual", "e16", "--form", "derivative"],
+            ["uds", "--test", "t01", "--residual", "e16", "--form", "derivative"],
             "e16 is no differential constraint, .*; leave --form away, or take one of t01: e12, e13, e14",
         ),
     ],

@@ -30,8 +30,8 @@ def largest(model: Model, sequence: ComputationSequence, samples: Mapping[str, A
 @pytest.fixture(scope="module")
 def tanks() -> Model:
     """Three tanks whose levels stand 3 to 2 to 1 at the start, exactly."""
-    text = shipped_models()["three_tank"].read_text()
-    return parse_model(text.replace("0.67*y1", "y1*2/3").replace("0.33*y1", "y1/3"), "three_tank.toml")
+    text = shipped_models()["three-tank"].read_text()
+    return parse_model(text.replace("0.67*y1", "y1*2/3").replace("0.33*y1", "y1/3"), "three-tank.toml")
 
 
 def filling(model: Model, period: float) -> dict[str, Array]:

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return load_model("uds4")
+    return load_model("uds")
 
 
 def residual(

@@ -18,14 +18,14 @@ from faultline.service.core.errors import InputError
 
 @pytest.fixture(scope="module")
 def bank() -> Bank:
-    return build_bank(load_model("uds4"))
+    return build_bank(load_model("uds"))
 
 
 @pytest.fixture(scope="module")
 def programs(bank: Bank) -> list[Program]:
     return [
         residual_program(
-            bank.model, computation_sequence(bank.model, test.equations, test.residual), name=f"uds4_{test.name}"
+            bank.model, computation_sequence(bank.model, test.equations, test.residual), name=f"uds_{test.name}"
         )
         for test in bank.tests
     ]
@@ -38,7 +38,9 @@ def choices(name: str, every: int) -> Iterator[Program]:
     found = [(k, equations, e) for k, equations in enumerate(mtes_sets(structure), start=1) for e in equations]
     for k, equations, residual in found[::every]:
         sequence = computation_sequence(model, equations, residual, form="derivative" if k % 2 else "integral")
-        yield residual_program(model, sequence, name=f"{name}_t{k:02d}_{residual}", filter_s=0.0 if k % 3 else 0.5)
+        yield residual_program(
+            model, sequence, name=f"{model.name}_t{k:02d}_{residual}", filter_s=0.0 if k % 3 else 0.5
+        )
 
 
 def test_the_python_code_equals_the_onnx_graph_over_the_golden_log(bank: Bank, programs: list[Program]) -> None:
@@ -63,10 +65,10 @@ def test_the_c_code_equals_the_onnx_graph_over_the_golden_log(
 
 
 @needs_compiler
-@pytest.mark.parametrize(("name", "every"), [("uds4", 7), ("three_tank", 9), ("rc", 1)])
+@pytest.mark.parametrize(("name", "every"), [("uds", 7), ("three-tank", 9), ("rc", 1)])
 def test_c_and_python_agree_to_the_last_bit_in_every_causality(name: str, every: int, tmp_path: Path) -> None:
     signals, z = golden_samples()
-    if name != "uds4":
+    if name != "uds":
         signals = tuple(load_model(name).known)
         z = np.random.default_rng(6).uniform(0.2, 1.0, (60, len(signals)))
         z[20, 0] = z[30, 1] = math.nan
@@ -79,7 +81,7 @@ def test_c_and_python_agree_to_the_last_bit_in_every_causality(name: str, every:
 
 
 def test_three_tanks_equal_their_onnx_graph_too() -> None:
-    bank = build_bank(load_model("three_tank"))
+    bank = build_bank(load_model("three-tank"))
     signals = tuple(channel.signal for channel in bank.inputs)
     levels = 0.1 + np.abs(np.cumsum(np.random.default_rng(7).normal(0.0, 0.01, (300, 4)), axis=0))
     graph = bank.simulate([{}], levels, bank.start(levels[0]))[:, 0]
@@ -93,14 +95,14 @@ def test_a_lost_sample_costs_its_residual_and_no_more_than_the_start_anew(bank: 
     signals, z = golden_samples()
     broken = z[:200].copy()
     broken[100, signals.index("y_p_ap")] = math.nan
-    [t02] = [program for program in programs if program.name == "uds4_t02"]
+    [t02] = [program for program in programs if program.name == "uds_t02"]
     r = run_python(t02, signals, broken)
     assert np.flatnonzero(np.isnan(r)).tolist() == [100]
     assert abs(r[150] - run_python(t02, signals, z[:200])[150]) < 1e-3  # Pa
 
 
 def test_every_line_names_its_equation(programs: list[Program]) -> None:
-    [t02] = [program for program in programs if program.name == "uds4_t02"]
+    [t02] = [program for program in programs if program.name == "uds_t02"]
     for text in (python_source(t02), *c99_sources(t02).values()):
         assert "Residual equation: e16" in text
     noted = {line.note.split(":")[0] for line in t02.lines}

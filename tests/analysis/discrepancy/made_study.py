@@ -13,7 +13,7 @@ from faultline.analysis.discrepancy.name.attempt import Study
 from faultline.analysis.model import Model, load_model
 
 LIBRARY = load_library()
-UDS1 = load_model("uds1")
+UDS1 = load_model("uds/production")
 
 
 class Inline(Executor):

@@ -23,7 +23,7 @@ FACTS: Mapping[str, object] = {
 @cache
 def calibrated() -> Model:
     entry = {"command": "calibrate", "recordings": ["1" * 64, "0" * 64], "vehicle": "bench 6"}
-    return load_model("uds4").with_parameters({"C_v": 1.9e-9}, entry)
+    return load_model("uds").with_parameters({"C_v": 1.9e-9}, entry)
 
 
 def values_for(model: Model, effects: Sequence[str]) -> dict[str, float]:
@@ -105,7 +105,7 @@ def test_a_value_that_rounding_carries_beyond_a_bound_is_at_the_bound() -> None:
 def test_a_parameter_that_was_not_fitted_is_named() -> None:
     values = values_for(calibrated(), ["full_open_gain"])
     del values["C_v"]
-    with pytest.raises(ModelError, match=r"^uds4: parameter\.C_v: was not fitted; give values of C_v$"):
+    with pytest.raises(ModelError, match=r"^uds: parameter\.C_v: was not fitted; give values of C_v$"):
         adopted(calibrated(), [LIBRARY["full_open_gain"]], values, FACTS)
 
 
@@ -117,7 +117,7 @@ def test_a_fact_that_no_file_can_hold_is_refused() -> None:
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ((), "uds4: provenance: is empty, there is nothing to undo; give"),
+        ((), "uds: provenance: is empty, there is nothing to undo; give"),
         (({"command": "calibrate"},), "provenance[0]: is of 'calibrate', and only a discovery that came last can"),
         (({"command": "discover"},), "provenance[0].was: is missing; give the model file as `faultline discover`"),
         (({"command": "discover", "was": 3},), "provenance[0].was: must be a table, not 3"),
@@ -130,6 +130,6 @@ def test_a_fact_that_no_file_can_hold_is_refused() -> None:
 )
 def test_what_cannot_be_undone_is_refused(entries: tuple[Mapping[str, object], ...], message: str) -> None:
     with pytest.raises(ModelError) as caught:
-        undone(dataclasses.replace(load_model("uds4"), provenance=entries))
+        undone(dataclasses.replace(load_model("uds"), provenance=entries))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -21,7 +21,7 @@ from faultline.testbench.vehicles import vehicle
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 GOLDEN_RUN = GOLDEN / "log", GOLDEN / "truth.toml"
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 WRONG = UDS4.with_parameters({"A_dos": 0.4 * UDS4.parameters["A_dos"].value}, {})
 ONSET_S = 70.0
 
@@ -105,7 +105,7 @@ def test_a_model_that_cannot_become_a_bundle_says_why(runs: Runs) -> None:
         },
     )
     found = effect(bare, bare, [runs.tuning])
-    assert str(found.after.reason).startswith("uds4: no test can be run (there is no redundancy); add a sensor")
+    assert str(found.after.reason).startswith("uds: no test can be run (there is no redundancy); add a sensor")
     assert found.tolerances == {}
     assert found.sentences() == [
         f"without the effect: there is no bundle: {found.before.reason}",

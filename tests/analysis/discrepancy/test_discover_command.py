@@ -131,7 +131,7 @@ def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: 
     assert entry["recordings"] == [open_log(found.training).sha256]
     assert entry["held_out"] == [open_log(found.held).sha256]
     assert structure([str(found.out / "model.toml")]) == 0
-    assert "uds1" in capsys.readouterr().out
+    assert "uds/production" in capsys.readouterr().out
 
 
 def test_what_makes_the_held_out_free_run_worse_is_not_written(
@@ -168,7 +168,7 @@ def test_undo_gives_the_bytes_that_were_there(found: Found, tmp_path: Path, caps
     assert main([str(found.out / "model.toml"), "--undo", "--out", str(tmp_path / "back")]) == 0
     back = tmp_path / "back" / "model.toml"
     assert back.read_bytes() == found.model.read_bytes()
-    assert capsys.readouterr().out == f"wrote {back}: uds1 as it was before its last discovery\n"
+    assert capsys.readouterr().out == f"wrote {back}: uds_production as it was before its last discovery\n"
     with pytest.raises(InputError, match="provenance: is empty, there is nothing to undo"):
         main([str(back), "--undo", "--out", str(tmp_path / "back")])
     with pytest.raises(InputError, match="--undo takes a model only"):
@@ -187,7 +187,7 @@ def has_it(found: Found, folder: Path) -> Path:
 def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -> None:
     """Without --apply no model is written. A model that was made from the held-out recording would be refused."""
     true = has_it(found, tmp_path)
-    with pytest.raises(InputError, match="uds1 was made from this recording, so it is no evidence"):
+    with pytest.raises(InputError, match="uds_production was made from this recording, so it is no evidence"):
         run(found.out / "model.toml", found.training, "--held-out", found.held, "--out", tmp_path / "again")
     (tmp_path / "again").mkdir(exist_ok=True)
     for name in ("discovery.json", "model.toml", "experiment.toml"):  # left by an earlier call, and not of this one
@@ -198,7 +198,7 @@ def test_where_a_model_has_it_nothing_is_missing(found: Found, tmp_path: Path) -
     assert document == json.loads((tmp_path / "again" / "discovery.json").read_bytes())
     assert document["verdict"]["kind"] == "nothing missing"
     entries = {entry["name"]: entry["no_place"] for entry in document["entries"]}
-    assert entries["full_open_gain"] == "uds1 has full_open_gain in it already"
+    assert entries["full_open_gain"] == "uds_production has full_open_gain in it already"
     assert not (tmp_path / "again" / "model.toml").exists()
     assert not (tmp_path / "again" / "experiment.toml").exists()
 
@@ -211,7 +211,7 @@ def test_a_fault_in_a_recording_is_told_and_nothing_is_added(tmp_path: Path, kin
     bad = write_recording(tmp_path / "bad", [a if a.t < 90.0 else b for a, b in zip(healthy, faulty, strict=True)])
     good = recording(tmp_path / "good", {}, 9)
     training, held = (good, bad) if kind == "held-out" else (bad, good)
-    code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--apply")
+    code, printed = run("uds/production", training, "--held-out", held, "--out", tmp_path / "out", "--apply")
     assert code == 1
     assert printed.startswith("something set in at ")
     assert " s of bad, as faults do (" in printed
@@ -226,7 +226,7 @@ def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path) -> None
     training, held = (
         recording(tmp_path / name, {}, seed, zero=5000.0, held=seed == 6) for seed, name in ((5, "t"), (6, "h"))
     )
-    code, printed = run("uds1", training, "--held-out", held, "--out", tmp_path / "out")
+    code, printed = run("uds/production", training, "--held-out", held, "--out", tmp_path / "out")
     assert code == 1
     told = json.loads((tmp_path / "out" / "discovery.json").read_bytes())
     assert told["verdict"]["kind"] == "one of"
@@ -235,7 +235,7 @@ def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path) -> None
     assert "offset_p_ap" in printed
     assert told["experiment"]["data"]["name"] in {e.name for e in experiments()[1]}
     assert not (tmp_path / "out" / "model.toml").exists()
-    again = ("uds1", training, "--held-out", held, "--out", tmp_path / "out", "--without", "offset_p_ap")
+    again = ("uds/production", training, "--held-out", held, "--out", tmp_path / "out", "--without", "offset_p_ap")
     code, printed = run(*again)
     assert code == 0
     assert "(offset_p_du)" in printed.splitlines()[0]
@@ -286,7 +286,16 @@ def test_what_is_wrong_with_the_bundles_recordings_is_said_before_a_minute_is_sp
     entry = shipped[shipped.index('[[effect]]\nname = "leak_laminar"') :].split("\n[[effect]]")[0]
     own.write_text("schema = 1\n" + entry.replace('"leak_laminar"', '"mine"').replace('"q_pump"', '"q_pumpe"'))
     said = refused(
-        "uds1", made.training, "--held-out", made.held, "--out", tmp_path / "o", "--library", own, "--tune", made.held
+        "uds/production",
+        made.training,
+        "--held-out",
+        made.held,
+        "--out",
+        tmp_path / "o",
+        "--library",
+        own,
+        "--tune",
+        made.held,
     )
     assert said.startswith(f"{made.held}: this recording was used to calibrate the model or to discover its effects")
     assert not (tmp_path / "o" / "work").exists()
@@ -302,26 +311,26 @@ def test_the_model_is_not_written_over(found: Found) -> None:
 
 
 def test_evidence_needs_another_recording(made: Made, tmp_path: Path) -> None:
-    said = refused("uds1", made.training, "--held-out", made.training, "--out", tmp_path / "o")
+    said = refused("uds/production", made.training, "--held-out", made.training, "--out", tmp_path / "o")
     assert said.startswith(f"{made.training}: the same recording as {made.training}; evidence needs recordings")
 
 
 def test_a_bare_log_is_refused(made: Made, tmp_path: Path) -> None:
     log = made.training / "can.log"
-    assert refused("uds1", log, "--held-out", made.held, "--out", tmp_path / "o") == (
+    assert refused("uds/production", log, "--held-out", made.held, "--out", tmp_path / "o") == (
         f"{log}: a bare log names no DBC; give its recording's folder"
     )
 
 
 def test_a_recording_that_is_not_there_is_named(made: Made, tmp_path: Path) -> None:
-    said = refused("uds1", made.training, "--held-out", tmp_path / "none", "--out", tmp_path / "o")
+    said = refused("uds/production", made.training, "--held-out", tmp_path / "none", "--out", tmp_path / "o")
     assert said.startswith(str(tmp_path / "none"))
 
 
 def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> None:
     true = {name: p.value for name, p in UDS1.parameters.items()}
     other = write_recording(tmp_path / "other", frames(UDS1, true, 7, speed=SPEED[:3], dose=DOSE[:3]), "another")
-    said = refused("uds1", made.training, "--held-out", other, "--out", tmp_path / "o")
+    said = refused("uds/production", made.training, "--held-out", other, "--out", tmp_path / "o")
     assert said.startswith(f"{other}: recorded on vehicle 'another'")
 
 
@@ -329,7 +338,7 @@ def test_a_recording_that_is_too_short_is_named(made: Made, tmp_path: Path) -> N
     true = {name: p.value for name, p in UDS1.parameters.items()}
     log = frames(UDS1, true, 8, speed=SPEED[:2], dose=DOSE[:2])
     short = write_recording(tmp_path / "short", [frame for frame in log if frame.t < 45.0])
-    said = refused("uds1", made.training, "--held-out", short, "--out", tmp_path / "o")
+    said = refused("uds/production", made.training, "--held-out", short, "--out", tmp_path / "o")
     assert said.startswith(f"{short}: in no ")
 
 
@@ -337,7 +346,7 @@ def test_a_model_without_priors_is_refused(made: Made, tmp_path: Path) -> None:
     model = tmp_path / "fixed.toml"
     model.write_text(dump_model(freed(UDS1, ())))
     said = refused(model, made.training, "--held-out", made.held, "--out", tmp_path / "o")
-    assert said.startswith("uds1: no parameter has a prior; give `prior` to those that")
+    assert said.startswith("uds_production: no parameter has a prior; give `prior` to those that")
 
 
 @pytest.mark.parametrize("text", [None, "schema = 1\n[[effect]]\n", "schema = \n", "schema = 9\n"])
@@ -345,14 +354,23 @@ def test_a_library_that_is_wrong_is_named(made: Made, tmp_path: Path, text: str 
     library = tmp_path / "mine.toml"
     if text is not None:
         library.write_text(text)
-    arguments = ("uds1", made.training, "--held-out", made.held, "--library", library, "--out", tmp_path / "o")
+    arguments = (
+        "uds/production",
+        made.training,
+        "--held-out",
+        made.held,
+        "--library",
+        library,
+        "--out",
+        tmp_path / "o",
+    )
     assert refused(*arguments).startswith(str(library))
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_else(made: Made) -> None:
     with pytest.raises(NotADirectoryError, match=f"'{made.model}'"):
-        refused("uds1", made.training, "--held-out", made.held, "--out", made.model / "out")
-    assert refused(made.model, "--undo").startswith("uds1: provenance: is empty")
+        refused("uds/production", made.training, "--held-out", made.held, "--out", made.model / "out")
+    assert refused(made.model, "--undo").startswith("uds_production: provenance: is empty")
 
 
 def test_what_is_in_the_way_of_a_result_is_said(found: Found, tmp_path: Path) -> None:
@@ -389,6 +407,6 @@ def test_undo_does_not_write_over_the_model(found: Found) -> None:
 )
 def test_what_is_left_out_is_said(options: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as error:
-        main(["uds1", "a", *options])
+        main(["uds/production", "a", *options])
     assert error.value.code == 2
     assert said in capsys.readouterr().err

@@ -147,9 +147,9 @@ def test_an_entry_of_the_users_own_that_is_not_its_name_or_has_no_place_says_so(
     document, _ = described(unnamed, ORIGIN)
     [entry] = [entry for entry in document.entries if entry.own]
     assert entry.against == ("with it in, 80 nats of evidence for an unknown input are left",)
-    elsewhere = dataclasses.replace(found, unfit={"mine": "uds1 has no q_pumpe"}, own=("mine",))
+    elsewhere = dataclasses.replace(found, unfit={"mine": "uds_production has no q_pumpe"}, own=("mine",))
     document, _ = described(elsewhere, ORIGIN)
-    assert "your entry mine: no evidence; against it: uds1 has no q_pumpe" in "\n".join(sentences(document))
+    assert "your entry mine: no evidence; against it: uds_production has no q_pumpe" in "\n".join(sentences(document))
 
 
 @pytest.mark.parametrize("kind", KINDS)

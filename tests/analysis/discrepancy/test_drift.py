@@ -14,7 +14,7 @@ from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.simulation import system_of
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 SHIFTED = dataclasses.replace(
     UDS4,
     parameters={

@@ -88,4 +88,4 @@ def test_evidence_to_expect_is_the_divergence_of_predictions() -> None:
 
 def test_a_model_of_something_else_has_no_experiments(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
     found, baseline, rivals = fitted
-    assert propose(dataclasses.replace(found, model=load_model("three_tank")), baseline, rivals) == []
+    assert propose(dataclasses.replace(found, model=load_model("three-tank")), baseline, rivals) == []

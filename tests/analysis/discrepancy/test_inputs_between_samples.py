@@ -15,7 +15,7 @@ from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_o
 from faultline.analysis.model import load_model
 from faultline.analysis.simulation import system_of
 
-UDS1 = load_model("uds1")
+UDS1 = load_model("uds/production")
 SYSTEM = system_of(UDS1, UDS1.calibrated)
 SPEED = (20.0, 27.0, 20.0, 28.0, 21.0, 28.0) * 2
 DOSE = (0.0,) * 12

@@ -16,7 +16,7 @@ from faultline.analysis.model import Model, Parameter, load_model
 from faultline.analysis.simulation import Drive, System, disturbance, run, system_of
 from faultline.service.core.errors import InputError
 
-UDS4, TANKS = load_model("uds4"), load_model("three_tank")
+UDS4, TANKS = load_model("uds"), load_model("three-tank")
 
 MISSING: dict[str, dict[str, Missing]] = {
     "nothing": {},

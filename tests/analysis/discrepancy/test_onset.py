@@ -12,7 +12,7 @@ from faultline.analysis.model import load_model
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 T = np.arange(20.0, 480.0, 4.0)
 FLAT = np.zeros(len(T))
 

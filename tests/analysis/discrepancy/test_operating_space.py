@@ -13,7 +13,7 @@ from faultline.analysis.discrepancy.find.operating_space import Finding, finding
 from faultline.analysis.discrepancy.find.quantities import quantities
 from faultline.analysis.model import load_model
 
-UDS4, TANKS = load_model("uds4"), load_model("three_tank")
+UDS4, TANKS = load_model("uds"), load_model("three-tank")
 
 
 def told(equation: str, missing: Missing, seed: int = 1) -> Finding:

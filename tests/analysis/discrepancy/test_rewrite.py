@@ -39,7 +39,7 @@ def inputs(model: str) -> dict[str, Array]:
     t = STEP_S * np.arange(120)
     dose = np.select([t < 5, t < 9, t < 13, t < 16], [0.0, 0.4, 1.0, 0.03], 0.0)
     speed = (23.5 + 14.0 * dose) * (0.95 + 0.15 * np.sin(t / 3.0))
-    slow = 0.0 if model == "uds4" else 3.0  # uds1 divides by the speed
+    slow = 0.0 if model == "uds" else 3.0  # the other divides by the speed
     return {"n_p": np.where(t < 18, speed, slow), "dc_dose": dose}
 
 
@@ -63,7 +63,9 @@ def with_effect(model: str, name: str) -> Model:
 
 
 def pairs() -> list[tuple[str, str]]:
-    return [(m, name) for m in ("uds4", "uds1") for name, e in LIBRARY.items() if applicable(nominal(m), e) is None]
+    return [
+        (m, name) for m in ("uds", "uds/production") for name, e in LIBRARY.items() if applicable(nominal(m), e) is None
+    ]
 
 
 def refusals(model: str) -> dict[str, str]:
@@ -119,16 +121,18 @@ def test_the_changed_equations_are_the_nominal_ones_at_the_null(model: str, name
 
 
 def test_what_a_model_lacks_is_said_in_a_line() -> None:
-    assert refusals("uds4") == {}
-    assert refusals("uds1") == {"air_before_pump": "uds1 has no dp_tp"}
-    assert set(refusals("rc")) == set(refusals("three_tank")) == set(LIBRARY)
+    assert refusals("uds") == {}
+    assert refusals("uds/production") == {"air_before_pump": "uds_production has no dp_tp"}
+    assert set(refusals("rc")) == set(refusals("three-tank")) == set(LIBRARY)
     assert refusals("rc")["stiff_hose"] == "rc has neither B_ap with p_ap with dp_ap nor B_du with p_du with dp_du"
-    with pytest.raises(ModelError, match=r"library.toml: effect air_before_pump: uds1 has no dp_tp; leave it away"):
-        rewritten(load_model("uds1"), LIBRARY["air_before_pump"])
+    with pytest.raises(
+        ModelError, match=r"effects.toml: effect air_before_pump: uds_production has no dp_tp; leave it away"
+    ):
+        rewritten(load_model("uds/production"), LIBRARY["air_before_pump"])
 
 
 def test_a_lag_moves_the_sensors_fault_to_what_the_sensor_shows() -> None:
-    equation = with_effect("uds4", "lag_p_du").equations["e16"]
+    equation = with_effect("uds", "lag_p_du").equations["e16"]
     assert equation.text == "y_p_du - lag_p_du_z"
     assert equation.fault is not None
     assert equation.fault.enters_text == "lag_p_du_z -> lag_p_du_z + fy_p_du"
@@ -136,7 +140,7 @@ def test_a_lag_moves_the_sensors_fault_to_what_the_sensor_shows() -> None:
 
 
 def test_a_clogged_filter_narrows_the_laminar_part_too() -> None:
-    new = with_effect("uds4", "laminar_tank_filter")
+    new = with_effect("uds", "laminar_tank_filter")
     faulty = new.expression("e05", with_fault=True)
     assert sp.Symbol("A_t") not in (faulty.subs(sp.Symbol("fA_t"), -sp.Symbol("A_t") + 1)).free_symbols
 
@@ -144,12 +148,12 @@ def test_a_clogged_filter_narrows_the_laminar_part_too() -> None:
 @pytest.mark.parametrize(
     ("model", "names"),
     [
-        ("uds4", ("full_open_gain", "nozzle_deposit", "valve_opens_late")),
-        ("uds4", ("entrained_air", "stiff_hose", "leak_laminar")),
-        ("uds4", ("lag_p_du", "offset_p_du", "gain_p_du")),
-        ("uds4", ("gain_p_du", "offset_p_du", "lag_p_du")),
-        ("uds4", ("creeping_hose", "pump_slip", "viscosity_drift", "pump_wears")),
-        ("uds1", ("du_filter_cake", "du_inlet_spring", "laminar_du_filter")),
+        ("uds", ("full_open_gain", "nozzle_deposit", "valve_opens_late")),
+        ("uds", ("entrained_air", "stiff_hose", "leak_laminar")),
+        ("uds", ("lag_p_du", "offset_p_du", "gain_p_du")),
+        ("uds", ("gain_p_du", "offset_p_du", "lag_p_du")),
+        ("uds", ("creeping_hose", "pump_slip", "viscosity_drift", "pump_wears")),
+        ("uds/production", ("du_filter_cake", "du_inlet_spring", "laminar_du_filter")),
     ],
 )
 def test_effects_follow_one_another_also_in_the_same_equation(model: str, names: tuple[str, ...]) -> None:
@@ -163,17 +167,17 @@ def test_effects_follow_one_another_also_in_the_same_equation(model: str, names:
 
 
 def test_an_effect_is_added_once() -> None:
-    new = with_effect("uds4", "pump_slip")
-    assert applicable(new, LIBRARY["pump_slip"]) == "uds4 has pump_slip in it already"
+    new = with_effect("uds", "pump_slip")
+    assert applicable(new, LIBRARY["pump_slip"]) == "uds has pump_slip in it already"
 
 
 @pytest.mark.parametrize("name", ["full_open_gain", "lag_p_du", "creeping_hose"])
 def test_a_rewritten_model_is_analysed_like_any_other(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    new = with_effect("uds4", name)
+    new = with_effect("uds", name)
     assert lint(new) == []
-    path = tmp_path / "uds4.toml"
+    path = tmp_path / "uds.toml"
     path.write_text(dump_model(new))
     assert structure([str(path)]) == 0
     assert "tests" in capsys.readouterr().out
@@ -183,13 +187,13 @@ def test_a_rewritten_model_is_analysed_like_any_other(
 def test_sums_of_flows_with_new_states_become_generators(name: str) -> None:
     effect = LIBRARY[name]
     sizes = {p: strength.spread or 0.0 for p, strength in effect.strengths.items()}
-    bank = build_bank(with_effect("uds4", name).with_parameters(sizes, {}))
+    bank = build_bank(with_effect("uds", name).with_parameters(sizes, {}))
     assert bank.generators
 
 
 def test_numbers_survive_exactly(tmp_path: Path) -> None:
     number = "0.1234567890123456789e-7"
-    new = rewritten(nominal("uds4"), with_entry(tmp_path, replace=f'replace = "A_dos -> A_dos*(1 + g*{number}/3)"'))
+    new = rewritten(nominal("uds"), with_entry(tmp_path, replace=f'replace = "A_dos -> A_dos*(1 + g*{number}/3)"'))
     [found] = new.equations["e04"].expression.atoms(sp.Float)
     assert float(found) == float(number) / 3
     assert parse_model(dump_model(new), "again.toml").equations["e04"] == new.equations["e04"]
@@ -213,7 +217,7 @@ def test_names_are_replaced_all_at_once_and_grouping_stays(text: str, names: dic
 def test_a_null_that_only_holds_in_the_signals_range_is_accepted(tmp_path: Path) -> None:
     """A duty cycle is not negative, which sympy does not know."""
     new = rewritten(
-        nominal("uds4"),
+        nominal("uds"),
         with_entry(
             tmp_path,
             where='where = ["q_dos", "dc_dose"]',
@@ -233,8 +237,8 @@ STATE = 'initial = ["p_sys"]\n'
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"where": 'where = ["q_dso"]'}, "effect mine: uds4 has no q_dso; leave it away"),
-        ({"where": 'where = ["q_dos", "A_ori"]'}, "effect mine: no equation of uds4 has q_dos and A_ori in it"),
+        ({"where": 'where = ["q_dso"]'}, "effect mine: uds has no q_dso; leave it away"),
+        ({"where": 'where = ["q_dos", "A_ori"]'}, "effect mine: no equation of uds has q_dos and A_ori in it"),
         ({"replace": 'replace = "A_t -> A_t*(1 + g)"'}, "mine.change[0].replace: A_t is not in e04, `q_dos - "),
         ({"replace": 'replace = "A_dos -> A_dos*(1 + gg)"'}, "mine.change[0].replace: unknown name 'gg'; known"),
         ({"replace": 'replace = "A_dos -> A_ori*(1 + g)"'}, "takes A_dos out of e04, where fault fA_dos enters; keep"),
@@ -261,7 +265,7 @@ STATE = 'initial = ["p_sys"]\n'
                 "where": 'where = ["y_p_du"]',
                 "replace": 'replace = "p_du -> p_du - g*(p_ap - p_du)"',
             },
-            "the model cannot be run with it: uds4: 12 equations besides its sensors' (y_p_tp, y_p_ap) for 11",
+            "the model cannot be run with it: uds: 12 equations besides its sensors' (y_p_tp, y_p_ap) for 11",
         ),
     ],
 )
@@ -269,13 +273,13 @@ def test_an_effect_that_means_nothing_in_the_model_is_refused(
     tmp_path: Path, changed: dict[str, str], message: str
 ) -> None:
     with pytest.raises(ModelError, match=re.escape(message)) as caught:
-        rewritten(nominal("uds4"), with_entry(tmp_path, **changed))
+        rewritten(nominal("uds"), with_entry(tmp_path, **changed))
     assert str(caught.value).startswith(f"{tmp_path}/own.toml: effect mine")
     assert "\n" not in str(caught.value)
 
 
 def test_a_model_whose_text_says_something_else_is_not_rewritten(tmp_path: Path) -> None:
-    model = nominal("uds4")
+    model = nominal("uds")
     bent = dataclasses.replace(model.equations["e04"], text="q_dos - A_dos")
     model = dataclasses.replace(model, equations={**model.equations, "e04": bent})
     with pytest.raises(ModelError, match="e04 is not what its text says, `q_dos - A_dos`; correct the model"):

@@ -29,7 +29,7 @@ from faultline.service.core.residuals.generators import Graph
 Array = npt.NDArray[np.float64]
 
 LIBRARY = load_library()
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 
 EFFECTS = [
     "full_open_gain",
@@ -157,9 +157,7 @@ def test_trials_and_code_do_what_the_graph_does(name: str, driven: Array) -> Non
 
 def test_a_lag_of_no_time_is_refused_by_its_parameter() -> None:
     """The wound: the graph was written, and all that it gave was NaN."""
-    with pytest.raises(
-        InputError, match=r"uds4: divides by zero with these parameters \(lag_p_du_tau = 0\); give them"
-    ):
+    with pytest.raises(InputError, match=r"uds: divides by zero with these parameters \(lag_p_du_tau = 0\); give them"):
         _bank(changed("lag_p_du", 0.0)).graph()
 
 

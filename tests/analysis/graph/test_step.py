@@ -20,7 +20,7 @@ COLUMN = {"y_p_tp": 0, "y_p_ap": 1, "y_p_du": 2, "n_p": 3, "dc_dose": 4}
 
 @pytest.fixture(scope="module")
 def bank() -> Bank:
-    return build_bank(load_model("uds4"))
+    return build_bank(load_model("uds"))
 
 
 def rate(test: Values, x: Array, u: Array) -> Array:
@@ -174,4 +174,4 @@ def test_novelty_is_zero_inside_the_operating_region_and_tells_how_far_outside(b
 
 
 def test_the_graph_is_reproducible_to_the_byte(bank: Bank) -> None:
-    assert bank.graph() == build_bank(load_model("uds4")).graph()
+    assert bank.graph() == build_bank(load_model("uds")).graph()

@@ -8,7 +8,7 @@ import pytest
 
 from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 
 
 def test_what_is_written_reads_back_as_the_same_model() -> None:
@@ -51,10 +51,10 @@ def test_provenance_that_toml_cannot_hold_is_refused() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"A_x": 1.0}, "uds4: A_x is no parameter; those are eps_p, D_p, "),
-        ({"A_t": 1.0}, "uds4: parameter.A_t: value 1 is outside [1e-07, 0.0001] m2"),
-        ({"A_t": math.nan}, "uds4: parameter.A_t: value nan is outside"),
-        ({"C_q": math.inf}, "uds4: parameter.C_q: value inf is outside [-inf, inf] 1"),
+        ({"A_x": 1.0}, "uds: A_x is no parameter; those are eps_p, D_p, "),
+        ({"A_t": 1.0}, "uds: parameter.A_t: value 1 is outside [1e-07, 0.0001] m2"),
+        ({"A_t": math.nan}, "uds: parameter.A_t: value nan is outside"),
+        ({"C_q": math.inf}, "uds: parameter.C_q: value inf is outside [-inf, inf] 1"),
     ],
 )
 def test_values_that_mean_nothing_are_refused(values: dict[str, float], message: str) -> None:

@@ -309,7 +309,7 @@ def test_a_file_is_found_by_path_and_a_shipped_model_by_name(tmp_path: Path) -> 
     path = tmp_path / "tank.toml"
     path.write_text(GOOD)
     assert load_model(path) == load_model(str(path)) == parse_model(GOOD, "tank")
-    assert load_model("uds4").name == "uds4"
+    assert load_model("uds").name == "uds"
 
 
 def test_a_message_names_the_file(tmp_path: Path) -> None:
@@ -328,4 +328,4 @@ def test_what_is_no_text_file_says_so(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be read; give a model file"):
         load_model(tmp_path)
     with pytest.raises(ModelError, match="cannot be read"):
-        load_model("../model/uds4")
+        load_model("../model/uds")

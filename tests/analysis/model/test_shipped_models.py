@@ -14,11 +14,11 @@ from faultline.analysis.structure.command import main as structure
 from faultline.service.core.errors import InputError
 from faultline.service.core.residuals.generators import Graph
 
-UDS1, UDS4, RC = load_model("uds1"), load_model("uds4"), load_model("rc")
+UDS1, UDS4, RC = load_model("uds/production"), load_model("uds"), load_model("rc")
 
 
 def test_the_four_systems_are_shipped() -> None:
-    assert list(shipped_models()) == ["rc", "three_tank", "uds1", "uds4"]
+    assert list(shipped_models()) == ["rc", "three-tank", "uds", "uds/production"]
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -26,7 +26,7 @@ def test_every_one_is_analysed_and_survives_being_written(name: str, capsys: pyt
     model = load_model(name)
     assert parse_model(dump_model(model), name) == model
     assert structure([name]) == 0
-    assert capsys.readouterr().out.startswith(f"{name}: {model.description}\n")
+    assert capsys.readouterr().out.startswith(f"{model.name}: {model.description}\n")
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -67,7 +67,7 @@ def test_the_rc_circuit_charges_with_its_time_constant() -> None:
 
 
 def test_the_one_state_model_has_the_thesiss_equations() -> None:
-    """(4.17)-(4.20) at 3.2 mL/s: the drops that uds4's file states for its filters, 20, 40 and 60 mbar."""
+    """(4.17)-(4.20) at 3.2 mL/s: the drops that uds's file states for its filters, 20, 40 and 60 mbar."""
     numbers = {name: p.value for name, p in UDS1.parameters.items()}
     drops: dict[str, sp.Expr] = {}
     for equation, variable in (("e06", "p_tp"), ("e07", "p_bp"), ("e08", "p_ap")):
@@ -87,7 +87,7 @@ def test_a_square_with_two_roots_is_refused_and_none_is_taken() -> None:
     numbers = {name: p.value for name, p in UDS1.parameters.items()}
     roots = sp.solve(UDS1.expression("e06", with_fault=False).subs({**numbers, "p_tp": 99325.0}), flow)
     assert sorted(math.copysign(1, root) for root in roots) == [-1, 1]
-    with pytest.raises(InputError, match=r"^uds1: no test can be run \(t01: .*, e06 cannot be solved for"):
+    with pytest.raises(InputError, match=r"^uds_production: no test can be run \(t01: .*, e06 cannot be solved for"):
         build_bank(UDS1)
 
 

@@ -11,7 +11,7 @@ from faultline.analysis.recordings.modes import modes_of, stand_ins
 from faultline.service.core.manifest import Modes
 from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 
 
 def without(**parts: object) -> Model:

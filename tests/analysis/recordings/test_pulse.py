@@ -27,7 +27,7 @@ DURATION = 300.0
 
 @pytest.fixture(scope="module")
 def bank() -> Bank:
-    return build_bank(load_model("uds4"))
+    return build_bank(load_model("uds"))
 
 
 @pytest.fixture(scope="module")

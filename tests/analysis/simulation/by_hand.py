@@ -26,7 +26,7 @@ def velocity(d: float, laminar: float = LAMINAR) -> float:
     return float(np.sign(d) * 0.5 * (np.sqrt(laminar**2 + 4.0 * abs(d)) - laminar))
 
 
-def uds4(s: Array, u: Array, p: Values, laminar: float = LAMINAR) -> list[float]:
+def uds(s: Array, u: Array, p: Values, laminar: float = LAMINAR) -> list[float]:
     """Thesis (4.3)-(4.16)."""
     p_tp, p_bp, p_ap, p_du = s
     n_p, dc_dose = u

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 import pytest
-from by_hand import Rates, on_lines, solved, three_tank, uds1, uds1_flow, uds4, values_of
+from by_hand import Rates, on_lines, solved, three_tank, uds, uds1, uds1_flow, values_of
 
 from faultline.analysis.model import load_model
 from faultline.analysis.simulation import Drive, System, Trajectory, run, system_of
@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 ATMOSPHERE = 101325.0
 BAR = 1e5
 
-UDS4, UDS1, TANKS = (load_model(name) for name in ("uds4", "uds1", "three_tank"))
+UDS4, UDS1, TANKS = (load_model(name) for name in ("uds", "uds/production", "three-tank"))
 SETTLED4 = (0.99 * BAR, 0.97 * BAR, 10.0 * BAR, 9.95 * BAR)
 LEVELS = (0.5, 0.35, 0.2)
 
@@ -45,9 +45,9 @@ def level_command(t: Array) -> Array:
 @pytest.mark.parametrize(
     ("name", "start", "rates", "inputs"),
     [
-        ("uds4", SETTLED4, uds4, pump_and_dose),
-        ("uds1", SETTLED4[3:], uds1, pump_and_dose),
-        ("three_tank", LEVELS, three_tank, level_command),
+        ("uds", SETTLED4, uds, pump_and_dose),
+        ("uds/production", SETTLED4[3:], uds1, pump_and_dose),
+        ("three-tank", LEVELS, three_tank, level_command),
     ],
 )
 def test_the_error_shrinks_with_the_square_of_the_step(
@@ -71,7 +71,9 @@ def test_the_error_shrinks_with_the_square_of_the_step(
 
 
 @pytest.mark.parametrize(
-    ("name", "start", "rates"), [("uds4", SETTLED4, uds4), ("uds1", SETTLED4[3:], uds1)], ids=["uds4", "uds1"]
+    ("name", "start", "rates"),
+    [("uds", SETTLED4, uds), ("uds/production", SETTLED4[3:], uds1)],
+    ids=["uds", "uds/production"],
 )
 def test_dose_steps_and_a_pump_that_stops(name: str, start: Sequence[float], rates: Rates) -> None:
     """Without the pump its leak runs backwards through the filters, and e02 divides by its speed."""
@@ -85,7 +87,7 @@ def test_dose_steps_and_a_pump_that_stops(name: str, start: Sequence[float], rat
     error = np.abs(trajectory.w[:, : len(start)] - reference)
     assert error.max() < 0.015 * BAR, error.max(axis=0)  # where a ramp of four steps begins or ends, at 17 bar
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.0015 * BAR
-    if name == "uds4":
+    if name == "uds":
         assert reference[:, 0].max() > ATMOSPHERE  # it did turn
     else:
         assert trajectory.outputs()["y_p_tp"][400:700].max() <= ATMOSPHERE  # the thesis's square knows no direction
@@ -94,9 +96,9 @@ def test_dose_steps_and_a_pump_that_stops(name: str, start: Sequence[float], rat
 def test_the_laminar_part_of_an_orifice_is_nothing_that_a_sensor_sees() -> None:
     t = np.arange(0.0, 10.0, 0.05)
     u = pump_and_dose(t)
-    rough = partial(uds4, laminar=1e-12)
+    rough = partial(uds, laminar=1e-12)
     reference = solved(rough, np.array(SETTLED4), t, on_lines(t, u), values_of(UDS4), BAR)
-    with_laminar = solved(uds4, np.array(SETTLED4), t, on_lines(t, u), values_of(UDS4), BAR)
+    with_laminar = solved(uds, np.array(SETTLED4), t, on_lines(t, u), values_of(UDS4), BAR)
     assert np.abs(reference - with_laminar).max() < 10.0  # Pa; the best sensor's noise is 400
 
 
@@ -148,9 +150,9 @@ def test_one_state_and_four_agree_to_some_millibar() -> None:
 
 
 DRIVES: dict[str, tuple[Sequence[float], Callable[[Array], Array]]] = {
-    "uds4": (SETTLED4, lambda t: pump_and_dose(t) * np.column_stack([abs(t - 12.7) > 0.7, np.ones_like(t)])),
-    "uds1": (SETTLED4[3:], pump_and_dose),
-    "three_tank": ((0.2, 0.5, 0.1), level_command),
+    "uds": (SETTLED4, lambda t: pump_and_dose(t) * np.column_stack([abs(t - 12.7) > 0.7, np.ones_like(t)])),
+    "uds/production": (SETTLED4[3:], pump_and_dose),
+    "three-tank": ((0.2, 0.5, 0.1), level_command),
 }
 
 
@@ -204,7 +206,7 @@ def test_derivatives_to_disturbances_of_an_input_are_exact(name: str) -> None:
 
 
 def test_a_run_near_another_is_the_same() -> None:
-    start, inputs = DRIVES["uds4"]
+    start, inputs = DRIVES["uds"]
     system = system_of(UDS4, ["D_p"])
     u = inputs(np.arange(0.0, 20.0, 0.05))
     other = run(system, drive(u, 0.05, start), {"D_p": 0.9e-7})
@@ -215,7 +217,7 @@ def test_a_run_near_another_is_the_same() -> None:
 
 def test_nothing_to_derive_to_is_no_columns() -> None:
     """Regression: given none, LAPACK's routine wrote into memory that is not its own."""
-    start, inputs = DRIVES["uds4"]
+    start, inputs = DRIVES["uds"]
     u = inputs(np.arange(0.0, 5.0, 0.05))
     trajectory = free_run((system_of(UDS4, []), start), u, 0.05)
     for found in (trajectory.by_parameters(), trajectory.by_input("n_p", np.zeros((len(u), 0)))):

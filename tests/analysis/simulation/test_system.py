@@ -109,7 +109,7 @@ def test_parameters_that_are_numbers_are_the_same_as_symbols() -> None:
     """Regression: with all of them numbers, rounding left a variable in its own substitution."""
     u = np.tile([25.0, 0.3], (100, 1))
     drive = Drive(0.05, u, np.array([9.9e5]), np.full((100, 1), 9.9e5))
-    uds1 = load_model("uds1")
+    uds1 = load_model("uds/production")
     values = {name: p.value for name, p in uds1.parameters.items()}
     numbers = run(system_of(uds1, []), drive, {}).outputs()
     symbols = run(system_of(uds1, list(values)), drive, values).outputs()

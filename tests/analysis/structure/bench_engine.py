@@ -39,7 +39,7 @@ def main(python: str) -> None:
         "three tanks": three_tank(),
         "electric motor": electric_motor(),
         "induction motor": induction_motor(),
-        "urea dosing system": structure_of(load_model("uds4")),
+        "urea dosing system": structure_of(load_model("uds")),
         **{f"chain of {n} tanks": tank_chain(n) for n in range(3, 9)},
         "air path, 4 volumes": air_path(4, ["speed", "p2"]),
         "air path, 6 volumes": air_path(6, ["speed", "p2", "p4", "p6"]),

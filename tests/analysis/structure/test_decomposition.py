@@ -120,7 +120,7 @@ def test_networkx_finds_the_same_rank(structure: Structure) -> None:
 
 
 def test_the_fine_structure_of_the_four_state_model() -> None:
-    parts = dulmage_mendelsohn(structure_of(load_model("uds4")))
+    parts = dulmage_mendelsohn(structure_of(load_model("uds")))
     assert (parts.under.equations, parts.under.unknowns, parts.just) == ((), (), ())
     assert (len(parts.over.equations), parts.rank, parts.redundancy) == (18, 15, 3)
     assert [(found.equations, set(found.unknowns)) for found in parts.classes] == [

@@ -20,8 +20,8 @@ from faultline.analysis.structure.diagnosability import (
 )
 from faultline.analysis.structure.sensors import drop_sensors
 
-ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
-UDS4 = structure_of(load_model("uds4"))
+ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds_oracle.json").read_text())
+UDS4 = structure_of(load_model("uds"))
 INTERPRETATIONS: tuple[Interpretation, ...] = get_args(Interpretation)
 STEADY = settings(derandomize=True, deadline=None, max_examples=150)
 

@@ -12,7 +12,7 @@ from faultline.analysis.structure.diagnosability import Interpretation, detectab
 from faultline.analysis.structure.explain import why
 from faultline.analysis.structure.sensors import add_sensors, drop_sensors
 
-UDS4 = structure_of(load_model("uds4"))
+UDS4 = structure_of(load_model("uds"))
 STEADY = settings(derandomize=True, deadline=None, max_examples=60)
 
 

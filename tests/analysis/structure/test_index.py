@@ -19,8 +19,8 @@ from faultline.analysis.structure.causality import integral_residuals
 from faultline.analysis.structure.index import differential_orders, low_index, observable
 from faultline.analysis.structure.matrix import structural_model
 
-ORACLE: list[dict[str, Any]] = json.loads((Path(__file__).parent / "uds4_index_oracle.json").read_text())
-UDS4 = structure_of(load_model("uds4"))
+ORACLE: list[dict[str, Any]] = json.loads((Path(__file__).parent / "uds_index_oracle.json").read_text())
+UDS4 = structure_of(load_model("uds"))
 STEADY = settings(derandomize=True, deadline=None, max_examples=150)
 X = Differential(name="dx", state="x", derivative="x'")
 

@@ -92,7 +92,7 @@ def test_shipped_models_have_no_errors(name: str) -> None:
 
 
 def test_the_four_state_model_has_no_findings() -> None:
-    assert lint(load_model("uds4")) == []
+    assert lint(load_model("uds")) == []
     assert lint(parse_model(MODEL, "tank.toml")) == []
 
 

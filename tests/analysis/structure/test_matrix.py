@@ -77,7 +77,7 @@ def test_names_count_from_one_unless_they_are_given() -> None:
     assert read(X=[[1, 0]], names={"unknowns": ["p", "q"]}).unknowns == ("p", "q")
 
 
-@pytest.mark.parametrize("name", ["uds4"])
+@pytest.mark.parametrize("name", ["uds"])
 def test_a_model_reads_back_equal_from_its_matrices(name: str) -> None:
     structure = structure_of(load_model(name))
     assert read(**as_matrices(structure)) == structure

@@ -16,7 +16,7 @@ from faultline.analysis.structure.diagnosability import Interpretation, detectab
 from faultline.analysis.structure.placement import Goal, SensorSet, place_sensors
 from faultline.analysis.structure.sensors import add_sensors, drop_sensors
 
-BARE = drop_sensors(structure_of(load_model("uds4")), ["y_p_tp", "y_p_ap"])
+BARE = drop_sensors(structure_of(load_model("uds")), ["y_p_tp", "y_p_ap"])
 PRESSURES = ["p_tp", "p_bp", "p_ap", "p_du"]
 FLOWS = ["q_pump", "q_ori", "q_dos", "q_filt_t", "q_filt_p", "q_filt_du"]
 STEADY = settings(derandomize=True, deadline=None, max_examples=120)

@@ -166,7 +166,7 @@ def test_a_support_of_several_minimal_sets_runs_the_first_that_can() -> None:
 
 
 def test_among_the_ready_equations_the_first_row_comes_next() -> None:
-    structure = structure_of(load_model("uds4"))
+    structure = structure_of(load_model("uds"))
     mso = ("e03", "e04", "e07", "e11", "e15", "e16", "e18")
     order = [pair for component in solving_order(structure, mso, "e16") for pair in component]
     assert [equation for equation, _ in order] == ["e03", "e04", "e18", "e07", "e11"]

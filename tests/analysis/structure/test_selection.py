@@ -13,7 +13,7 @@ from faultline.analysis.model import ModelError, load_model
 from faultline.analysis.structure import find_tests, integral_tests, signature_matrix
 from faultline.analysis.structure.selection import kept, select_tests
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 FAULTS = tuple(UDS4.faults)
 Signature = npt.NDArray[np.bool_]
 

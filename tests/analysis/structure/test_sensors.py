@@ -11,8 +11,8 @@ from faultline.analysis.structure import Structure, mso_sets, mtes_sets, structu
 from faultline.analysis.structure.diagnosability import isolability_of
 from faultline.analysis.structure.sensors import add_sensors, drop_sensors, sensor_equations
 
-ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
-UDS4 = structure_of(load_model("uds4"))
+ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds_oracle.json").read_text())
+UDS4 = structure_of(load_model("uds"))
 BARE = drop_sensors(UDS4, ["y_p_tp", "y_p_ap"])
 
 

@@ -29,7 +29,7 @@ expr = "a - u"
 
 
 def test_it_prints_counts_tests_signatures_and_isolability(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4"]) == 0
+    assert main(["uds"]) == 0
     out = capsys.readouterr().out
     assert "18 equations (14 algebraic, 4 differential), 15 unknowns, 5 known signals, 9 faults" in out
     assert "26 MSO sets, 21 tests (MTES), 10 of them can be run" in out
@@ -43,7 +43,7 @@ def test_it_prints_counts_tests_signatures_and_isolability(capsys: pytest.Captur
 
 
 def test_tests_adds_how_they_are_computed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--tests"]) == 0
+    assert main(["uds", "--tests"]) == 0
     out = capsys.readouterr().out
     assert "t02: r = y_p_du - h(p_du) by e16\n  dp_du = g(p_du; y_p_ap, dc_dose)\n" in out
     assert "  computed in the order q_ori (e03), q_dos (e04), p_ap (e18), q_filt_du (e07), dp_du (e11)\n" in out
@@ -53,7 +53,7 @@ def test_tests_adds_how_they_are_computed(capsys: pytest.CaptureFixture[str]) ->
 def test_the_report_names_what_no_test_separates_the_smallest_selections_and_the_sensors(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["uds4", "--positions", "q_ori", "q_dos=3", "p_bp"]) == 0
+    assert main(["uds", "--positions", "q_ori", "q_dos=3", "p_bp"]) == 0
     out = capsys.readouterr().out
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert "e03-e04,e11,e15 q_ori, q_dos, dp_du fA_ori, fA_dos" in lines
@@ -64,10 +64,10 @@ def test_the_report_names_what_no_test_separates_the_smallest_selections_and_the
 
 
 def test_json_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--json", "-"]) == 0
+    assert main(["uds", "--json", "-"]) == 0
     printed = capsys.readouterr().out
-    assert main(["uds4", "--json", str(tmp_path / "new" / "uds4.json")]) == 0
-    assert (tmp_path / "new" / "uds4.json").read_text() == printed
+    assert main(["uds", "--json", str(tmp_path / "new" / "uds.json")]) == 0
+    assert (tmp_path / "new" / "uds.json").read_text() == printed
     assert "26 MSO sets" in capsys.readouterr().out
     found = json.loads(printed)
     assert found["redundancy"] == 3
@@ -94,9 +94,9 @@ def test_json_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 def test_a_structural_model_in_matrix_form_is_analysed_like_its_formulas(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["uds4", "--json", "-"]) == 0
+    assert main(["uds", "--json", "-"]) == 0
     whole = json.loads(capsys.readouterr().out)
-    s = structure_of(load_model("uds4"))
+    s = structure_of(load_model("uds"))
     X = [[row >> x & 1 for x in range(len(s.unknowns))] for row in s.unknown_rows]
     for row, name in enumerate(s.equations):
         if name in s.differentials:
@@ -108,16 +108,16 @@ def test_a_structural_model_in_matrix_form_is_analysed_like_its_formulas(
     path = tmp_path / "matrix.json"
     path.write_text(json.dumps({"X": X, "F": F, "Z": Z, "names": names}))
     assert main([str(path), "--json", "-"]) == 0
-    assert {**json.loads(capsys.readouterr().out), "model": "uds4"} == whole
+    assert {**json.loads(capsys.readouterr().out), "model": "uds"} == whole
 
 
 def test_sensors_are_taken_away_and_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Thesis fig. 5.2: without the two added sensors every fault is detectable and none isolable."""
-    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--json", "-"]) == 0
+    assert main(["uds", "--without", "y_p_tp", "y_p_ap", "--json", "-"]) == 0
     bare = json.loads(capsys.readouterr().out)
     assert (bare["redundancy"], len(bare["mso"])) == (1, 1)
     assert all(set(others) == {*bare["faults"]} - {fault} for fault, others in bare["isolability"]["mixed"].items())
-    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--sensors", "p_tp", "p_ap", "--json", "-"]) == 0
+    assert main(["uds", "--without", "y_p_tp", "y_p_ap", "--sensors", "p_tp", "p_ap", "--json", "-"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert len(again["mso"]) == 26
     assert again["isolability"]["mixed"]["fA_ori"] == ["fA_dos"]
@@ -131,7 +131,7 @@ def test_sensors_are_taken_away_and_added(tmp_path: Path, capsys: pytest.Capture
     ],
 )
 def test_why(causality: str, code: int, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--why", "fA_t", "fA_p", "--causality", causality]) == code
+    assert main(["uds", "--why", "fA_t", "fA_p", "--causality", causality]) == code
     assert words in capsys.readouterr().out
 
 
@@ -146,12 +146,12 @@ def test_the_figures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["uds4", "--sensors", "p_xx"], "p_xx: no unknown, so no sensor can measure it"),
-        (["uds4", "--without", "dc_dose"], "dc_dose: no known signal with a sensor equation"),
-        (["uds4", "--positions", "p_tp=much"], "--positions p_tp=much: 'much' is no cost"),
-        (["uds4", "--positions", "p_tp="], "--positions p_tp=: '' is no cost"),
-        (["uds4", "--positions", "p_tp=1", "p_tp=5"], "--positions p_tp=5: p_tp comes twice"),
-        (["uds4", "--why", "fA_t", "fX"], "fX: no fault of the model"),
+        (["uds", "--sensors", "p_xx"], "p_xx: no unknown, so no sensor can measure it"),
+        (["uds", "--without", "dc_dose"], "dc_dose: no known signal with a sensor equation"),
+        (["uds", "--positions", "p_tp=much"], "--positions p_tp=much: 'much' is no cost"),
+        (["uds", "--positions", "p_tp="], "--positions p_tp=: '' is no cost"),
+        (["uds", "--positions", "p_tp=1", "p_tp=5"], "--positions p_tp=5: p_tp comes twice"),
+        (["uds", "--why", "fA_t", "fX"], "fX: no fault of the model"),
         (["nowhere.json"], r"nowhere\.json: cannot be read: No such file or directory"),
     ],
 )
@@ -182,12 +182,12 @@ def test_several_sensors_are_named_where_no_single_one_gives_redundancy(
 
 def test_a_dropped_sensor_leaves_the_formulas(capsys: pytest.CaptureFixture[str]) -> None:
     """Equations with several solutions are refused with other sensors as well."""
-    assert main(["uds1", "--without", "y_p_tp"]) == 0
+    assert main(["uds/production", "--without", "y_p_tp"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("uds1: Urea dosing system with one pressure state")
+    assert out.startswith("uds_production: Urea dosing system with one pressure state")
     assert "0 of them can be run" in out
     assert "warning: test: none can be run; t01: with residual" in out
-    assert main(["three_tank", "--without", "y1", "--sensors", "h1", "--tests"]) == 0
+    assert main(["three-tank", "--without", "y1", "--sensors", "h1", "--tests"]) == 0
     assert "r = y_h1 - h(h1) by y_h1" in capsys.readouterr().out
 
 
@@ -240,12 +240,12 @@ def test_names_without_numbers_are_listed(capsys: pytest.CaptureFixture[str], tm
 
 def test_why_answers_one_question(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["uds4", "--why", "fA_t", "fA_p", "--json", "-"])
+        main(["uds", "--why", "fA_t", "fA_p", "--json", "-"])
     assert "--why answers one question; leave --json" in capsys.readouterr().err
 
 
 def test_no_sensor_measures_a_derivative(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uds4", "--json", "-"]) == 0
+    assert main(["uds", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     proposed = {name for sets in found["sensor_sets"].values() for sensors in sets for name in sensors}
     assert proposed & {"q_ori", "q_dos"}
@@ -274,7 +274,9 @@ def test_redundancy_without_a_fault_is_told_apart(tmp_path: Path, capsys: pytest
 
 
 def test_an_unknown_model_is_an_input_error() -> None:
-    with pytest.raises(ModelError, match=r"^nowhere: cannot be read; give a model file, or a shipped model: .*uds4"):
+    with pytest.raises(
+        ModelError, match=r"^nowhere: cannot be read; give a model file, a system's folder, or a shipped model: .*uds"
+    ):
         main(["nowhere"])
 
 
@@ -282,17 +284,17 @@ def test_a_model_without_the_added_sensors_is_written_for_production_vehicles(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written = tmp_path / "production.toml"
-    assert main(["uds4", "--without", "y_p_tp", "y_p_ap", "--model", str(written)]) == 0
+    assert main(["uds", "--without", "y_p_tp", "y_p_ap", "--model", str(written)]) == 0
     model = load_model(str(written))
     assert [*model.known] == ["y_p_du", "n_p", "dc_dose"]
-    assert (load_model("uds4").sensor_set, model.sensor_set) == ("instrumented", "production")
+    assert (load_model("uds").sensor_set, model.sensor_set) == ("instrumented", "production")
     [generator] = build_bank(model).generators
     assert {*generator.inputs} == {*model.known}
-    assert generator.faults == [name for name in load_model("uds4").faults if name not in ("fy_p_tp", "fy_p_ap")]
+    assert generator.faults == [name for name in load_model("uds").faults if name not in ("fy_p_tp", "fy_p_ap")]
 
 
 def test_a_model_with_sensors_that_are_not_there_yet_is_not_written(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        main(["uds4", "--sensors", "p_bp", "--model", "x.toml"])
+        main(["uds", "--sensors", "p_bp", "--model", "x.toml"])
     assert caught.value.code == 2
     assert "neither range nor noise is known" in capsys.readouterr().err

@@ -90,7 +90,7 @@ class Made:
 
 @pytest.fixture(scope="module")
 def made() -> Made:
-    bank = build_bank(without_drifts(load_model("uds4")))
+    bank = build_bank(without_drifts(load_model("uds")))
     recordings = [watched(bank, 1), watched(bank, 2)]
     offset = np.array([d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)])
     return Made(bank, offset, recordings, gather(bank, offset, recordings)[0])

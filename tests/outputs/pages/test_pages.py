@@ -84,7 +84,10 @@ def test_every_page_has_the_one_style_sheet_and_runs_nothing(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("command", "arguments"),
-    [("evaluate", ["b", "r", "--truth", "t", "--report", "out"]), ("discover", ["uds1", "r", "--held-out", "h"])],
+    [
+        ("evaluate", ["b", "r", "--truth", "t", "--report", "out"]),
+        ("discover", ["uds/production", "r", "--held-out", "h"]),
+    ],
 )
 def test_without_the_engine_a_report_is_refused_before_the_work(
     tmp_path: Path, command: str, arguments: list[str]

@@ -45,7 +45,7 @@ def server(the_daemon: FakeDaemon, folder: Path) -> Iterator[Serving]:
 def daemon(the_daemon: FakeDaemon) -> FakeDaemon:
     """As it is at first, for each test."""
     the_daemon.faults = {1: fault(1), 2: fault(2, state=PASSED), 3: fault(3, system="doors")}
-    the_daemon.systems = ["uds4", "doors"]
+    the_daemon.systems = ["uds", "doors"]
     the_daemon.conditions, the_daemon.refusing, the_daemon.silent = [], None, False
     return the_daemon
 
@@ -62,7 +62,7 @@ def client(the_client: httpx.Client, daemon: FakeDaemon) -> httpx.Client:
     return the_client
 
 
-def codes(client: httpx.Client, system: str = "uds4") -> list[str]:
+def codes(client: httpx.Client, system: str = "uds") -> list[str]:
     answer = client.get(f"/v1/components/{system}/faults")
     return [item["code"] for item in answer.json()["items"]] if answer.status_code == 200 else []
 
@@ -83,29 +83,29 @@ class TestReading:
         self, client: httpx.Client, daemon: FakeDaemon
     ) -> None:
         items = client.get("/v1/components").json()["items"]
-        assert items == [{"id": name, "name": name, "href": f"/v1/components/{name}"} for name in ("uds4", "doors")]
-        daemon.systems = ["uds4"]
+        assert items == [{"id": name, "name": name, "href": f"/v1/components/{name}"} for name in ("uds", "doors")]
+        daemon.systems = ["uds"]
         daemon.faults[3] = fault(3, system="an old one/ü")
         until(lambda: client.get("/v1/components").json()["items"][-1]["id"] == "an old one/ü")
 
     def test_a_component_says_where_to_go_on_and_that_is_there(self, client: httpx.Client) -> None:
-        component = client.get("/v1/components/uds4").json()
+        component = client.get("/v1/components/uds").json()
         assert client.get(component["faults"]).status_code == 200
-        assert client.get(component["system"]).json()["name"] == "uds4"
+        assert client.get(component["system"]).json()["name"] == "uds"
 
     def test_a_system_that_is_not_watched_any_more_has_its_faults(
         self, client: httpx.Client, daemon: FakeDaemon
     ) -> None:
-        daemon.systems = ["uds4"]
+        daemon.systems = ["uds"]
         until(lambda: client.get("/v1/systems/doors").status_code == 404)
         until(lambda: codes(client, "doors") == ["3"])
         found = client.get("/v1/components/doors/faults").json()["items"][0]
         assert found["fault_name"] == "fA_du or fy_p_ap"
 
     def test_faults_and_one_of_them(self, client: httpx.Client) -> None:
-        items = client.get("/v1/components/uds4/faults").json()["items"]
+        items = client.get("/v1/components/uds/faults").json()["items"]
         assert [item["code"] for item in items] == ["1", "2"]
-        detail = client.get("/v1/components/uds4/faults/2").json()
+        detail = client.get("/v1/components/uds/faults/2").json()
         assert detail["item"] == items[1]
         assert detail["environment_data"]["snapshots"][0]["data"]["tick"] == 12
         assert detail["environment_data"]["extended_data_records"]["occurrences"] == 2
@@ -120,7 +120,7 @@ class TestReading:
         ],
     )
     def test_filters(self, client: httpx.Client, query: str, found: list[str]) -> None:
-        items = client.get(f"/v1/components/uds4/faults?{query}").json()["items"]
+        items = client.get(f"/v1/components/uds/faults?{query}").json()["items"]
         assert [item["code"] for item in items] == found
 
     @pytest.mark.parametrize(
@@ -128,23 +128,23 @@ class TestReading:
         [
             ("/v1/components/none", 404, "unknown"),
             ("/v1/components/none/faults", 404, "unknown"),
-            ("/v1/components/uds4/faults/99", 404, "unknown"),
-            ("/v1/components/uds4/faults/3", 404, "unknown"),  # it is the other system's
-            ("/v1/components/uds4/faults/x", 400, "bad-request"),
-            ("/v1/components/uds4/faults/0", 400, "bad-request"),
-            ("/v1/components/uds4/faults/01", 400, "bad-request"),
-            ("/v1/components/uds4/faults/%D9%A1", 400, "bad-request"),
+            ("/v1/components/uds/faults/99", 404, "unknown"),
+            ("/v1/components/uds/faults/3", 404, "unknown"),  # it is the other system's
+            ("/v1/components/uds/faults/x", 400, "bad-request"),
+            ("/v1/components/uds/faults/0", 400, "bad-request"),
+            ("/v1/components/uds/faults/01", 400, "bad-request"),
+            ("/v1/components/uds/faults/%D9%A1", 400, "bad-request"),
             ("/v1/components/%00/faults", 400, "bad-request"),
             ("/v1/components/a%0D%0AX:y/faults", 400, "bad-request"),
             (f"/v1/components/{'a' * 201}/faults", 400, "bad-request"),
             ("/v1/components/%ff%fe/faults", 404, "unknown"),
-            ("/v1/components/uds4/faults?stat=1", 400, "bad-query"),
+            ("/v1/components/uds/faults?stat=1", 400, "bad-query"),
             ("/v1/systems/none", 404, "unknown"),
             ("/v1/live/none", 404, "unknown"),
             ("/v1/records?count=0", 400, "bad-query"),
             ("/v1/events?after=a%20b", 400, "bad-request"),
             ("/v1/components/", 404, "no-route"),
-            ("/v1/components/uds4/faults/", 404, "no-route"),
+            ("/v1/components/uds/faults/", 404, "no-route"),
             ("/v2/health", 404, "no-route"),
             ("/static/none.js", 404, "no-route"),
             ("/static/../routes.py", 404, "no-route"),
@@ -209,28 +209,28 @@ class TestReading:
 
 class TestClearing:
     def test_one(self, client: httpx.Client, daemon: FakeDaemon) -> None:
-        answer = client.delete("/v1/components/uds4/faults/1", headers=BEARER)
+        answer = client.delete("/v1/components/uds/faults/1", headers=BEARER)
         assert (answer.status_code, answer.content) == (204, b"")
         assert sorted(daemon.faults) == [2, 3]
         assert codes(client) == ["2"], "what was cleared is gone for who asks next"
-        assert problem(client.delete("/v1/components/uds4/faults/1", headers=BEARER)) == (404, "unknown")
+        assert problem(client.delete("/v1/components/uds/faults/1", headers=BEARER)) == (404, "unknown")
 
     def test_all_of_a_system_leaves_those_of_others(self, client: httpx.Client, daemon: FakeDaemon) -> None:
-        assert client.delete("/v1/components/uds4/faults", headers=BEARER).status_code == 204
+        assert client.delete("/v1/components/uds/faults", headers=BEARER).status_code == 204
         assert sorted(daemon.faults) == [3]
         assert codes(client) == []
 
     def test_all_there_is_goes_at_once_and_the_overflow_flag_with_it(
         self, client: httpx.Client, daemon: FakeDaemon
     ) -> None:
-        daemon.systems = ["uds4"]
+        daemon.systems = ["uds"]
         del daemon.faults[3]
         until(lambda: client.get("/v1/components/doors").status_code == 404)
-        assert client.delete("/v1/components/uds4/faults", headers=BEARER).status_code == 204
+        assert client.delete("/v1/components/uds/faults", headers=BEARER).status_code == 204
         assert not daemon.faults
         assert daemon.asked[-1] == {"ask": "clear"}
 
-    @pytest.mark.parametrize("path", ["/v1/components/uds4/faults/1", "/v1/components/uds4/faults"])
+    @pytest.mark.parametrize("path", ["/v1/components/uds/faults/1", "/v1/components/uds/faults"])
     @pytest.mark.parametrize(
         ("headers", "status", "code"),
         [
@@ -252,9 +252,9 @@ class TestClearing:
 
     def test_any_of_the_tokens(self, client: httpx.Client) -> None:
         headers = {"Authorization": f"Bearer {'y' * 32}"}
-        assert client.delete("/v1/components/uds4/faults/2", headers=headers).status_code == 204
+        assert client.delete("/v1/components/uds/faults/2", headers=headers).status_code == 204
 
-    @pytest.mark.parametrize("path", ["/v1/components/uds4/faults/2", "/v1/components/uds4/faults"])
+    @pytest.mark.parametrize("path", ["/v1/components/uds/faults/2", "/v1/components/uds/faults"])
     @pytest.mark.parametrize(
         ("refusing", "status", "code"),
         [("not-kept", 500, "not-kept"), ("not-allowed", 403, "not-allowed"), ("not-kept at 2", 500, "not-kept")],
@@ -269,10 +269,10 @@ class TestClearing:
         ("path", "status"),
         [
             ("/v1/components/none/faults", 404),
-            ("/v1/components/uds4/faults/99", 404),
-            ("/v1/components/uds4/faults/3", 404),
-            ("/v1/components/uds4/faults/x", 400),
-            ("/v1/components/uds4/faults?severity=2", 400),  # a filter must not be taken for all
+            ("/v1/components/uds/faults/99", 404),
+            ("/v1/components/uds/faults/3", 404),
+            ("/v1/components/uds/faults/x", 400),
+            ("/v1/components/uds/faults?severity=2", 400),  # a filter must not be taken for all
         ],
     )
     def test_what_is_not_there(self, client: httpx.Client, daemon: FakeDaemon, path: str, status: int) -> None:
@@ -283,12 +283,12 @@ class TestClearing:
 class TestGate:
     @pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "HEAD", "OPTIONS", "TRACE", "BREW"])
     def test_other_methods(self, client: httpx.Client, method: str) -> None:
-        answer = client.request(method, "/v1/components/uds4/faults/1")
+        answer = client.request(method, "/v1/components/uds/faults/1")
         assert answer.status_code == 405
         assert sorted(answer.headers["allow"].split(", ")) == ["DELETE", "GET"]
         assert client.request(method, "/v1/events").headers["allow"] == "GET"
 
-    @pytest.mark.parametrize("path", ["/v1/health", "/nothing", "/v1/components/uds4/faults/1", "/metrics", "/"])
+    @pytest.mark.parametrize("path", ["/v1/health", "/nothing", "/v1/components/uds/faults/1", "/metrics", "/"])
     def test_what_every_answer_says(self, client: httpx.Client, path: str) -> None:
         for answer in (client.get(path), client.delete(path)):
             assert answer.headers["x-content-type-options"] == "nosniff"

@@ -135,7 +135,7 @@ def _ended_in(daemon: FakeDaemon, tmp_path: Path, number: signal.Signals) -> flo
     """How long it takes [s]."""
     path = tmp_path / "http.sock"
     with serving(*places(daemon), "--listen", f"unix:{path}", log=tmp_path / "log", orderly=True) as server:
-        listening = [Sse(server, place) for place in ("/v1/events", "/v1/live/uds4", "/v1/events")]
+        listening = [Sse(server, place) for place in ("/v1/events", "/v1/live/uds", "/v1/events")]
         for stream in listening:
             next(stream.events())
         stalled, silent = server.connect(), server.connect()
@@ -177,7 +177,7 @@ def test_tokens_from_systemd(daemon: FakeDaemon, tmp_path: Path) -> None:
     environment = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
     arguments = (*places(daemon), "--listen", "127.0.0.1:0")
     with serving(*arguments, environment=environment, log=tmp_path / "log") as server, server.client() as client:
-        answer = client.delete("/v1/components/uds4/faults/1", headers={"Authorization": f"Bearer {TOKEN}"})
+        answer = client.delete("/v1/components/uds/faults/1", headers={"Authorization": f"Bearer {TOKEN}"})
         assert answer.status_code == 204
         assert TOKEN not in (tmp_path / "log").read_text()
 
@@ -191,7 +191,7 @@ original = live._Feed.take
 live._Feed.take = lambda self, line: 1 / 0
 def watch():
     while "url" not in said: time.sleep(0.01)
-    urllib.request.urlopen(said["url"] + "/v1/live/uds4").read()
+    urllib.request.urlopen(said["url"] + "/v1/live/uds").read()
 said = {}
 from faultline.service.web import command
 command._say = lambda text: said.setdefault("url", text.split()[2].rstrip(","))

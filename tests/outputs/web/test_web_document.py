@@ -63,7 +63,7 @@ def test_every_answer_is_in_it(case: Any, server: tuple[FakeDaemon, Serving]) ->
     daemon, running = server
     daemon.faults = {number: fault(number) for number in (1, 2, 3)}
     if case.meta.generation.mode.is_positive and case.path_parameters:
-        known = {"system": "uds4", "code": "3"}
+        known = {"system": "uds", "code": "3"}
         case.path_parameters = {name: known[name] for name in case.path_parameters}  # else there is nothing to answer
     checks = CHECKS.get_by_names([name for name in CHECKS.get_all_names() if name not in NOT_OURS])
     case.call_and_validate(base_url=running.url, headers=BEARER, checks=checks)
@@ -98,7 +98,7 @@ def test_errors_are_in_it(
 @pytest.mark.parametrize("path", [path for path in document()["paths"] if not path.startswith("/v1/events")])
 def test_a_daemon_that_is_away_is_in_it(tmp_path: Path, path: str, away: Serving) -> None:
     with away.client() as client:
-        response = client.get(path.replace("{system}", "uds4").replace("{code}", "1"))
+        response = client.get(path.replace("{system}", "uds").replace("{code}", "1"))
     SCHEMA[path]["get"].validate_response(response)
 
 

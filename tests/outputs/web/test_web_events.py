@@ -203,16 +203,16 @@ def test_who_hears_of_a_record_and_asks_gets_no_answer_from_before(daemon: FakeD
         stream = Sse(server, "/v1/events")
         next(stream.events())
         for number in range(10, 30):
-            assert client.get(f"/v1/components/uds4/faults/{number}").status_code == 404
+            assert client.get(f"/v1/components/uds/faults/{number}").status_code == 404
             daemon.faults[number] = daemon.faults[1]
             daemon.tell(number)
             assert seqs(stream, 1) == [number]
-            assert client.get(f"/v1/components/uds4/faults/{number}").status_code == 200
+            assert client.get(f"/v1/components/uds/faults/{number}").status_code == 200
 
 
 def test_comments_keep_a_stream_alive(daemon: FakeDaemon, tmp_path: Path) -> None:
     with serving(*arguments(daemon), limits={"alive_s": 0.1}, log=tmp_path / "log") as server:
-        for path in ("/v1/events", "/v1/live/uds4"):
+        for path in ("/v1/events", "/v1/live/uds"):
             said = comments(Sse(server, path))
             assert "alive" in itertools.islice(said, 12)
     assert Limits().alive_s == 15.0
@@ -220,11 +220,11 @@ def test_comments_keep_a_stream_alive(daemon: FakeDaemon, tmp_path: Path) -> Non
 
 def test_there_are_so_many_streams_and_no_more(daemon: FakeDaemon, tmp_path: Path) -> None:
     with serving(*arguments(daemon), log=tmp_path / "log") as server, server.client() as client:
-        open_ = [Sse(server, path) for path in ["/v1/events"] * 30 + ["/v1/live/uds4"] * 2]
+        open_ = [Sse(server, path) for path in ["/v1/events"] * 30 + ["/v1/live/uds"] * 2]
         assert all(stream.status == 200 for stream in open_)
         until(lambda: daemon.watchers)
         assert daemon.watchers == 1, "one connection to the daemon for all who watch a system"
-        for path in ("/v1/events", "/v1/live/uds4"):
+        for path in ("/v1/events", "/v1/live/uds"):
             answer = client.get(path)
             assert (answer.status_code, answer.json()["code"]) == (503, "too-many-streams")
             assert answer.headers["retry-after"] == "5"
@@ -237,7 +237,7 @@ def test_there_are_so_many_streams_and_no_more(daemon: FakeDaemon, tmp_path: Pat
 
 def test_live_ticks_and_the_latest_only_for_who_is_slow(daemon: FakeDaemon, tmp_path: Path) -> None:
     with serving(*arguments(daemon), log=tmp_path / "log") as server:
-        quick, slow = Sse(server, "/v1/live/uds4"), Sse(server, "/v1/live/uds4", receive_buffer=4096)
+        quick, slow = Sse(server, "/v1/live/uds"), Sse(server, "/v1/live/uds", receive_buffer=4096)
         until(lambda: daemon.watchers == 1)
         events = (each for each in quick.events() if "data" in each)
         for number in range(1, 301):
@@ -263,7 +263,7 @@ def test_live_ticks_and_the_latest_only_for_who_is_slow(daemon: FakeDaemon, tmp_
 
 def test_live_goes_on_when_the_daemon_is_back(daemon: FakeDaemon, tmp_path: Path) -> None:
     with serving(*arguments(daemon), log=tmp_path / "log") as server:
-        events = Sse(server, "/v1/live/uds4").events()
+        events = Sse(server, "/v1/live/uds").events()
         until(lambda: daemon.watchers == 1)
         daemon.tick(1)
         daemon.stop()

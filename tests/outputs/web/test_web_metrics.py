@@ -73,7 +73,7 @@ STATE = ServiceState(
     conditions=[Standing(kind="missing", of="y_p_du"), Standing(kind="missing", of="n_p")],
     store=StoreStatus(path="/x", kept=1230, failing=True),
     buses=[BusStatus(name="a", frames=10, dropped=2, errors=1), BusStatus(name="b", trouble="bus-off")],
-    systems=[SystemStatus(name="uds4", bundle="ab", alarm=["t02"], cannot_tell=["t03", "t05"], suspected=True)],
+    systems=[SystemStatus(name="uds", bundle="ab", alarm=["t02"], cannot_tell=["t03", "t05"], suspected=True)],
 )
 
 
@@ -88,14 +88,14 @@ def test_what_the_daemon_says() -> None:
     assert one(read, "faultline_bus_frames_total", bus="a") == 10
     assert one(read, "faultline_bus_dropped_total", bus="a") == 2
     assert [one(read, "faultline_bus_trouble", bus=bus) for bus in "ab"] == [0, 1]
-    assert one(read, "faultline_system_cannot_tell", system="uds4") == 2
+    assert one(read, "faultline_system_cannot_tell", system="uds") == 2
     group = "dosing unit filter, pump pressure sensor"
-    assert [one(read, "faultline_fault_active", system="uds4", number=number, component=group) for number in "12"] == [
+    assert [one(read, "faultline_fault_active", system="uds", number=number, component=group) for number in "12"] == [
         1,
         0,
     ]
-    assert one(read, "faultline_fault_confirmed", system="uds4", number="2") == 1
-    assert one(read, "faultline_fault_occurrences_total", system="uds4", number="2") == 5
+    assert one(read, "faultline_fault_confirmed", system="uds", number="2") == 1
+    assert one(read, "faultline_fault_occurrences_total", system="uds", number="2") == 5
 
 
 def test_a_daemon_that_is_away() -> None:
@@ -130,4 +130,4 @@ def test_labels_are_escaped(value: str) -> None:
 
 def test_a_component_of_any_name() -> None:
     read = strictly(render(of_daemon(STATE, [fault(1, components=['the "big"\\ one\n'])])))
-    assert one(read, "faultline_fault_active", system="uds4", number="1", component='the "big"\\ one\n') == 1
+    assert one(read, "faultline_fault_active", system="uds", number="1", component='the "big"\\ one\n') == 1

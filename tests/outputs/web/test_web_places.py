@@ -28,7 +28,7 @@ def test_on_a_unix_socket_under_any_name(daemon: FakeDaemon, folder: Path) -> No
         assert path.stat().st_mode & 0o777 == 0o660
         with running.client() as client:
             assert codes(client) == ["1", "2"]
-            answer = client.delete("/v1/components/uds4/faults/1", headers=BEARER)
+            answer = client.delete("/v1/components/uds/faults/1", headers=BEARER)
             assert problem(answer) == (403, "not-configured")
             assert "clearing is not configured" in answer.json()["detail"]
     assert not path.exists()
@@ -71,7 +71,7 @@ def test_the_daemon_away_and_back(folder: Path) -> None:
             answer = client.get(path)
             assert problem(answer) == (503, "away")
             assert answer.headers["retry-after"] == "1"
-        assert problem(client.delete("/v1/components/uds4/faults/1", headers=BEARER)) == (503, "away")
+        assert problem(client.delete("/v1/components/uds/faults/1", headers=BEARER)) == (503, "away")
         answer = client.get("/v1/health")
         assert (answer.status_code, answer.json()["status"]) == (503, "away")
         figures = strictly(client.get("/metrics").content)

@@ -38,7 +38,7 @@ PASSED = status(confirmed=True, failed_since_clear=True)
 PENDING = status(test_failed=True, pending=True)
 
 
-def fault(number: int, system: str = "uds4", state: Status = FAILED, **fields: Any) -> Fault:
+def fault(number: int, system: str = "uds", state: Status = FAILED, **fields: Any) -> Fault:
     seen = Seen(id=f"truck-5e0c72b1-{number}", wall="2026-03-01T10:00:00Z", cycle=7)
     diagnoses = [
         Diagnosis(faults=["fA_du"], rank=1, p=0.7),
@@ -91,7 +91,7 @@ class FakeDaemon:
     def __init__(self, folder: Path) -> None:
         self.control, self.events = folder / "control.sock", folder / "events.sock"
         self.faults = {1: fault(1), 2: fault(2, state=PASSED), 3: fault(3, system="doors", state=PENDING)}
-        self.systems = ["uds4", "doors"]
+        self.systems = ["uds", "doors"]
         self.conditions: list[Json] = []
         self.told: list[Record] = []
         self.asked: list[Json] = []
@@ -148,7 +148,7 @@ class FakeDaemon:
         else:
             work()
 
-    def tick(self, number: int, system: str = "uds4", padding: int = 0) -> None:
+    def tick(self, number: int, system: str = "uds", padding: int = 0) -> None:
         """Sends a live tick to all who watch."""
         tick = {"schema": "faultline.live/2", "system": system, "tick": number, "padding": "x" * padding}
         line = msgspec.json.encode(tick) + b"\n"

@@ -118,7 +118,7 @@ def test_conditions_are_said_before_with_a_remedy(tmp_path: Path, capsys: pytest
         "wall": "2026-01-01T00:00:00+00:00",
         "seq": 1,
         "conditions": [{"kind": "bus-down", "of": "can0", "since": None}],
-        "systems": [{"name": "uds4", "bundle": BUNDLE}],
+        "systems": [{"name": "uds", "bundle": BUNDLE}],
     }
     with Service(tmp_path / "c", answers={"state": state}):
         assert run(tmp_path) == 2
@@ -156,14 +156,14 @@ def test_the_report_is_named_after_vehicle_system_and_time(tmp_path: Path, monke
     monkeypatch.chdir(tmp_path)
     with Service(tmp_path / "c", []):
         command.main(["--control", "c", "--plain"])
-    [report] = tmp_path.glob("faultline-workshop-truck-17-uds4-*.html")
+    [report] = tmp_path.glob("faultline-workshop-truck-17-uds-*.html")
     parsed(report)
 
 
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (["--system", "brakes"], "no system 'brakes'; give --system one of uds4"),
+        (["--system", "brakes"], "no system 'brakes'; give --system one of uds"),
         (["--report", "/nowhere/r.html"], "/nowhere/r.html: cannot be written"),
     ],
 )

@@ -24,9 +24,7 @@ KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 TRUST = Signed({public_of(KEY).id: public_of(KEY, "test.pub")})
 
 
-def version(
-    folder: Path, number: int, name: str = "uds4", *, signed: bool = True, start_within_s: float = 60.0
-) -> Path:
+def version(folder: Path, number: int, name: str = "uds", *, signed: bool = True, start_within_s: float = 60.0) -> Path:
     """The golden bundle as this version, signed."""
     bundle = Path(shutil.copytree(GOLDEN, folder / f"v{number}-{name}-{start_within_s}", dirs_exist_ok=True))
     edit(bundle, lambda manifest: manifest.update(version=number, name=name, start_within_s=start_within_s))
@@ -78,7 +76,7 @@ def slots(tmp_path: Path) -> Slots:
 def test_nothing_older_is_taken_and_nothing_else_of_the_same_version(slots: Slots, tmp_path: Path) -> None:
     refused(slots, version(tmp_path, 4), "version 4 is older than 5, which was there before")
     refused(slots, version(tmp_path, 5, start_within_s=61.0), "is another bundle of version 5")
-    refused(slots, version(tmp_path, 9, "brakes"), "is 'brakes', and 'uds4' is what is installed here")
+    refused(slots, version(tmp_path, 9, "brakes"), "is 'brakes', and 'uds' is what is installed here")
     slots.install(version(tmp_path, 5), TRUST, passes)  # the same once more
     slots.install(version(tmp_path, 9), TRUST, passes)
     refused(slots, version(tmp_path, 5), "version 5 is older than 9")
@@ -205,7 +203,7 @@ def test_the_command_installs(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     into = ["--into", str(tmp_path / "slots")]
     source = str(version(tmp_path, 1))
     assert main(["install", source, *into, "--allow-unsigned"]) == 0
-    assert "uds4 version 1, id " in capsys.readouterr().out
+    assert "uds version 1, id " in capsys.readouterr().out
     with pytest.raises(InputError, match="give --keys, or --allow-unsigned for a trial; one of them"):
         main(["install", source, *into])
     with pytest.raises(SignatureError, match="no trusted key"):

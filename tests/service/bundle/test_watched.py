@@ -131,8 +131,8 @@ def test_a_bundle_that_fails_begins_anew_and_the_others_go_on(bus: Bus, monkeypa
     monkeypatch.setattr(bus, "receive", lambda: frames[:])
     assert [event.transition for _, told in line.listen(frames[-1].t) for event in told] == ["started"]
     assert len(made) == 2
-    assert said == ["bundle uds4 begins anew in 1 s: a matrix that cannot be inverted"]
-    failed = Condition("bundle-failed", "uds4")
+    assert said == ["bundle uds begins anew in 1 s: a matrix that cannot be inverted"]
+    failed = Condition("bundle-failed", "uds")
     assert failed in line.look(frames[-1].t + 1.0)
     assert failed not in line.look(frames[-1].t + FAILED_S + 1.0)
 

@@ -14,7 +14,7 @@ from faultline.service.core.records.fault import Dtc, Fault
 from faultline.service.core.signals.modes import IDLE, MAXIMUM
 
 SYSTEM = System(
-    "uds4",
+    "uds",
     "b" * 64,
     0.2,
     ("t02", "t08", "t13"),
@@ -61,12 +61,12 @@ class Vehicle:
             since_tick=None,
             bundle=SYSTEM.bundle,
         )
-        return self.memory.event("uds4", event, modes)
+        return self.memory.event("uds", event, modes)
 
     def drive(
         self, seconds: float, mode: int = IDLE, usable: np.ndarray = ALL, suspicious: bool = False
     ) -> list[FaultChange]:
-        return [n for _ in range(round(seconds / 0.2)) for n in self.memory.tick("uds4", mode, usable, suspicious)]
+        return [n for _ in range(round(seconds / 0.2)) for n in self.memory.tick("uds", mode, usable, suspicious)]
 
     def cycle(self) -> list[FaultChange]:
         """The key off and on."""
@@ -405,7 +405,7 @@ def test_systems_do_not_share_their_faults() -> None:
         alarm=["t02"], cannot_tell=[], since_tick=None, bundle=SYSTEM.bundle,
     )  # fmt: skip
     assert changes(truck.memory.event("trailer", event, [])) == [("confirmed", 2)]
-    assert [fault.system for fault in truck.faults] == ["uds4", "trailer"]
+    assert [fault.system for fault in truck.faults] == ["uds", "trailer"]
 
 
 @pytest.mark.parametrize("seed", range(20))

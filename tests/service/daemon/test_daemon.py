@@ -489,7 +489,7 @@ def test_a_restart_with_the_ignition_off_does_not_say_that_all_is_well(
     traffic = SimpleNamespace(note=lambda _: None, look=lambda *_: set(found), doubted={})
     watched = Pipeline(BUNDLE, lambda _: cast(tuple[Monitor, Traffic], (Heard(), traffic)), 1.0)
     made.loop._lines[0].bundles[:] = [watched]
-    made.loop._fault_recorder.systems["uds4"].watched = watched
+    made.loop._fault_recorder.systems["uds"].watched = watched
     made.run(*[nothing] * 29, lambda: found.append(silent), *[nothing] * 20)
     assert capfdbinary.readouterr().out == b"", "it stands, as before: nothing is news"
     made.wires[0].close()

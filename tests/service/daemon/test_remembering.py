@@ -127,7 +127,7 @@ def test_a_fault_is_told_with_the_event_that_it_is_of() -> None:
     assert confirmed.change == "confirmed"
     assert confirmed.fault.first.id == records[occurred]["id"]
     assert confirmed.fault.first.cycle == 1
-    assert confirmed.fault.system == "uds4"
+    assert confirmed.fault.system == "uds"
     assert _changes(vehicle) == ["confirmed", "refined"]
 
 
@@ -303,10 +303,10 @@ def test_a_fault_that_was_told_before_the_store_opened_enters_it(
     told = vehicle.journal.take()
     (tmp_path / "elsewhere").mkdir()
     if has_before:
-        names = {f"{vehicle.watched.place} on powertrain": "uds4@powertrain"}
+        names = {f"{vehicle.watched.place} on powertrain": "uds@powertrain"}
         store = StoreFile(copied(driven, tmp_path / "elsewhere"))
         rows = {"names": json.dumps(names).encode()}
-        rows["fault/1"] = store.kept["fault/1"].replace(b'"system":"uds4"', b'"system":"uds4@powertrain"')
+        rows["fault/1"] = store.kept["fault/1"].replace(b'"system":"uds"', b'"system":"uds@powertrain"')
         store.append([], rows)
         store.close()
     (tmp_path / "mounted").mkdir()
@@ -319,7 +319,7 @@ def test_a_fault_that_was_told_before_the_store_opened_enters_it(
     assert vehicle.fault_recorder.conditions == set()
     [fault] = vehicle.fault_recorder.memory.faults.values()
     assert (fault.number, fault.occurrences, fault.status.test_failed) == (1, 1, True)  # the same, which had not passed
-    assert [*vehicle.fault_recorder.systems] == ["uds4@powertrain" if has_before else "uds4"]
+    assert [*vehicle.fault_recorder.systems] == ["uds@powertrain" if has_before else "uds"]
     changes = [json.loads(line)["change"] for line in vehicle.of("fault")]
     assert changes[0] == ("refined" if has_before else "confirmed")
     assert min(each.seq for each in vehicle.told) > 0
@@ -340,7 +340,7 @@ def test_a_bundle_that_is_taken_up_goes_on_with_its_faults(driven: Path, tmp_pat
     bundle = load_bundle(GOLDEN / "bundle")
     vehicle.watched.take_up(bundle._replace(id="f" * 64))
     vehicle.fault_recorder.take(vehicle.watched, [])
-    assert vehicle.fault_recorder.systems["uds4"].system.bundle == "f" * 64
+    assert vehicle.fault_recorder.systems["uds"].system.bundle == "f" * 64
     assert [*vehicle.fault_recorder.memory.faults] == [1]
 
 
@@ -354,12 +354,12 @@ def test_systems_of_the_same_name_are_told_apart_by_their_bus() -> None:
     both = FaultRecorder(
         *(Sequencer("truck", 0, "1"), vehicle.journal, [vehicle.line, other], Rules(), 10.0, "boot", 0.0, print, list),
     )
-    assert [*both.systems] == ["uds4@powertrain", "uds4@trailer"]
+    assert [*both.systems] == ["uds@powertrain", "uds@trailer"]
     alone = vehicle.made("2")
-    assert [*alone.systems] == ["uds4@powertrain"], "the other was refused: its faults are remembered under this name"
+    assert [*alone.systems] == ["uds@powertrain"], "the other was refused: its faults are remembered under this name"
     alone.lines = [vehicle.line, other]
     alone.add(other, other.bundles[0])
-    assert [*alone.systems] == ["uds4@powertrain", "uds4@trailer"]
+    assert [*alone.systems] == ["uds@powertrain", "uds@trailer"]
 
 
 def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another() -> None:
@@ -371,7 +371,7 @@ def test_a_system_whose_name_was_given_to_one_that_is_refused_now_gets_another()
     alone = FaultRecorder(
         *(Sequencer("truck", 0, "1"), vehicle.journal, [trailer], Rules(), 10.0, "boot", 0.0, print, list, absent),
     )
-    assert [*alone.systems] == ["uds4@trailer"]
+    assert [*alone.systems] == ["uds@trailer"]
 
 
 class Served:
@@ -444,12 +444,12 @@ def test_state_and_meanings_can_be_asked_for(served: Served) -> None:
             }
         ]
         (system,) = state["systems"]
-        assert (system["name"], system["tick"], len(system["cannot_tell"])) == ("uds4", None, 10)
-        meaning = control.ask_json("system", name="uds4")
+        assert (system["name"], system["tick"], len(system["cannot_tell"])) == ("uds", None, 10)
+        meaning = control.ask_json("system", name="uds")
         assert meaning["inputs"][0]["unit"] == "Pa"
         assert {"name": "t02.ode", "test": "t02"}.items() <= meaning["generators"][0].items()
         assert {each["name"] for each in meaning["faults"]} >= {"fA_t", "fA_du"}
-        with pytest.raises(ProtocolError, match="there is no system 'brakes'; those are uds4"):
+        with pytest.raises(ProtocolError, match="there is no system 'brakes'; those are uds"):
             control.ask_json("system", name="brakes")
 
 
@@ -529,7 +529,7 @@ def test_what_makes_no_sense_is_answered_and_the_connection_goes_on(served: Serv
 
 def test_live_values_are_the_newest(served: Served) -> None:
     with ControlClient(served.path) as control:
-        ticks = control.live("uds4")
+        ticks = control.live("uds")
         first: list[LiveTick] = []
         listener = threading.Thread(target=lambda: first.extend(next(ticks) for _ in range(2)))
         listener.start()
@@ -562,7 +562,7 @@ def test_the_command_lists_shows_and_erases(served: Served, capsys: pytest.Captu
     at = ("--control", str(served.path))
     code, out, _ = run(capsys, "list", *at)
     assert code == 1
-    assert out.splitlines()[0] == "1. uds4: is there, confirmed, status 0xAF, SPN 520192 FMI 11"
+    assert out.splitlines()[0] == "1. uds: is there, confirmed, status 0xAF, SPN 520192 FMI 11"
     code, out, _ = run(capsys, "show", "1", *at)
     assert code == 0
     assert "components: dosing unit filter, pressure sensor after the pump" in out
@@ -654,7 +654,7 @@ def test_bundles_of_one_name_on_one_bus_are_told_apart() -> None:
     vehicle.journal.remember({"names": None})
     for run in ("2", "3"):
         both = vehicle.made(run)
-        assert [*both.systems] == ["uds4@powertrain", "uds4@powertrain-2"]
+        assert [*both.systems] == ["uds@powertrain", "uds@powertrain-2"]
     for each in vehicle.line.bundles:
         both.take(each, [])
 

@@ -35,7 +35,7 @@ def fault(
     )
     return Fault(
         number=number,
-        system="uds4",
+        system="uds",
         bundle="0" * 64,
         diagnoses=[Diagnosis(faults=["fq_pump"], rank=1, p=None)],
         components=list(components),

@@ -58,7 +58,7 @@ class FakeDaemon:
 
     def tell_fault(self, number: int, change: str = "confirmed") -> str:
         """A record on a fault, and what the control socket says of it."""
-        fault = {"number": number, "system": "uds4", "components": ["dosing unit"], "change": change}
+        fault = {"number": number, "system": "uds", "components": ["dosing unit"], "change": change}
         if change in ("aged", "displaced"):
             self.faults.pop(number, None)
         else:

@@ -205,9 +205,9 @@ def test_what_is_no_record_is_refused(line: bytes) -> None:
             "b0",
         ),
         (
-            {"schema": "faultline.event/1", "transition": "healed", "system": "uds4"},
+            {"schema": "faultline.event/1", "transition": "healed", "system": "uds"},
             "io.faultline.event.healed",
-            "uds4",
+            "uds",
         ),
         ({"schema": "faultline.event/1", "transition": "A b/c"}, "io.faultline.event", None),
         ({"schema": "faultline.health/1", "conditions": []}, "io.faultline.health", None),

@@ -30,7 +30,7 @@ def record(change: Change, seq: int = 7, faults: tuple[str, ...] = ("fA_du",)) -
     seen = Seen(id="truck-1", wall=None, cycle=1)
     status = Status(**dict.fromkeys(Status.__struct_fields__, False) | {"test_failed": True, "confirmed": True})
     fault = Fault(
-        number=3, system="uds4", bundle="b" * 64, diagnoses=[Diagnosis(faults=[*faults], rank=1, p=None)],
+        number=3, system="uds", bundle="b" * 64, diagnoses=[Diagnosis(faults=[*faults], rank=1, p=None)],
         components=["dosing unit filter"] if faults else [], dtcs=[Dtc(spn=3362, fmi=7)], tests=["t02"], modes=["idle"],
         status=status, mask=status.mask, fdc=127, occurrences=1, trips=1, healing=0, aging=0, first=seen, latest=seen,
     )  # fmt: skip
@@ -69,7 +69,7 @@ def test_an_alarm_has_fields_that_can_be_asked_for(system: System) -> None:
     system.journald.told(record("confirmed"))
     assert system.entries() == [
         {
-            "MESSAGE": "uds4: dosing unit filter is faulty",
+            "MESSAGE": "uds: dosing unit filter is faulty",
             "MESSAGE_ID": MESSAGES["confirmed"][0],
             "PRIORITY": "4",
             "SYSLOG_IDENTIFIER": "faultline",
@@ -77,7 +77,7 @@ def test_an_alarm_has_fields_that_can_be_asked_for(system: System) -> None:
             "FAULTLINE_SEQ": "7",
             "FAULTLINE_CHANGE": "confirmed",
             "FAULTLINE_NUMBER": "3",
-            "FAULTLINE_SYSTEM": "uds4",
+            "FAULTLINE_SYSTEM": "uds",
             "FAULTLINE_COMPONENTS": "dosing unit filter",
             "FAULTLINE_STATUS": "0x09",
             "SPN": "3362",
@@ -101,7 +101,7 @@ def test_events_health_and_refinements_are_no_entries(system: System) -> None:
 
 def test_what_is_unknown_is_said_so(system: System) -> None:
     system.journald.told(record("confirmed", faults=()))
-    assert system.entries()[0]["MESSAGE"] == "uds4: something unknown is faulty"
+    assert system.entries()[0]["MESSAGE"] == "uds: something unknown is faulty"
 
 
 def test_a_storm_is_counted(system: System) -> None:

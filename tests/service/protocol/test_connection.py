@@ -18,7 +18,7 @@ from faultline.service.protocol.reconnecting import Reconnecting
 
 RETRY_S = 0.5
 TICK = (
-    b'{"system":"uds4","bundle":"ab","tick":1,"t_s":0.2,"mode":"idle","z":[],"quality":[],"y_hat":[],"r":[],"sigma":[],'
+    b'{"system":"uds","bundle":"ab","tick":1,"t_s":0.2,"mode":"idle","z":[],"quality":[],"y_hat":[],"r":[],"sigma":[],'
     b'"sums":[],"usable":[],"alarm":[],"cannot_tell":[],"suspected":false,"anomaly":false,"diagnoses":[]}\n'
 )
 
@@ -108,9 +108,9 @@ def test_the_blocking_client_gives_up_an_answer_that_drips(tmp_path: Path, liste
 def test_live_ticks_and_the_silence_between_them(tmp_path: Path, listener: socket.socket) -> None:
     with ControlClient(tmp_path / "s", answer_s=0.3) as control:
         client, _ = listener.accept()
-        came = control.live_or_silent("uds4", 0.1)
+        came = control.live_or_silent("uds", 0.1)
         assert next(came) == 0.1
-        assert client.recv(100) == b'{"ask":"live","name":"uds4"}\n'
+        assert client.recv(100) == b'{"ask":"live","name":"uds"}\n'
         client.sendall(TICK + TICK)
         assert isinstance(next(came), LiveTick)
         behind = [control.is_behind]

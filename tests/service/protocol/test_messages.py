@@ -109,7 +109,7 @@ def test_what_a_newer_service_says_besides_is_ignored() -> None:
     assert decode(line[:-1] + b',"later":{"more":1}}') == decode(line)
     assert decode(line).schema == "faultline.event/1"
     tick: dict[str, object] = {name: [] for name in ("z", "quality", "y_hat", "r", "sigma", "sums", "usable")}
-    tick |= {"system": "uds4", "bundle": "ab", "tick": 1, "t_s": 0.2, "mode": "idle", "alarm": [], "cannot_tell": []}
+    tick |= {"system": "uds", "bundle": "ab", "tick": 1, "t_s": 0.2, "mode": "idle", "alarm": [], "cannot_tell": []}
     tick |= {"suspected": False, "anomaly": True, "diagnoses": [], "later": [1]}
     assert answer(msgspec.json.encode(tick), LiveTick).anomaly
     of_tomorrow = answer(b'{"kind":"of-tomorrow","of":"can0"}', Standing)

@@ -155,7 +155,7 @@ def test_systems_in_turn_and_sizes_that_change(watched: WatchedService, start: S
     watch = start("--system", "doors", columns=120)
     assert "doors (2 of 2, Tab: next)" in watch.until(lambda screen: "LIVE" in screen)
     os.write(watch.master, b"\t")
-    watch.until(lambda screen: "uds4 (1 of 2, Tab: next)" in screen)
+    watch.until(lambda screen: "uds (1 of 2, Tab: next)" in screen)
     watch.resize(40, 10)
     small = watch.until(lambda screen: screen and max(map(len, screen.splitlines())) <= 40)
     assert len(small.splitlines()) <= 10

@@ -45,7 +45,7 @@ def test_it_fits(columns: int, rows: int, tick: dict[str, Any] | None) -> None:
 @pytest.mark.parametrize(("columns", "rows"), [(80, 24), (40, 20), (200, 60)])
 def test_the_verdict_the_alarm_and_what_is_live_are_on_every_screen(columns: int, rows: int) -> None:
     shown = text(seen(FAULTY), columns, rows)
-    assert shown.startswith("LIVE  truck-17  uds4")
+    assert shown.startswith("LIVE  truck-17  uds")
     assert "FAULT fA_du (dosing unit filter)" in shown
     assert "▶ t02" in shown
     assert "ALARM" in shown
@@ -93,7 +93,7 @@ def test_unknown_faults_say_where_they_are() -> None:
 
 def test_away_shows_no_value() -> None:
     shown = text(seen(None, connection="away", why="/run/c: No such file; trying again"))
-    assert shown.splitlines()[0].startswith("AWAY  truck-17  uds4")
+    assert shown.splitlines()[0].startswith("AWAY  truck-17  uds")
     assert "/run/c: No such file; trying again" in shown
     assert "NO VALUE" in shown
     assert "9.012" not in shown

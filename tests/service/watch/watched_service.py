@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 SYSTEM: dict[str, Any] = {
-    "name": "uds4",
+    "name": "uds",
     "bundle": "ab",
     "period_s": 0.2,
     "inputs": [{"signal": "y_p_du", "unit": "Pa"}, {"signal": "dc_dose", "unit": "1"}],
@@ -27,12 +27,12 @@ STATE: dict[str, Any] = {
     "source": "truck-17",
     "version": "0.1.0",
     "seq": 3,
-    "systems": [{"name": "uds4"}, {"name": "doors"}],
+    "systems": [{"name": "uds"}, {"name": "doors"}],
     "conditions": [{"kind": "frozen", "of": "y_p_ap", "since": "2026-03-01T10:00:00Z"}],
 }
 TICK: dict[str, Any] = {
     "schema": "faultline.live/2",
-    "system": "uds4",
+    "system": "uds",
     "bundle": "ab",
     "tick": 62,
     "t_s": 12.4,
@@ -67,7 +67,7 @@ class WatchedService:
     def __init__(self, folder: Path) -> None:
         self.events, self.control = folder / "events.sock", folder / "control.sock"
         self.state = STATE
-        self.systems = {"uds4": SYSTEM, "doors": SYSTEM | {"name": "doors"}}
+        self.systems = {"uds": SYSTEM, "doors": SYSTEM | {"name": "doors"}}
         self.tick = TICK
         self.records: list[dict[str, Any]] = []
         self.hold = threading.Event()  # no ticks

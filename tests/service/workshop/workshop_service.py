@@ -14,7 +14,7 @@ from faultline.service.protocol.live import LiveTick, SystemDescription
 
 BUNDLE = "ab" * 32
 SYSTEM: dict[str, Any] = {
-    "name": "uds4",
+    "name": "uds",
     "bundle": BUNDLE,
     "version": 3,
     "sensor_set": "instrumented",
@@ -44,7 +44,7 @@ def line(tick: int, mode: str = "idle", **fields: Any) -> dict[str, Any]:
     """A live line: all tests are quiet, unless `fields` say otherwise."""
     quiet: dict[str, Any] = {
         "schema": "faultline.live/2",
-        "system": "uds4",
+        "system": "uds",
         "bundle": BUNDLE,
         "tick": tick,
         "t_s": round(tick * 0.2, 3),
@@ -90,7 +90,7 @@ def remembered(number: int, occurrences: int = 1, *, there: bool = False, compon
     names = Status.__struct_fields__
     return {
         "number": number,
-        "system": "uds4",
+        "system": "uds",
         "bundle": BUNDLE,
         "diagnoses": [FILTER],
         "components": [component],
@@ -133,7 +133,7 @@ class Service:
                 "wall": "2026-01-01T00:00:00+00:00",
                 "seq": 1,
                 "conditions": [],
-                "systems": [{"name": "uds4", "bundle": BUNDLE}],
+                "systems": [{"name": "uds", "bundle": BUNDLE}],
             },
             "system": SYSTEM,
             "faults": {"faults": [], "overflow": False, "seq": 1},

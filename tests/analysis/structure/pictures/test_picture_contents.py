@@ -22,8 +22,8 @@ from faultline.analysis.structure.pictures import (
 )
 from faultline.analysis.structure.pictures.layers import crossings, layers_of, place
 
-UDS4 = structure_of(load_model("uds4"))
-TESTS = find_tests(load_model("uds4"))
+UDS4 = structure_of(load_model("uds"))
+TESTS = find_tests(load_model("uds"))
 PARTS = Structure(  # M- of 2 x 3, two components of M0, an equation without unknowns beside a class in M+
     equations=("a1", "a2", "b1", "b2", "c1", "c2", "d1", "d2", "d3"),
     unknowns=("u", "v", "w", "p", "q", "x", "y", "z"),
@@ -62,7 +62,7 @@ def patches(figure: Figure, name: str) -> list[Rectangle]:
     return [p for p in figure.axes[0].patches if isinstance(p, Rectangle) and p.get_gid() == name]
 
 
-@pytest.mark.parametrize("structure", [UDS4, tank_chain(25), PARTS], ids=["uds4", "chain", "parts"])
+@pytest.mark.parametrize("structure", [UDS4, tank_chain(25), PARTS], ids=["uds", "chain", "parts"])
 def test_the_structural_model_has_a_mark_for_every_incidence(structure: Structure) -> None:
     figure = draw_model(structure)
     unknown = sum(row.bit_count() for row in structure.unknown_rows)
@@ -87,7 +87,7 @@ def test_a_state_has_an_i_and_its_derivative_a_d() -> None:
     assert letters == expected
 
 
-@pytest.mark.parametrize("structure", [UDS4, tank_chain(25), PARTS], ids=["uds4", "chain", "parts"])
+@pytest.mark.parametrize("structure", [UDS4, tank_chain(25), PARTS], ids=["uds", "chain", "parts"])
 def test_the_decomposition_is_block_upper_triangular_and_keeps_every_incidence(structure: Structure) -> None:
     found = dulmage_mendelsohn(structure)
     figure = draw_decomposition(structure, found)

@@ -25,8 +25,8 @@ from faultline.analysis.structure.pictures import (
     save,
 )
 
-UDS4, CHAIN = structure_of(load_model("uds4")), tank_chain(25)
-TESTS = {test.name: test for test in find_tests(load_model("uds4"))}
+UDS4, CHAIN = structure_of(load_model("uds")), tank_chain(25)
+TESTS = {test.name: test for test in find_tests(load_model("uds"))}
 EMPTY = Structure((), (), (), (), (), (), {}, {})
 BARE = Structure(("e1", "e2"), ("x", "unused"), (), (), (1, 1), (0, 0), {}, {})
 CAUSALITIES: tuple[Interpretation, ...] = ("mixed", "integral", "derivative")
@@ -35,7 +35,7 @@ CAUSALITIES: tuple[Interpretation, ...] = ("mixed", "integral", "derivative")
 def graph(name: str) -> Figure:
     test = TESTS[name]
     assert isinstance(test, Test)
-    return draw_graph(UDS4, test, "uds4")
+    return draw_graph(UDS4, test, "uds")
 
 
 def relations(structure: Structure) -> dict[str, dict[str, tuple[str, ...]]]:
@@ -43,19 +43,19 @@ def relations(structure: Structure) -> dict[str, dict[str, tuple[str, ...]]]:
 
 
 PICTURES: dict[str, Callable[[], Figure]] = {
-    "model-uds4": lambda: draw_model(UDS4, "uds4"),
+    "model-uds": lambda: draw_model(UDS4, "uds"),
     "model-100": lambda: draw_model(CHAIN),
     "model-bare": lambda: draw_model(BARE),
     "model-empty": lambda: draw_model(EMPTY),
-    "decomposition-uds4": lambda: draw_decomposition(UDS4, dulmage_mendelsohn(UDS4), "uds4"),
+    "decomposition-uds": lambda: draw_decomposition(UDS4, dulmage_mendelsohn(UDS4), "uds"),
     "decomposition-100": lambda: draw_decomposition(CHAIN, dulmage_mendelsohn(CHAIN)),
     "decomposition-bare": lambda: draw_decomposition(BARE, dulmage_mendelsohn(BARE)),
     "decomposition-empty": lambda: draw_decomposition(EMPTY, dulmage_mendelsohn(EMPTY)),
-    "isolability-uds4": lambda: draw_isolability(relations(UDS4), "uds4"),
+    "isolability-uds": lambda: draw_isolability(relations(UDS4), "uds"),
     "isolability-75-faults": lambda: draw_isolability(relations(CHAIN)),
     "isolability-empty": lambda: draw_isolability(relations(EMPTY)),
     "isolability-nothing": lambda: draw_isolability({}),
-    "signatures-uds4": lambda: draw_signatures([*TESTS.values()], UDS4.faults, "uds4"),
+    "signatures-uds": lambda: draw_signatures([*TESTS.values()], UDS4.faults, "uds"),
     "signatures-empty": lambda: draw_signatures([], ()),
     "graph-t02": lambda: graph("t02"),
     "graph-t21": lambda: graph("t21"),
@@ -77,7 +77,7 @@ def test_a_picture_is_legible_and_written_with_all_its_text(name: str, tmp_path:
     assert written == {line for text, _ in seen for line in text.split("\n")}
 
 
-SMALL = ["model-uds4", "decomposition-uds4", "isolability-uds4", "signatures-uds4", "graph-t21"]
+SMALL = ["model-uds", "decomposition-uds", "isolability-uds", "signatures-uds", "graph-t21"]
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -91,8 +91,8 @@ def test_the_bytes_do_not_depend_on_the_hash_seed_of_the_process(tmp_path: Path)
     program = (
         "import sys; from pathlib import Path; from faultline.analysis.model import load_model; "
         "from faultline.analysis.structure import integral_tests, structure_of; "
-        "from faultline.analysis.structure.pictures import draw_graph, save; m = load_model('uds4'); "
-        "save(draw_graph(structure_of(m), integral_tests(m)[-1], 'uds4'), Path(sys.argv[1]), 'graph')"
+        "from faultline.analysis.structure.pictures import draw_graph, save; m = load_model('uds'); "
+        "save(draw_graph(structure_of(m), integral_tests(m)[-1], 'uds'), Path(sys.argv[1]), 'graph')"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "1"}  # here it is a random one
     root = Path(__file__).resolve().parents[4]

@@ -25,8 +25,8 @@ from faultline.analysis.structure import (
 )
 from faultline.analysis.structure.causality import residual_causality
 
-ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds4_oracle.json").read_text())
-UDS4 = load_model("uds4")
+ORACLE: dict[str, Any] = json.loads((Path(__file__).parent / "uds_oracle.json").read_text())
+UDS4 = load_model("uds")
 STRUCTURE = structure_of(UDS4)
 RUNNABLE = [2, 6, 8, 9, 10, 12, 13, 19, 20, 21]
 

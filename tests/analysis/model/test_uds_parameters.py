@@ -6,7 +6,7 @@ import sympy as sp
 from faultline.analysis.model import load_model
 from faultline.analysis.model.file import shipped_models
 
-UDS4 = load_model("uds4")
+UDS4 = load_model("uds")
 VALUES = {name: p.value for name, p in UDS4.parameters.items()}
 
 
@@ -57,9 +57,9 @@ def test_a_lost_area_and_a_weak_pump_lower_the_flow() -> None:
 
 
 @pytest.mark.parametrize("name", list(shipped_models()))
-def test_a_shipped_model_bears_its_file_s_name_and_describes_itself(name: str) -> None:
+def test_a_shipped_model_bears_the_name_of_its_place_and_describes_itself(name: str) -> None:
     model = load_model(name)
-    assert model.name == name
+    assert model.name == name.replace("-", "_").replace("/", "_")
     assert model.description
     assert model.source
     assert all(parameter.source for parameter in model.parameters.values())
