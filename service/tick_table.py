@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from faultline.service.core.decision.decision import Decision
-from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.manifest import EDGE, Manifest
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.observer import Tick
@@ -36,7 +36,7 @@ TICK_COLUMNS: tuple[Column, ...] = (
     ("tick", "number", "", "number of the sample, from 0"),
     ("t_s", "float", "s", "time since sample 0, as in events"),
     ("log_s", "float", "s", "time since the first frame or row of the log"),
-    ("mode", "text", "", f"operating mode: {', '.join(MODES)}"),
+    ("mode", "text", "", f"operating mode of the system, or {EDGE}: just after a step, or unknown"),
     ("suspected", "flag", "", "something is suspected, and nothing confirmed yet"),
     ("alarm", "texts", "", "tests that alarm"),
     ("cannot_tell", "texts", "", "tests that cannot tell"),
@@ -82,7 +82,7 @@ class TickTable:
         self._ticks, self._events = ticks, events
         self._signals = [channel.signal for channel in manifest.inputs]
         self._generators = [each.name for each in manifest.generators]
-        self._period_s = manifest.period_s
+        self._period_s, self._modes = manifest.period_s, manifest.modes.names
         self._recording = ""
         self._begun: set[str] = set()
 
@@ -99,7 +99,7 @@ class TickTable:
             tick.number,
             round(tick.number * self._period_s, 6),
             tick.t_s,
-            MODES[tick.mode],
+            self._modes[tick.mode],
             decision.suspected,
             decision.alarm,
             decision.cannot_tell,

@@ -5,7 +5,6 @@ import hashlib
 import numpy as np
 import torch
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.cells import cell_graph
 from faultline.analysis.graph.networks import GRAPH, SCHEMA, Description, Networks
 from faultline.service.core.manifest import Generator, State
@@ -28,14 +27,14 @@ def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
     spread = variances(layout, training.windows, course, seed)
     cells = cells_of(layout, scaling, trained, spread, novelty_of(layout, training.windows, course))
     graph = cell_graph(cells)
-    left = cross_fit(training.windows, course).left
+    left = cross_fit(training.windows, course, layout.model.period_s).left
     error = left.pow(2).mean(dim=1).sqrt().to(torch.float64).numpy() * scaling.z_size[layout.predicts]
     members = training.recipe.members
     description = Description(
         schema=SCHEMA,
         model=layout.model.name,
         signals=[*layout.signals],
-        period_s=PERIOD_S,
+        period_s=layout.model.period_s,
         recipe=training.recipe.name,
         members=members,
         seed=seed,
@@ -69,5 +68,5 @@ def generator_of(layout: Layout, t: int, members: int) -> Generator:
         ],
         faults=list(test.faults),
         equations=list(test.equations),
-        warm_up_ticks=max(RUN_UP, round(layout.model.warm_up_s / PERIOD_S)),
+        warm_up_s=max(RUN_UP * layout.model.period_s, layout.model.warm_up_s),
     )

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.training.layout import Layout
 from faultline.training.recipe import Recipe
 from faultline.training.stack import Stack
@@ -33,6 +32,7 @@ class Networks(nn.Module):
     def __init__(self, layout: Layout, recipe: Recipe, members: int) -> None:
         super().__init__()
         self.recipe, self.members = recipe, members
+        self._period_s = layout.model.period_s
         self.columns = layout.since if recipe.both_ends else layout.rates
         self.rates = Stack(self.columns.tolist(), members, recipe.hidden, SMALL, layout.padding)
         simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
@@ -44,7 +44,7 @@ class Networks(nn.Module):
         """The states after a tick with inputs u."""
         f: Tensor = self.rates(torch.cat([x, u], dim=1))
         if self.recipe.cell == "increment":
-            return x + PERIOD_S * f
+            return x + self._period_s * f
         return torch.lerp(x, f, torch.sigmoid(self.logit))
 
     def predicted(self, x: Tensor, u: Tensor) -> Tensor:

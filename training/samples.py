@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.calibration.provenance import check_vehicle
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
 from faultline.service.core.errors import InputError
@@ -18,11 +17,11 @@ from faultline.training.phases import starts
 
 Array = npt.NDArray[np.float64]
 
-LEAST_S = 30.0
-"""Of a stretch: its beginning is for the states to settle."""
+LEAST = 150
+"""Ticks of a stretch: its beginning is for the states to settle."""
 
-ENOUGH_S = 120.0
-"""Of all stretches: with less, a network knows a few operating points by heart."""
+ENOUGH = 600
+"""Ticks of all stretches: with less, a network knows a few operating points by heart."""
 
 MOVES = 3
 """Distinct values that a signal must have: with two it may as well be a switch that was thrown once."""
@@ -83,19 +82,19 @@ def load_samples(
             count += 1
             ticks = ticks_of(model, inputs, start, Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
-        kept = PERIOD_S * sum(len(stretch.z) for stretch in found) / max(count, 1)
+        kept = model.period_s * sum(len(stretch.z) for stretch in found) / max(count, 1)
         seconds += kept
         say(f"{log.id}: {kept:.0f} s, seen from {count} starts of the vehicle")
         stretches += found
         digests.append(log.drive)
     signals = tuple(channel.signal for channel in inputs)
     samples = Samples(signals, tuple(stretches), tuple(digests), vehicle, seconds)
-    _check(samples, recordings)
+    _check(samples, recordings, model.period_s)
     return samples
 
 
 def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[tuple[float, Array]]:
-    """Runs of ticks that are usable and in the operating region, of `LEAST_S` at least, with where they begin."""
+    """Runs of ticks that are usable and in the operating region, of `LEAST` at least, with where they begin."""
     if not ticks:
         return []
     values, usable = np.array([tick.z for tick in ticks]), np.array([tick.usable for tick in ticks])
@@ -103,16 +102,17 @@ def _stretches(ticks: Sequence[Tick], inputs: Sequence[Input]) -> list[tuple[flo
     good = usable.all(axis=1) & ((values >= lower) & (values <= upper)).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return [(ticks[begin].t_s, values[begin:end]) for begin, end in runs if (end - begin) * PERIOD_S >= LEAST_S]
+    return [(ticks[begin].t_s, values[begin:end]) for begin, end in runs if end - begin >= LEAST]
 
 
-def _check(samples: Samples, recordings: Sequence[Path]) -> None:
+def _check(samples: Samples, recordings: Sequence[Path], period_s: float) -> None:
     names = ", ".join(str(path) for path in recordings)
-    if samples.seconds < ENOUGH_S:
+    enough_s = ENOUGH * period_s
+    if samples.seconds < enough_s:
         raise InputError(
             f"{names}: {samples.seconds:.0f} s in which all signals can be used and are in their operating region, in "
-            f"pieces of at least {LEAST_S:.0f} s; {ENOUGH_S - samples.seconds:.0f} s more are needed, ten minutes are "
-            "better"
+            f"pieces of at least {LEAST * period_s:g} s; {enough_s - samples.seconds:.0f} s more are needed, "
+            f"{5 * enough_s:g} s are better"
         )
     z = np.concatenate([stretch.z for stretch in samples.stretches])
     for column, signal in enumerate(samples.signals):

@@ -27,8 +27,8 @@ HIDDEN, STEPS, RATE, DECAY = (16,), 100, 1e-2, 1.0
 ENOUGH = 12000
 """Ticks: of more, some are left out, as neighbours say the same."""
 
-HALF_S = 10.0
-"""Log time that is in the same half: with more, a half misses whole operating points."""
+HALF = 50
+"""Ticks that is in the same half: with more, a half misses whole operating points."""
 
 SMALLEST = 1e-2
 """Of an output's spread: a residual that is less was learnt by heart."""
@@ -66,7 +66,7 @@ class Residuals(NamedTuple):
 def variances(layout: Layout, windows: Windows, course: Course, seed: int) -> Variances:
     """The network of all tests, from a free run over the recordings that the members were trained on."""
     torch.manual_seed(seed)
-    residuals = cross_fit(windows, course)
+    residuals = cross_fit(windows, course, layout.model.period_s)
     every = -(-residuals.left.shape[1] // ENOUGH)
     residuals = residuals.some(torch.arange(0, residuals.left.shape[1], every))
     columns = variance_columns(layout)
@@ -98,7 +98,7 @@ def variance_columns(layout: Layout) -> Columns:
     return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
 
 
-def cross_fit(windows: Windows, course: Course) -> Residuals:
+def cross_fit(windows: Windows, course: Course, period_s: float) -> Residuals:
     """Of every tick that one member did not see, that member's residual; without folds, the mean's."""
     y = windows.y[course.at].T
     mean = course.y.mean(dim=0)
@@ -107,7 +107,7 @@ def cross_fit(windows: Windows, course: Course) -> Residuals:
     natural = windows.natural[course.at]
     fold, unseen = windows.fold[course.at], windows.of(members)
     inputs = torch.cat([course.x.mean(dim=0), course.before.mean(dim=0), windows.u[course.at].T])
-    half = (windows.clock[course.at] / HALF_S).to(torch.int64) % 2
+    half = (windows.clock[course.at] / (HALF * period_s)).to(torch.int64) % 2
     if bool((fold < 0).all()):
         return Residuals(y - mean, among, inputs, half, natural)
     hidden = (unseen[:, None] == fold).to(torch.float32)  # (M, K)

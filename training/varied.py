@@ -11,14 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.graph.bank import PERIOD_S
+from faultline.analysis.model import Model
 from faultline.training.layout import Layout
 from faultline.training.reckoned import Equations, Example
 
 Array = npt.NDArray[np.float64]
 
-BAND_HZ = (0.02, 0.2)
-"""Of the noise, with a power that falls as 1/f: faster than that, recordings know better how signals are delayed."""
+BAND = (0.4, 4.0)
+"""Of the noise, in periods a settling time, with a power that falls as 1/f: faster than that, recordings know better
+how signals are delayed."""
 
 
 def varied(
@@ -33,7 +34,12 @@ def varied(
     spread = z.std(axis=0)
     lower, upper = (np.array([getattr(layout.model.known[s], name) for s in layout.signals]) for name in ("min", "max"))
     moved = [
-        (example, np.clip(example.z + amplitude * spread * _noise(len(example.z), len(spread), rng), lower, upper))
+        (
+            example,
+            np.clip(
+                example.z + amplitude * spread * _noise(len(example.z), len(spread), layout.model, rng), lower, upper
+            ),
+        )
         for example in examples
         for _ in range(copies)
     ]
@@ -49,11 +55,12 @@ def varied(
     return found
 
 
-def _noise(ticks: int, signals: int, rng: np.random.Generator) -> Array:
+def _noise(ticks: int, signals: int, model: Model, rng: np.random.Generator) -> Array:
     """Independent noises (K, nz) of the band, of spread one."""
-    frequency = np.fft.rfftfreq(ticks, PERIOD_S)
-    inside = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
-    size = inside / np.sqrt(np.maximum(frequency, BAND_HZ[0]))
+    low, high = (bound / model.settling_s for bound in BAND)  # Hz
+    frequency = np.fft.rfftfreq(ticks, model.period_s)
+    inside = (frequency >= low) & (frequency <= high)
+    size = inside / np.sqrt(np.maximum(frequency, low))
     parts = rng.normal(size=(2, signals, len(frequency)))
     noise = np.fft.irfft(size * (parts[0] + 1j * parts[1]), ticks, axis=1).T
     return np.asarray(noise / noise.std(axis=0))

@@ -5,7 +5,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.cells import Cells, Functions, Novelty, Variance
 from faultline.training.layout import Layout
 from faultline.training.network import Networks
@@ -19,9 +18,10 @@ Columns = npt.NDArray[np.intp]
 
 def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Variances, novelty: Novelty) -> Cells:
     """The cells of trained networks."""
+    period_s = layout.model.period_s
     relaxes = networks.recipe.cell == "relaxation"
     states, tests = len(layout.states), len(layout.tests)
-    speed = torch.sigmoid(networks.logit[:, :, 0]) if relaxes else torch.full_like(networks.logit[:, :, 0], PERIOD_S)
+    speed = torch.sigmoid(networks.logit[:, :, 0]) if relaxes else torch.full_like(networks.logit[:, :, 0], period_s)
     return Cells(
         members=networks.members,
         z_offset=scaling.z_offset,

@@ -9,7 +9,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.training.layout import Layout
 from faultline.training.recipe import Phase, Recipe
 from faultline.training.reckoned import Example
@@ -17,8 +16,8 @@ from faultline.training.scaling import Scaling
 
 Array = npt.NDArray[np.float64]
 
-BLOCK_S = 10.0
-"""Log time that belongs to one fold. With longer ones a member misses whole operating points."""
+BLOCK = 50
+"""Ticks that belong to one fold. With longer ones a member misses whole operating points."""
 
 APART_S = 1e5
 """Between the clocks of two recordings; a whole number of blocks."""
@@ -69,8 +68,8 @@ class Windows:
         ends = np.cumsum([len(example.z) for example in every])
         self.bounds = [(int(end - len(example.z)), int(end)) for example, end in zip(every, ends, strict=True)]
         self.measured = self.bounds[: len(examples)]
-        clock = _clock(every)
-        self.fold = torch.tensor(_folds(clock, folds, seed))
+        clock = _clock(every, layout.model.period_s)
+        self.fold = torch.tensor(_folds(clock, BLOCK * layout.model.period_s, folds, seed))
         self.clock = torch.tensor(clock)
         self.natural = torch.tensor(np.concatenate([np.full(len(e.z), e.natural) for e in every]))
         self._folds = folds
@@ -128,22 +127,22 @@ class Windows:
         return self.u, self.known, self.y
 
 
-def _clock(examples: Sequence[Example]) -> npt.NDArray[np.float64]:
+def _clock(examples: Sequence[Example], period_s: float) -> npt.NDArray[np.float64]:
     """The log time [s] of every tick; recordings lie `APART_S` apart."""
     number = {name: k for k, name in enumerate(dict.fromkeys(e.recording for e in examples))}
     return np.concatenate(
-        [APART_S * number[e.recording] + e.begin_s + PERIOD_S * np.arange(len(e.z)) for e in examples]
+        [APART_S * number[e.recording] + e.begin_s + period_s * np.arange(len(e.z)) for e in examples]
     )
 
 
-def _folds(clock: npt.NDArray[np.float64], folds: int, seed: int) -> npt.NDArray[np.int64]:
+def _folds(clock: npt.NDArray[np.float64], block_s: float, folds: int, seed: int) -> npt.NDArray[np.int64]:
     """Blocks in a row have different folds, in another order every round: none follows the cycle's own rhythm.
 
     By log time: what is seen from several starts of the vehicle is in one fold each time.
     """
     if not folds:
         return np.full(len(clock), -1, dtype=np.int64)
-    block = (clock / BLOCK_S).astype(np.int64)
+    block = (clock / block_s).astype(np.int64)
     rounds = int(block.max()) // folds + 1
     rng = np.random.default_rng(seed)
     order = np.concatenate([rng.permutation(folds) for _ in range(rounds)])

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from faultline.analysis.calibration.fit import Fit
 from faultline.analysis.calibration.validate import STEADY, Validation
-from faultline.service.core.manifest import MODES
-from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.manifest import EDGE
 
 UNLIKELY = 3.0
 """Standard deviations of a prior: what is further away is not what the model file says."""
@@ -21,7 +20,7 @@ def doubts(fit: Fit, validations: Mapping[str, Validation]) -> Iterator[str]:
     for recording, validation in validations.items():
         for name, by_mode in validation.agreement.items():
             for mode, a in by_mode.items():
-                if mode not in (MODES[EDGE], STEADY) and a.normalised > TWICE:
+                if mode not in (EDGE, STEADY) and a.normalised > TWICE:
                     yield (
                         f"{recording}: the free run of {name} is off by {float(f'{a.rms:.3g}'):g} {known[name].unit} "
                         f"in mode {mode}; sample by sample that is {a.normalised:.1f} times what is expected"

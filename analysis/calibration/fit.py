@@ -7,7 +7,7 @@ The unknowns x (see `problem`), each N(0, 1) beforehand, minimise
 with Sigma as in `noise`, from several starts (the datasheet, and draws from the prior), by scipy's trust region method
 with exact derivatives. What Sigma is follows from the data: first from how the measurements flicker in each operating
 mode, then from what a fit leaves. The covariance is the inverse of the curvature there, with each standard error at
-least what the scatter between blocks of `BLOCK_S` says (the sandwich of White 1982): noise may be worse than thought.
+least what the scatter between blocks of `BLOCK` says (the sandwich of White 1982): noise may be worse than thought.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,8 +34,8 @@ ROUNDS = 3
 SAME = 5.0
 """Two searches whose costs (half a chi square) differ by less have come to the same place, for all `ROUGH` can tell."""
 
-BLOCK_S = 20.0
-"""Longer than anything here remembers."""
+BLOCK = 1.0
+"""Settling times. Longer than anything here remembers."""
 
 AT_BOUND = 1e-3
 """So near to a bound in standard deviations of the prior, a parameter has run into it."""
@@ -103,7 +103,9 @@ def _result(problem: Problem, x: Array, levels: Levels, starts: tuple[int, int])
     for section, whitening, J, e in parts:
         J, e = whitening(J), whitening(e)
         information += J.T @ J
-        block = (np.concatenate([s.t for s in section.samples.values()]) / BLOCK_S).astype(int)
+        block = (np.concatenate([s.t for s in section.samples.values()]) / (BLOCK * section.time.settling_s)).astype(
+            int
+        )
         scores += [J[block == k].T @ e[block == k] for k in np.unique(block)]
     prior = np.eye(len(x))
     covariance = np.linalg.inv(information + prior)

@@ -3,7 +3,7 @@
     e = v + B w,    v ~ N(0, R) independent,    w ~ N(0, 1)
 
 v is the sensors' own noise and, by operating mode, what else changes from sample to sample (the valve's ripple). w are
-errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL_S`; its mean over
+errors of the *inputs*, which the free run integrates: the speed's noise, as a mean over every `CELL`; its mean over
 every interval between samples in which it jumps; what a pulsed valve makes of a commanded level, which stays with the
 level; and the time of each step, which is known to no better than a sample and a period of the valve. B is the run's
 exact derivative. Without w, minutes of one and the same wandering would count as thousands of independent
@@ -19,10 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.calibration.sections import Section, is_command
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
 from faultline.analysis.simulation import System, Trajectory
-from faultline.service.core.manifest import MODES
+from faultline.service.core.manifest import TimeScale
 
 Array = npt.NDArray[np.float64]
 Spread = Callable[[Array], float]
@@ -32,17 +31,17 @@ Weigh = Callable[[Array], Array]
 Levels = Mapping[str, Array]
 """Standard deviation of v by output and mode (modes,), in the output's unit."""
 
-CELL_S = 2.0
-"""Shorter than any time constant that integrates."""
+CELL = 0.1
+"""Settling times. Shorter than any time constant that integrates."""
 
-STEP_TIME_S = 0.12
-"""Standard deviation of the time of an input's step: half a sample either way, and when the valve's period ends."""
+STEP_TIME = 0.6
+"""Periods. Standard deviation of the time of an input's step: half a sample either way, and an actuator's period."""
 
 FAINT = 0.05
 """A direction whose disturbance is this part of the samples' noise has no weight to lose."""
 
-SLOW_S = 3.0
-"""What changes more slowly than this is no sample's noise."""
+SLOW = 0.15
+"""Settling times. What changes more slowly than this is no sample's noise."""
 
 LEAST_RUN = 5
 """Samples in one mode on end, from which a level can be had."""
@@ -97,16 +96,17 @@ def disturbances(section: Section, trajectory: Trajectory, commands: Sequence[st
     columns = []
     for k, name in enumerate(trajectory.system.inputs):
         u, h, noise = trajectory.drive.inputs[:, k], trajectory.drive.step_s, section.noise[:, k]
-        errors = _of_command(u, h, noise) if name in commands else _of_sensor(h, noise)
+        errors = _of_command(u, h, noise, section.time) if name in commands else _of_sensor(h, noise, section.time)
         errors = np.hstack([errors, _of_jumps(section.jumps[name], section.t)]) if name in section.jumps else errors
         columns.append(stacked(section, trajectory.by_input(name, errors)))
     return np.concatenate(columns, axis=1)
 
 
-def _of_sensor(step_s: float, noise: Array) -> Array:
-    """The errors (K, D) of a measured input: the mean of its samples' noise over every `CELL_S`."""
-    cell = (np.arange(len(noise)) * step_s / CELL_S).astype(int)
-    return np.asarray(np.sqrt(PERIOD_S / CELL_S) * noise[:, None] * _marks(cell, cell[-1] + 1))
+def _of_sensor(step_s: float, noise: Array, time: TimeScale) -> Array:
+    """The errors (K, D) of a measured input: the mean of its samples' noise over every `CELL`."""
+    cell_s = CELL * time.settling_s
+    cell = (np.arange(len(noise)) * step_s / cell_s).astype(int)
+    return np.asarray(np.sqrt(time.period_s / cell_s) * noise[:, None] * _marks(cell, cell[-1] + 1))
 
 
 def _of_jumps(jumps: Array, t: Array) -> Array:
@@ -117,14 +117,14 @@ def _of_jumps(jumps: Array, t: Array) -> Array:
     return np.asarray(deviation * np.maximum(inside, 0.0) / (2.0 * half))
 
 
-def _of_command(u: Array, step_s: float, noise: Array) -> Array:
+def _of_command(u: Array, step_s: float, noise: Array, time: TimeScale) -> Array:
     """The errors (K, D) of a command: one of each level, and for each step what so much delay takes away."""
     slope = np.gradient(u, step_s)
     moves = slope != 0.0
     begins = np.diff(moves, prepend=False) & moves
     step = np.cumsum(begins)
     levels = noise[:, None] * _marks(step, step[-1] + 1)
-    steps = STEP_TIME_S * _marks(step * moves, step[-1] + 1)[:, 1:] * slope[:, None]
+    steps = STEP_TIME * time.period_s * _marks(step * moves, step[-1] + 1)[:, 1:] * slope[:, None]
     return np.concatenate([levels, steps], axis=1)
 
 
@@ -135,25 +135,27 @@ def _marks(number: npt.NDArray[np.int64], count: int) -> Array:
 
 def levels_of(model: Model, sections: Sequence[Section], left: Sequence[Array], spread: Spread) -> Levels:
     """The levels that the differences `left` (N,) of each section show, at least the sensors' noise."""
-    fast: dict[str, list[list[Array]]] = {name: [[] for _ in MODES] for name in sections[0].samples}
+    fast: dict[str, list[list[Array]]] = {name: [[] for _ in model.modes.names] for name in sections[0].samples}
     for section, e in zip(sections, left, strict=True):
         ends = np.cumsum([len(s.t) for s in section.samples.values()])
         for (name, s), part in zip(section.samples.items(), np.split(e, ends[:-1]), strict=True):
             for run in np.split(np.arange(len(part)), np.flatnonzero(np.diff(s.mode)) + 1):
                 if len(run) >= LEAST_RUN:
-                    fast[name][s.mode[run[0]]].append(_fast(part[run], float(np.median(np.diff(s.t[run])))))
+                    fast[name][s.mode[run[0]]].append(
+                        _fast(part[run], SLOW * model.settling_s / float(np.median(np.diff(s.t[run]))))
+                    )
     return {
         name: np.array([max(model.known[name].noise, spread(np.concatenate([*parts, [0.0]]))) for parts in by_mode])
         for name, by_mode in fast.items()
     }
 
 
-def _fast(e: Array, period_s: float) -> Array:
-    """What changes faster than `SLOW_S`, made as large as it is in white noise."""
-    width = min(max(3, round(SLOW_S / period_s)), len(e))
+def _fast(e: Array, slow: float) -> Array:
+    """What changes faster than so many samples, made as large as it is in white noise."""
+    width = min(max(3, round(slow)), len(e))
     kernel = np.ones(width)
-    slow = np.convolve(e, kernel, "same") / np.convolve(np.ones_like(e), kernel, "same")
-    return np.asarray((e - slow) / np.sqrt(1.0 - 1.0 / width))
+    smooth = np.convolve(e, kernel, "same") / np.convolve(np.ones_like(e), kernel, "same")
+    return np.asarray((e - smooth) / np.sqrt(1.0 - 1.0 / width))
 
 
 def by_square(e: Array) -> float:

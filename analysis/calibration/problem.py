@@ -21,11 +21,11 @@ from faultline.analysis.simulation import Drive, System, Trajectory, run
 
 Array = npt.NDArray[np.float64]
 
-DELAY_S = 0.3
-"""Prior standard deviation of a command's delay: a period of the valve."""
+DELAY = 1.5
+"""Periods. Prior standard deviation of a command's delay."""
 
-LAG_S = 0.02
-"""Prior standard deviation of an output's lag: a sensor's filter, a controller's cycle, the bus."""
+LAG = 0.1
+"""Periods. Prior standard deviation of an output's lag: a sensor's filter, a controller's cycle, the bus."""
 
 
 class Nuisance(NamedTuple):
@@ -50,6 +50,7 @@ class Unknowns(NamedTuple):
     logs: int
     delays: tuple[str, ...]
     lags: tuple[str, ...]
+    period_s: float
 
     @property
     def size(self) -> int:
@@ -80,12 +81,12 @@ class Unknowns(NamedTuple):
     def delay(self, x: Array) -> dict[str, float]:
         """The commands' delays [s]."""
         begin = self.of_zeros.stop
-        part = DELAY_S * x[begin : begin + len(self.delays)]
+        part = DELAY * self.period_s * x[begin : begin + len(self.delays)]
         return dict(zip(self.delays, part.tolist(), strict=True))
 
     def lag(self, x: Array) -> dict[str, float]:
         """The outputs' lags [s]."""
-        part = LAG_S * x[self.size - len(self.lags) :]
+        part = LAG * self.period_s * x[self.size - len(self.lags) :]
         return dict(zip(self.lags, part.tolist(), strict=True))
 
     def nuisance(self, x: Array) -> Nuisance:
@@ -106,6 +107,7 @@ def unknowns_of(system: System, commands: tuple[str, ...], logs: int, lags: tupl
         logs=logs,
         delays=commands,
         lags=lags,
+        period_s=model.period_s,
     )
 
 
@@ -186,11 +188,11 @@ class Problem:
                 columns += [_of_output(section, name, sd * (other == log)) for name, sd in unknowns.zeros.items()]
             for name in unknowns.delays:
                 u = trajectory.drive.inputs[:, self.system.inputs.index(name)]
-                lost = -DELAY_S * np.gradient(u, section.drive.step_s)
+                lost = -DELAY * unknowns.period_s * np.gradient(u, section.drive.step_s)
                 columns.append(stacked(section, trajectory.by_input(name, lost[:, None]), lag))
             rates = {name: np.gradient(y, section.drive.step_s) for name, y in trajectory.outputs().items()}
             rate = stacked(section, rates, lag)[:, None]
-            columns += [rate * _of_output(section, name, -LAG_S) for name in unknowns.lags]
+            columns += [rate * _of_output(section, name, -LAG * unknowns.period_s) for name in unknowns.lags]
             found.append(-np.concatenate(columns, axis=1))
         return found
 

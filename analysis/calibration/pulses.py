@@ -25,9 +25,9 @@ class Pulses(msgspec.Struct, frozen=True, kw_only=True):
 
 def pulses(calibrated: Model, log: Log) -> Pulses:
     """The comparison over one fault-free recording of the calibrated vehicle."""
-    if calibrated.modes is None or not {AFTER_PUMP, IN_UNIT, calibrated.modes.signal} <= calibrated.known.keys():
+    if not calibrated.modes.bounded or not {AFTER_PUMP, IN_UNIT} <= calibrated.known.keys():
         return Pulses(reason=f"the model lacks a valve's command or {AFTER_PUMP} or {IN_UNIT}")
-    dose = calibrated.modes.signal
+    dose = calibrated.modes.bounded[0]
     try:
         bank = build_bank(calibrated)
         table = log.table({name: known.unit for name, known in calibrated.known.items()}, log.id)

@@ -14,35 +14,35 @@ import numpy.typing as npt
 import sympy as sp
 from scipy.interpolate import CubicSpline
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
-from faultline.analysis.recordings.modes import modes_of
+from faultline.analysis.recordings.modes import modes_of, time_of
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.simulation import Drive, System
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import Input
+from faultline.service.core.manifest import Input, TimeScale
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Signals
 
 Array = npt.NDArray[np.float64]
 
-STEP_S = 0.05
-"""Of the free run: a quarter of the period of the bus. At twice the step the hose comes out 0.2 % stiffer."""
+STEP = 0.25
+"""Of the free run, in periods. At twice the step the hose of the dosing system comes out 0.2 % stiffer."""
 
-GAP_S = 1.0
-"""An input that is silent for longer is unknown: five of its periods."""
+GAP = 5.0
+"""Periods: an input that is silent for longer is unknown."""
 
-LONGEST_S = 300.0
-"""A longer stretch is cut: the memory that its noise takes grows with the square."""
+LONGEST = 1500.0
+"""Periods. A longer stretch is cut: the memory that its noise takes grows with the square."""
 
 STILL = 0.5
 """An input that moves in a smaller part of all samples is a command."""
 
-BLIND_S = 0.5
-"""From a sample before a command's step until so long after it no sample counts: when it acted is not known so well."""
+BLIND = 2.5
+"""Periods. From a sample before a command's step until so long after it no sample counts: when it
+acted is not known so well."""
 
-SHORTEST_S = 30.0
-"""Beyond the warm-up; less is not worth a run."""
+SHORTEST = 150.0
+"""Periods beyond the warm-up; less is not worth a run."""
 
 ROUGH = 3.0
 """Times the noise of its mode, from which an input's third difference is a jump: noise alone is one in 3 of 1,000."""
@@ -69,8 +69,8 @@ class Section:
 
     `number` counts the sections of one log from zero on; `noise` (K, inputs) is the standard deviation of a sample of
     each input at the run's instants; `sensed` (K,) are the measured outputs there, which say where the states begin.
-    `jumps` (J, 3), by input, are the intervals between samples in which it jumps: begin and end [s] after the section's
-    start, and the standard deviation of its mean over them.
+    `time` is that of the model. `jumps` (J, 3), by input, are the intervals between samples in which it jumps: begin
+    and end [s] after the section's start, and the standard deviation of its mean over them.
     """
 
     number: int
@@ -79,6 +79,7 @@ class Section:
     noise: Array
     samples: Mapping[str, Samples]
     sensed: Mapping[str, Array]
+    time: TimeScale
     jumps: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -98,16 +99,16 @@ def is_command(value: Array) -> bool:
     return bool(np.mean(np.diff(value) != 0.0) < STILL)
 
 
-def sections(model: Model, system: System, signals: Signals, where: str, step_s: float = STEP_S) -> list[Section]:
-    """The sections of a log, whose times are from its start on, for free runs of this step [s].
+def sections(model: Model, system: System, signals: Signals, where: str, step: float = STEP) -> list[Section]:
+    """The sections of a log, whose times are from its start on, for free runs of this step [periods].
 
     Raises:
         InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
     """
-    return cut(model, system, _tracks(model, signals, where), where, step_s)
+    return cut(model, system, _tracks(model, signals, where), where, step)
 
 
-def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, step_s: float = STEP_S) -> list[Section]:
+def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, step: float = STEP) -> list[Section]:
     """The sections of signals, by name, as they were sampled or as an experiment plans them.
 
     Raises:
@@ -118,15 +119,15 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
             f"{where}: the model {model.name} has no input, and a free run without one says nothing of the parameters; "
             "make a signal that drives the system a known variable"
         )
-    shortest_s = model.warm_up_s + SHORTEST_S
+    shortest_s = model.warm_up_s + SHORTEST * model.period_s
     found = [(low, high) for low, high in _stretches(model, system, tracks) if high - low >= shortest_s]
     if not found:
         raise InputError(
             f"{where}: in no {shortest_s:g} s on end (the model's warm_up_s of {model.warm_up_s:g} s and "
-            f"{SHORTEST_S:g} s more) do all inputs tell and all signals keep within their ranges; record longer "
-            "undisturbed operation"
+            f"{SHORTEST * model.period_s:g} s more) do all inputs tell and all signals keep within their ranges; "
+            "record longer undisturbed operation"
         )
-    return [_section(model, system, tracks, k, low, high, step_s) for k, (low, high) in enumerate(found)]
+    return [_section(model, system, tracks, k, low, high, step * model.period_s) for k, (low, high) in enumerate(found)]
 
 
 def _tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:
@@ -141,7 +142,7 @@ def _tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:
 
 
 def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> list[tuple[float, float]]:
-    """Times between which nothing is missing or out of range, at most `LONGEST_S` apart, if that is not too short."""
+    """Times between which nothing is missing or out of range, at most `LONGEST` apart, if that is not too short."""
     start = max(track.t[0] for track in tracks.values())
     end = min(tracks[name].t[-1] for name in system.inputs)
     bad = [(-np.inf, start), (end, np.inf)]
@@ -153,9 +154,9 @@ def _stretches(model: Model, system: System, tracks: Mapping[str, Track]) -> lis
     found = []
     last = -np.inf
     for low, high in sorted(bad):
-        if low - last > PERIOD_S and np.isfinite(last):
-            whole = int((low - last) // (model.warm_up_s + SHORTEST_S))
-            pieces = min(int(np.ceil((low - last) / LONGEST_S)), max(1, whole))
+        if low - last > model.period_s and np.isfinite(last):
+            whole = int((low - last) // (model.warm_up_s + SHORTEST * model.period_s))
+            pieces = min(int(np.ceil((low - last) / (LONGEST * model.period_s))), max(1, whole))
             edges = np.linspace(last, low, pieces + 1)
             found += [(float(a), float(b)) for a, b in pairwise(edges)]
         last = max(last, high)
@@ -166,7 +167,7 @@ def _section(
     model: Model, system: System, tracks: Mapping[str, Track], number: int, low: float, high: float, step_s: float
 ) -> Section:
     t = np.arange(low, high, step_s)
-    inputs = np.column_stack([_input(tracks[name], t) for name in system.inputs])
+    inputs = np.column_stack([_input(tracks[name], t, GAP * model.period_s) for name in system.inputs])
     measured = {name: tracks[name].at(t) for name in system.outputs}
     states = _states(system, measured, len(t))
     mode = _modes(model, tracks, t)
@@ -176,13 +177,15 @@ def _section(
     samples = {}
     for name in system.outputs:
         track = tracks[name]
-        last = stepped[np.searchsorted(stepped, track.t + PERIOD_S, side="right") - 1]
-        inside = (track.t >= low + model.warm_up_s) & (track.t <= t[-1]) & (track.t > last + BLIND_S)
+        last = stepped[np.searchsorted(stepped, track.t + model.period_s, side="right") - 1]
+        inside = (track.t >= low + model.warm_up_s) & (track.t <= t[-1]) & (track.t > last + BLIND * model.period_s)
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
     noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
     jumps = {name: _jumps(tracks[name], t, noise[:, k]) for k, name in enumerate(system.inputs)}
-    return Section(number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured, jumps)
+    return Section(
+        number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured, time_of(model), jumps
+    )
 
 
 def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:
@@ -221,11 +224,11 @@ def by_median(e: Array) -> float:
     return 1.4826 * float(np.median(np.abs(e)))
 
 
-def _input(track: Track, t: Array) -> Array:
+def _input(track: Track, t: Array, gap_s: float) -> Array:
     """A command on straight lines, a measurement on a cubic spline: chords would flatten each of its swings."""
     if is_command(track.value):
         return track.at(t)
-    near = (track.t > t[0] - GAP_S) & (track.t < t[-1] + GAP_S)
+    near = (track.t > t[0] - gap_s) & (track.t < t[-1] + gap_s)
     return np.asarray(CubicSpline(track.t[near], track.value[near])(t))
 
 
@@ -249,12 +252,12 @@ def _state(model: Model, name: str, measured: Mapping[str, Array], count: int) -
 def _modes(model: Model, tracks: Mapping[str, Track], t: Array) -> npt.NDArray[np.int64]:
     """The operating mode at the times `t`, as the vehicle's own tracker follows it."""
     inputs = [
-        Input(signal=name, unit=k.unit, maximum_age_s=GAP_S, lower=k.min, upper=k.max)
+        Input(signal=name, unit=k.unit, maximum_age_s=GAP * model.period_s, lower=k.min, upper=k.max)
         for name, k in model.known.items()
     ]
-    tracker = ModeTracker(modes_of(model), inputs)
-    ticks = np.arange(t[0], t[-1] + PERIOD_S, PERIOD_S)
+    tracker = ModeTracker(modes_of(model), inputs, model.period_s)
+    ticks = np.arange(t[0], t[-1] + model.period_s, model.period_s)
     z = np.column_stack([tracks[name].at(ticks) for name in model.known])
     told = np.ones(len(inputs), dtype=np.bool_)
     mode = np.array([tracker.update(row, told) for row in z], dtype=np.int64)
-    return np.asarray(mode[np.minimum(np.round((t - t[0]) / PERIOD_S).astype(int), len(mode) - 1)])
+    return np.asarray(mode[np.minimum(np.round((t - t[0]) / model.period_s).astype(int), len(mode) - 1)])

@@ -1,7 +1,7 @@
 """A calibrated model's free run beside measurements: how far apart, in each operating mode, and how far noise alone is.
 
 The *noise floor* of a channel is how it flickers by itself, sensor and valve's ripple together, whatever the model: the
-standard deviation around straight lines of `BLOCK_S`, by the median of them, as some bend. The *expected* error adds
+standard deviation around straight lines of `BLOCK`, by the median of them, as some bend. The *expected* error adds
 what the inputs' own errors make of a free run, even of a right model's (see `noise`): the speed's noise, which the run
 integrates, a command's imprecision, and what is left of steps whose time is not known better than a sample. It differs
 from sample to sample: after a jump of the speed it is ten times that of a quiet minute. So each error is also taken in
@@ -18,12 +18,12 @@ from faultline.analysis.calibration.noise import commands_of, disturbances, stac
 from faultline.analysis.calibration.problem import Nuisance, runs
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.simulation import System, Trajectory
-from faultline.service.core.manifest import MODES
 from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
-BLOCK_S = 5.0
+BLOCK = 0.25
+"""Settling times."""
 
 LEAST = 5
 """Samples in a block."""
@@ -75,16 +75,17 @@ def validate(
         B = disturbances(section, trajectory, commands)
         predicted = stacked(section, trajectory.outputs(), nuisance.lag)
         ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
+        block_s = BLOCK * section.time.settling_s
         parts = zip(np.split(predicted, ends), np.split((B**2).sum(axis=1), ends), strict=True)
         for (name, s), (y, disturbed) in zip(section.samples.items(), parts, strict=True):
             gathered[name].append(
-                (s.mode, s.value - nuisance.zero.get(name, 0.0) - y, _blocks(s.t, s.value, s.mode), disturbed)
+                (s.mode, s.value - nuisance.zero.get(name, 0.0) - y, _blocks(s.t / block_s, s.value, s.mode), disturbed)
             )
     agreement = {}
     for name, found in gathered.items():
         mode, error, blocks, disturbed = (np.concatenate(column) for column in zip(*found, strict=True))
         flicker = _typical(blocks, mode)
-        by_mode = {MODES[k]: mode == k for k in range(len(MODES))} | {STEADY: mode != EDGE}
+        by_mode = {name: mode == k for k, name in system.model.modes.listed} | {STEADY: mode != EDGE}
         agreement[name] = {
             title: _agreement(error[there], flicker[there], disturbed[there])
             for title, there in by_mode.items()
@@ -107,9 +108,9 @@ def _agreement(error: Array, flicker: Array, disturbed: Array) -> Agreement:
 
 
 def _blocks(t: Array, value: Array, mode: npt.NDArray[np.int64]) -> Array:
-    """For every sample the variance around its block's straight line; NaN in blocks that are too short for one."""
+    """For every sample at times in blocks the variance around its block's line; NaN in blocks too short for one."""
     found = np.full(len(t), np.nan)
-    block = np.cumsum((np.diff(mode, prepend=mode[:1]) != 0) | (np.diff(t // BLOCK_S, prepend=-1.0) != 0))
+    block = np.cumsum((np.diff(mode, prepend=mode[:1]) != 0) | (np.diff(t // 1.0, prepend=-1.0) != 0))
     for k in np.unique(block):
         there = np.flatnonzero(block == k)
         if len(there) > LEAST:

@@ -14,7 +14,6 @@ from faultline.analysis.codegen.loops import solve_component
 from faultline.analysis.codegen.program import Constant, Input, Line, Program, State, alive
 from faultline.analysis.codegen.sequence import Component, ComputationSequence
 from faultline.analysis.codegen.text import Writer, number
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Differential, Model
 from faultline.service.core.errors import InputError
 
@@ -25,9 +24,9 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def residual_program(
-    model: Model, sequence: ComputationSequence, *, name: str, period: float = PERIOD_S, filter_s: float = 0.0
+    model: Model, sequence: ComputationSequence, *, name: str, period: float | None = None, filter_s: float = 0.0
 ) -> Program:
-    """The program of a residual of a fault-free model, for samples every `period` [s].
+    """The program of a residual of a fault-free model, for samples every `period` [s], else the model's.
 
     Integrated states advance by the implicit step of the ONNX graph and start from the sensors. Derivatives are
     backward difference quotients, behind a first-order low-pass of time constant `filter_s` [s] if it is not zero. The
@@ -46,6 +45,7 @@ def residual_program(
         raise InputError(
             f"{model.name}: {', '.join(sequence.equations)} contain no known signal; nothing can be tested"
         )
+    period = model.period_s if period is None else period
     if not period > 0 or not filter_s >= 0:
         raise InputError(
             f"period {period:g} s and filter {filter_s:g} s: give a positive period and no negative filter"

@@ -14,8 +14,6 @@ from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.writing import check_folder, write_files
 
-PERIOD_S = 0.2
-
 EXAMPLE = """examples:
   faultline code uds --out code                                     (every test that can be run)
   faultline code uds --test t01 --residual e16 --filter 2 --out code   (one residual of any causality)
@@ -38,12 +36,12 @@ def main(argv: list[str]) -> int:
         choices=["integral", "derivative"],
         help="with --residual: how a differential constraint is used that is itself the residual (default: integral)",
     )
-    parser.add_argument("--period", type=float, default=PERIOD_S, metavar="S", help="sampling period (default: 0.2)")
+    parser.add_argument("--period", type=float, metavar="S", help="sampling period (default: the model's)")
     parser.add_argument(
         "--filter", type=float, default=0.0, metavar="S", help="time constant for derivatives of signals"
     )
     options = parser.parse_args(argv)
-    if not 0 < options.period < float("inf") or not 0 <= options.filter < float("inf"):
+    if not 0 < (options.period or 1.0) < float("inf") or not 0 <= options.filter < float("inf"):
         parser.error("--period must be a number above zero, --filter zero or more")
     if options.residual and not options.test:
         parser.error("--residual needs --test")

@@ -14,15 +14,13 @@ from faultline.analysis.model import Model, dump_model
 from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import System
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES
-from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log
 
-STEP_S = 0.1
-"""Of the free runs: models are compared on the same grid, and half the calibration's takes half the time."""
+STEP = 0.5
+"""Of the free runs, in periods: models are compared on the same grid, and half the calibration's takes half."""
 
-LEAST_S = 60.0
-"""In a mode, over all recordings of a kind: less shows little of what happens there only."""
+LEAST = 3.0
+"""Settling times in a mode, over all recordings of a kind: less shows little of what happens there only."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +53,12 @@ class Data:
 
     def gaps(self) -> Iterator[str]:
         """What the recordings lack, in sentences: nothing can be found where nothing was measured."""
-        modes = self.model.modes
-        if modes is None:
-            return
-        meant = [k for k in range(len(MODES)) if k != EDGE]
-        if modes.idle_below is None:
-            meant.remove(MODES.index("idle"))
-        if modes.maximum_above is None:
-            meant.remove(MODES.index("maximum"))
+        least_s = LEAST * self.model.settling_s
         for title, found in (("training", self.training_sections), ("held-out", self.held_sections)):
-            for k in meant:
+            for k, name in enumerate(self.model.modes.names[1:], start=1):
                 seconds = sum(_seconds(section, k) for section in found)
-                if seconds < LEAST_S:
-                    yield f"the {title} recordings have {seconds:.0f} s of mode {MODES[k]}; record a minute of it"
+                if seconds < least_s:
+                    yield f"the {title} recordings have {seconds:.0f} s of mode {name}; record {least_s:.0f} s of it"
 
 
 def _seconds(section: Section, mode: int) -> float:
@@ -103,7 +94,7 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
         check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
         signals = log.signals(log.table({name: known.unit for name, known in model.known.items()}, str(path)))
-        found.append((log, sections(model, system, signals, str(path), STEP_S)))
+        found.append((log, sections(model, system, signals, str(path), STEP)))
     fitted, kept = found[: len(training)], found[len(training) :]
     return Data(
         model=model,

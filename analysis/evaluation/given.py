@@ -6,13 +6,13 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
-from faultline.analysis.evaluation.blocks import BLOCK_S
+from faultline.analysis.evaluation.blocks import BLOCK
 from faultline.analysis.evaluation.truth import Truth, find_truth
 from faultline.analysis.recordings.observe import open_known, samples_of
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Origin
-from faultline.service.core.signals.modes import MAXIMUM
+from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log, Recording, load_recording
 
 
@@ -66,28 +66,25 @@ def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
     """Whether recordings make a report, seen from their samples alone: they are read until it is known.
 
     Raises:
-        InputError: none has a fault-free part that a block fits in, or none a phase of the mode *maximum*, where the
-            system has one.
+        InputError: none has a fault-free part that a block fits in, or some operating mode never occurs.
     """
     manifest, free = bundle.manifest, False
-    highest = next(channel.upper for channel in manifest.inputs if channel.signal == manifest.modes.signal)
-    maximum = manifest.modes.maximum_above > highest  # as of a system that has no such mode
+    block_s, modes = BLOCK * manifest.settling_s, {*range(EDGE + 1, len(manifest.modes.names))}
     for one in chosen:
         ticks = samples_of(manifest, one.open(bundle, lambda _: None).signals(bundle.table))
         onset = min((fault.onset_s for fault in one.truth.fault), default=inf)
-        free |= round(sum(tick.t_s < onset for tick in ticks) * manifest.period_s / BLOCK_S) > 0
-        maximum |= any(tick.mode == MAXIMUM for tick in ticks)
-        if free and maximum:
+        free |= round(sum(tick.t_s < onset for tick in ticks) * manifest.period_s / block_s) > 0
+        modes -= {tick.mode for tick in ticks}
+        if free and not modes:
             return
     like = f"{chosen[0].path}: " + ("like the others, " if len(chosen) > 1 else "")
     if not free:
         raise InputError(
-            f"{like}without a fault-free part of {BLOCK_S / 2:.0f} s; a report needs one, "
-            "add a recording without a fault"
+            f"{like}without a fault-free part of {block_s / 2:g} s; a report needs one, add a recording without a fault"
         )
     raise InputError(
-        f"{like}without a phase of maximum dose, where most faults show best; a report needs one, add a recording that "
-        "has it"
+        f"{like}never in mode {', '.join(manifest.modes.names[mode] for mode in sorted(modes))}; a report needs every "
+        "mode, add a recording that has it"
     )
 
 

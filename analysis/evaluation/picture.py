@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.story import Story
 from faultline.service.core.records.event import Event
-from faultline.service.core.signals.modes import PARTIAL
 from faultline.writing import write_file
 
 UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}
@@ -109,12 +108,13 @@ def _signals(axes: Axes, story: Story, columns: Sequence[int]) -> None:
 
 
 def _inputs(axes: Axes, story: Story) -> None:
-    """The signal that the operating mode follows, and another one that no test predicts."""
+    """The first signal that the operating mode follows, and another one that no test predicts."""
     manifest = story.bundle.manifest
     predicted = {generator.predicts for generator in manifest.generators}
     names = [channel.signal for channel in manifest.inputs]
-    others = [name for name in names if name not in predicted and name != manifest.modes.signal]
-    for number, name in enumerate([manifest.modes.signal, *others[:1]]):
+    of_modes = [name for mode in manifest.modes.steady for name in mode.where]
+    shown = dict.fromkeys([*of_modes, *(name for name in names if name not in predicted)])
+    for number, name in enumerate([*shown][:2]):
         column = names.index(name)
         one, unit = UNITS.get(manifest.inputs[column].unit, (1.0, manifest.inputs[column].unit))
         side = axes if number == 0 else axes.twinx()
@@ -124,10 +124,11 @@ def _inputs(axes: Axes, story: Story) -> None:
 
 def _residuals(axes: Axes, story: Story) -> None:
     """In parts of each test's fault-free spread, cut off at `SPREADS`, a row a test."""
-    detectors = story.bundle.manifest.detectors
+    detectors, modes = story.bundle.manifest.detectors, story.bundle.manifest.modes
+    rest = modes.names.index(next(mode.name for mode in modes.steady if not mode.where))
     names = [generator.name for generator in story.bundle.manifest.generators]
     for row in range(len(names)):
-        trace = (story.r[:, row] / detectors[row].scale[PARTIAL]).clip(-SPREADS, SPREADS) / (2 * SPREADS)
+        trace = (story.r[:, row] / detectors[row].scale[rest]).clip(-SPREADS, SPREADS) / (2 * SPREADS)
         trace[~story.usable[:, row]] = float("nan")
         axes.plot(story.t_s, trace - row, linewidth=0.6, color="#333333")
         trace[~story.fired[:, row]] = float("nan")

@@ -18,10 +18,8 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator, Input, State
 from faultline.service.core.residuals.generators import Graph
 
-PERIOD_S = 0.2
 GRAPH = "ode.onnx"
 FAULTS = "faults.onnx"
-MAXIMUM_AGE_S = 1.0  # five periods of the controller's values: a frame or two may be lost, a sensor may not
 
 Array = npt.NDArray[np.float64]
 Trial = Mapping[str, float]
@@ -56,7 +54,7 @@ class Bank:
 
     def stacked(self, trials: Sequence[Trial]) -> Stacked:
         """The matrices for each trial, a mapping of parameters and faults that differ from the model's values."""
-        return stack(self.evaluator(trials), PERIOD_S)
+        return stack(self.evaluator(trials), self.model.period_s)
 
     def formulas(self, trials: Sequence[Trial]) -> Formulas:
         """The formulas of all networks, with the parameters and faults of each trial."""
@@ -167,7 +165,7 @@ def bank_of(model: Model, tests: Sequence[Test]) -> Bank:
 def inputs_of(model: Model) -> tuple[Input, ...]:
     """The signals of the model as the vehicle takes them."""
     return tuple(
-        Input(signal=name, unit=k.unit, maximum_age_s=MAXIMUM_AGE_S, lower=k.min, upper=k.max)
+        Input(signal=name, unit=k.unit, maximum_age_s=model.maximum_age_s(name), lower=k.min, upper=k.max)
         for name, k in model.known.items()
     )
 
@@ -182,7 +180,7 @@ def _generator(model: Model, test: Test) -> Generator:
         states=[state_of(model, test, name) for name in test.states],
         faults=list(test.faults),
         equations=list(test.equations),
-        warm_up_ticks=round(model.warm_up_s / PERIOD_S),
+        warm_up_s=model.warm_up_s,
     )
 
 

@@ -11,7 +11,6 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
 from faultline.service.bundle.load import GRAPH_ERRORS
@@ -83,9 +82,10 @@ def load_networks(folder: Path, model: Model) -> Networks:
 
 
 def _check(found: Description, model: Model, folder: Path) -> None:
-    if found.signals != [*model.known] or found.period_s != PERIOD_S:
+    if found.signals != [*model.known] or found.period_s != model.period_s:
         raise InputError(
-            f"{folder}: was trained on the signals {', '.join(found.signals)}; train for {model.name} anew"
+            f"{folder}: was trained on the signals {', '.join(found.signals)} every {found.period_s:g} s; "
+            f"train for {model.name} anew"
         )
     tests = {test.name: test for test in find_tests(model) if isinstance(test, Test)}
     for generator in found.generators:

@@ -65,7 +65,13 @@ class Runnable:
         Raises:
             InputError: the model divides by parameters that are zero.
         """
-        return GeneratorBank(self.graphs | self.of_hypotheses(evidence), self.generators, self.bank.inputs, evidence)
+        return GeneratorBank(
+            self.graphs | self.of_hypotheses(evidence),
+            self.generators,
+            self.bank.inputs,
+            self.bank.model.period_s,
+            evidence,
+        )
 
     def of_hypotheses(self, evidence: Evidence | None) -> dict[str, bytes]:
         """The graph of the evidence's hypotheses by file name; none where it has none."""

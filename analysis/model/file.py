@@ -10,14 +10,14 @@
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
       disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
     [[differential]]         name, state, derivative
-    [modes]                  signal, idle_below, maximum_above, settle_s, edges = {n_p = 4.0}
-      (no table: one mode; no idle_below: no idle mode; no maximum_above: no maximum; no edges and settle_s: no edge)
     [[provenance]]           any keys: what calibration did
+
+What stands in `system.toml` beside it may stand here as well (`analysis.model.system`); a file that has a period or
+modes of its own is whole.
 
 Strict: an unknown key, an undeclared name or a wrong type is an error that names its place.
 """
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,24 +29,27 @@ from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.model.model import (
+    PERIODS,
     WARM_UP_S,
     Differential,
     Equation,
     Fault,
     Known,
     Model,
-    OperatingModes,
     Parameter,
     Unknown,
     check_bounds,
 )
+from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
 
 SCHEMA = 1
+SHORTEST_S, LONGEST_S = 1e-3, 60.0
+"""Of sampling periods."""
 
 SYSTEMS = Path(systems.__file__).parent
 MODEL = "model.toml"
-NO_MODELS = ("system.toml", "effects.toml", "experiments.toml")
+NO_MODELS = (SYSTEM, "effects.toml", "experiments.toml")
 
 
 def load_model(path: str | Path) -> Model:
@@ -67,7 +70,8 @@ def load_model(path: str | Path) -> Model:
         ) from error
     except UnicodeDecodeError as error:
         raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
-    return parse_model(text, str(path))
+    beside = file.with_name(SYSTEM)
+    return parse_model(text, str(path), beside if beside.is_file() else None, whole=file.name == MODEL)
 
 
 def shipped_models() -> Mapping[str, Path]:
@@ -77,16 +81,19 @@ def shipped_models() -> Mapping[str, Path]:
     return {name: path for path, name in sorted(named.items(), key=lambda each: each[1])}
 
 
-def parse_model(text: str, where: str) -> Model:
-    """The model in TOML text; messages begin with `where`.
+def parse_model(text: str, where: str, system: Path | None = None, *, whole: bool = False) -> Model:
+    """The model in TOML text, with what the file `system` says of it; messages begin with `where`.
+
+    A `whole` model has all signals of which the system says something.
 
     Raises:
         ModelError: the text is no valid model.
     """
     try:
-        top = Table(tomllib.loads(text), where, top=True)
+        written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ModelError(f"{where}: not TOML: {error}") from error
+    top = Table(written if system is None else with_system(written, where, system, whole=whole), where, top=True)
     schema = top.number("schema")
     if schema != SCHEMA:
         raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that wrote the file")
@@ -96,6 +103,7 @@ def parse_model(text: str, where: str) -> Model:
     equations = top.tables("equation")
     names = check_names([*known], [*unknown], [*parameters], where)
     read = [_equation(table, names) for table in equations]
+    warm_up_s = _warm_up(top)
     model = Model(
         name=top.text("name"),
         description=top.text("description", ""),
@@ -106,8 +114,9 @@ def parse_model(text: str, where: str) -> Model:
         equations={equation.name: equation for equation in read},
         differentials=tuple(_differential(table) for table in top.tables("differential")),
         provenance=tuple(table.rest() for table in top.tables("provenance")),
-        modes=_modes(top.table("modes"), known),
-        warm_up_s=_warm_up(top),
+        modes=modes_of(top, known),
+        warm_up_s=warm_up_s,
+        period_s=_period(top, warm_up_s),
     )
     top.done()
     check_model(model, [equation.name for equation in read], where)
@@ -121,43 +130,11 @@ def _warm_up(top: Table) -> float:
     return WARM_UP_S if seconds is None else seconds
 
 
-def _modes(table: Table | None, known: Mapping[str, Known]) -> OperatingModes | None:
-    if table is None:
-        return None
-    edges = _edges(table.table("edges"), known)
-    settle = table.optional_number("settle_s")
-    modes = OperatingModes(
-        signal=table.text("signal"),
-        idle_below=table.optional_number("idle_below"),
-        maximum_above=table.optional_number("maximum_above"),
-        edges=edges,
-        settle_s=settle or 0.0,
-    )
-    table.done()
-    if modes.signal not in known:
-        raise table.fail("signal", f"{modes.signal} is no known signal; those are {', '.join(known)}")
-    lower = -math.inf if modes.idle_below is None else modes.idle_below
-    if modes.maximum_above is not None and not lower < modes.maximum_above:
-        raise table.fail("maximum_above", f"{modes.maximum_above:g} is not above idle_below, {lower:g}")
-    if bool(modes.edges) != (modes.settle_s > 0):
-        raise table.fail("settle_s", "edges and a positive settle_s go together; give both or neither")
-    return modes
-
-
-def _edges(table: Table | None, known: Mapping[str, Known]) -> dict[str, float]:
-    """The sizes of steps by signal, in the file's order."""
-    if table is None:
-        return {}
-    written = table.rest()
-    sizes = Table(written, table.place)
-    for name in written:
-        if name not in known:
-            raise sizes.fail(name, f"is no known signal; those are {', '.join(known)}")
-    edges = {name: sizes.number(name) for name in written}
-    for name, size in edges.items():
-        if size <= 0:
-            raise sizes.fail(name, f"a step of {size:g} is none; give a positive one")
-    return edges
+def _period(top: Table, warm_up_s: float) -> float:
+    seconds = top.optional_number("period_s")
+    if seconds is not None and not SHORTEST_S <= seconds <= LONGEST_S:
+        raise top.fail("period_s", f"{seconds:g} s; give {SHORTEST_S:g} s to {LONGEST_S:g} s")
+    return min(max((warm_up_s or WARM_UP_S) / PERIODS, SHORTEST_S), LONGEST_S) if seconds is None else seconds
 
 
 def _known(table: Table) -> Known:
@@ -170,8 +147,11 @@ def _known(table: Table) -> Known:
         zero=table.optional_number("zero") or 0.0,
         drift=table.optional_number("drift") or 0.0,
         added=table.flag("added"),
+        maximum_age_s=table.optional_number("maximum_age_s"),
     )
     table.done()
+    if known.maximum_age_s is not None and known.maximum_age_s <= 0:
+        raise table.fail("maximum_age_s", f"{known.maximum_age_s:g} s is no age; give a positive one")
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
     if known.noise <= 0:

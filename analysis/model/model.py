@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
 import sympy as sp
 
 from faultline.analysis.model.errors import ModelError
@@ -21,7 +23,8 @@ class Known:
     """A measured or commanded signal, in `unit`: operating range [min, max], standard deviation `noise` of a sample.
 
     `zero` is the standard deviation of the zero error that a calibration of the sensor has left, `drift` that of its
-    change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have.
+    change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
+    sample that is older than `maximum_age_s` [s] is not used; None stands for five periods.
     """
 
     unit: str
@@ -32,6 +35,7 @@ class Known:
     zero: float = 0.0
     drift: float = 0.0
     added: bool = False
+    maximum_age_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,24 +117,85 @@ class Equation:
     disturbance: Fault | None = None
 
 
+EDGE = "edge"
+"""The mode just after a step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """An operating mode: it holds where every signal of `where` is within its bounds (exclusive, None is no bound).
+
+    `description` is what it is, `instruction` what somebody does who brings the system there.
+    """
+
+    name: str
+    where: Mapping[str, tuple[float | None, float | None]]
+    description: str = ""
+    instruction: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class OperatingModes:
     """How the operating mode follows from the signals: what residuals look like depends on it.
 
-    The mode is idle below `idle_below` and maximum above `maximum_above` of the known `signal`, in its unit; a limit
-    that is None means that the system has no such mode. It is *edge* for `settle_s` [s] after a signal of `edges` has
-    moved by more than its entry from one sample to the next; no `edges`, no such mode. Otherwise it is partial.
+    It is the first of the `steady` ones that holds. The one that has no bounds holds where no other does; there is
+    exactly one. For `settle_s` [s] after a signal of `edges` has moved by more than its entry from one sample to the
+    next, the mode is *edge*; no `edges`, no such mode.
     """
 
-    signal: str
-    idle_below: float | None
-    maximum_above: float | None
+    steady: tuple[Mode, ...]
     edges: Mapping[str, float]
     settle_s: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The modes, in the order of every list by mode."""
+        return EDGE, *(mode.name for mode in self.steady)
+
+    @property
+    def listed(self) -> tuple[tuple[int, str], ...]:
+        """Index and name of every mode in the order of reports: the edge last."""
+        return (*enumerate((mode.name for mode in self.steady), start=1), (0, EDGE))
+
+    @property
+    def rest(self) -> Mode:
+        """The mode that holds where no other does."""
+        return next(mode for mode in self.steady if not mode.where)
+
+    @property
+    def bounded(self) -> list[str]:
+        """The signals whose levels the mode depends on, in order."""
+        return list(dict.fromkeys(name for mode in self.steady for name in mode.where))
+
+    @property
+    def signals(self) -> set[str]:
+        """The signals that the mode depends on."""
+        return {*self.bounded, *self.edges}
+
+    def at(self, values: Mapping[str, npt.NDArray[np.float64]], count: int) -> npt.NDArray[np.int64]:
+        """Index into `names` of the mode at `count` instants by levels (count,) alone, as if nothing moved: no edge."""
+        found = np.full(count, self.names.index(self.rest.name), dtype=np.int64)
+        for number, mode in reversed([*enumerate(self.steady, start=1)]):
+            if mode.where:
+                within = np.ones(count, dtype=np.bool_)
+                for name, (above, below) in mode.where.items():
+                    within &= values[name] > (-np.inf if above is None else above)
+                    within &= values[name] < (np.inf if below is None else below)
+                found[within] = number
+        return found
+
+
+ONE_MODE = OperatingModes(steady=(Mode(name="operation", where={}),), edges={}, settle_s=0.0)
+"""The modes of a system that states none."""
 
 WARM_UP_S = 20.0
 """The warm-up of a model that states none [s]."""
+
+PERIODS = 100.0
+"""In a warm-up, where a system states no period."""
+
+MISSED = 5.0
+"""Periods after which a sample is too old, where a system does not say: a frame or two may be lost."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,8 +211,8 @@ class Differential:
 class Model:
     """A system. The mappings go from names and keep the file's order; symbols are `sympy.Symbol(name)`, no assumptions.
 
-    `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making. Where `modes`
-    is None there is one mode only. After `warm_up_s` [s] the slowest state has forgotten where it was assumed to start.
+    `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making. After
+    `warm_up_s` [s] the slowest state has forgotten where it was assumed to start. Ticks are `period_s` [s] apart.
     """
 
     name: str
@@ -159,8 +224,9 @@ class Model:
     equations: Mapping[str, Equation]
     differentials: tuple[Differential, ...]
     provenance: tuple[Mapping[str, object], ...]
-    modes: OperatingModes | None = None
+    modes: OperatingModes = ONE_MODE
     warm_up_s: float = WARM_UP_S
+    period_s: float = WARM_UP_S / PERIODS
 
     @property
     def faults(self) -> dict[str, Fault]:
@@ -176,6 +242,16 @@ class Model:
     def assumable(self) -> dict[str, Fault]:
         """All that may be assumed to be wrong: the faults, then the disturbances."""
         return self.faults | self.disturbances
+
+    @property
+    def settling_s(self) -> float:
+        """How long the slowest state takes to forget its start [s]; of a model without states, `PERIODS` periods."""
+        return self.warm_up_s or PERIODS * self.period_s
+
+    def maximum_age_s(self, signal: str) -> float:
+        """The age [s] from which a sample of this known signal is not used."""
+        stated = self.known[signal].maximum_age_s
+        return MISSED * self.period_s if stated is None else stated
 
     @property
     def sensor_set(self) -> Literal["production", "instrumented"]:

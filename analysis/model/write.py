@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.file import SCHEMA
-from faultline.analysis.model.model import Equation, Model, OperatingModes
+from faultline.analysis.model.model import Equation, Mode, Model
 
+WORDS = ("description", "instruction")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -20,10 +21,12 @@ def dump_model(model: Model) -> str:
     """
     head: dict[str, object] = {"schema": SCHEMA, "name": model.name}
     head |= {"description": model.description, "source": model.source, "warm_up_s": model.warm_up_s}
+    head["period_s"] = model.period_s
     blocks = [_pairs(head)]
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
+        fields |= {} if k.maximum_age_s is None else {"maximum_age_s": k.maximum_age_s}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}
@@ -32,16 +35,21 @@ def dump_model(model: Model) -> str:
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
         fields |= {"prior": p.prior, "spread": p.spread, "drift": p.drift or None, "source": p.source}
         blocks.append(f"[parameter.{name}]\n" + _pairs(fields))
-    if model.modes is not None:
-        blocks.append("[modes]\n" + _pairs(_modes(model.modes)))
+    blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
+    if model.modes.edges:
+        blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
     blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
     blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
     return "\n".join(blocks)
 
 
-def _modes(modes: OperatingModes) -> dict[str, object]:
-    return {**vars(modes), **({} if modes.edges else {"edges": None, "settle_s": None})}
+def _mode(mode: Mode) -> dict[str, object]:
+    where = {
+        name: {side: bound for side, bound in zip(("above", "below"), bounds, strict=True) if bound is not None}
+        for name, bounds in mode.where.items()
+    }
+    return {"name": mode.name, "where": where or None, **{k: getattr(mode, k) or None for k in WORDS}}
 
 
 def _equation(equation: Equation) -> dict[str, object]:

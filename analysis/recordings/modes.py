@@ -1,46 +1,35 @@
-"""The operating modes of a model as the vehicle follows them, and what stands for a mode that the system has not."""
+"""The operating modes and the time scale of a model as the vehicle has them."""
 
-from faultline.analysis.graph.bank import PERIOD_S
-from faultline.analysis.model import Model, OperatingModes
-from faultline.service.core.manifest import Modes
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import Bounds, Mode, Modes, TimeScale
+from faultline.service.core.signals.modes import EDGE
 
 
 def modes_of(model: Model) -> Modes:
-    """The modes as a manifest holds them.
+    """The modes as a manifest holds them."""
+    steady = [
+        Mode(
+            name=mode.name,
+            where={name: Bounds(above=above, below=below) for name, (above, below) in mode.where.items()},
+            description=mode.description,
+            instruction=mode.instruction,
+        )
+        for mode in model.modes.steady
+    ]
+    return Modes(steady=steady, edges=dict(model.modes.edges), settle_s=model.modes.settle_s)
 
-    It needs both limits: one that the model has not is put a whole operating range outside the signal's own, where no
-    test that uses the signal can tell.
-    """
-    rule = _rule(model)
-    known = model.known[rule.signal]
-    width = known.max - known.min
-    return Modes(
-        signal=rule.signal,
-        idle_below=known.min - width if rule.idle_below is None else rule.idle_below,
-        maximum_above=known.max + width if rule.maximum_above is None else rule.maximum_above,
-        edges=dict(rule.edges),
-        settle_ticks=round(rule.settle_s / PERIOD_S),
-    )
+
+def time_of(model: Model) -> TimeScale:
+    """The period and the settling time."""
+    return TimeScale(model.period_s, model.settling_s)
 
 
 def stand_ins(model: Model) -> tuple[int, ...]:
-    """For every mode, in the order of `MODES`, the mode whose fault-free data describe it: partial for what is not.
+    """For every mode, in the order of `Modes.names`, the mode whose fault-free data describe it.
 
-    A mode that the model has is described by its own data only: how its residuals look cannot be guessed.
+    That is itself: how residuals look in a mode cannot be guessed. For the edge of a system that has none, and is in it
+    only where nothing is known, it is the mode without bounds.
     """
-    rule = _rule(model)
-    there = {
-        IDLE: rule.idle_below is not None,
-        PARTIAL: True,
-        MAXIMUM: rule.maximum_above is not None,
-        EDGE: bool(rule.edges),
-    }
-    return tuple(mode if there[mode] else PARTIAL for mode in sorted(there))
-
-
-def _rule(model: Model) -> OperatingModes:
-    """The model's own rule; without one, any signal will do: nothing is asked of it."""
-    if model.modes is not None:
-        return model.modes
-    return OperatingModes(signal=next(iter(model.known)), idle_below=None, maximum_above=None, edges={}, settle_s=0.0)
+    steady = range(EDGE + 1, EDGE + 1 + len(model.modes.steady))
+    rest = next(k for k, mode in zip(steady, model.modes.steady, strict=True) if not mode.where)
+    return (EDGE if model.modes.edges else rest, *steady)

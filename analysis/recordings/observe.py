@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.graph.bank import Bank
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
@@ -19,7 +19,8 @@ from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask
 from faultline.service.logs import Log, LogError, open_log
 
-START_WITHIN_S = 5.0
+START_WITHIN_S, START_PERIODS = 5.0, 25.0
+"""How long after the first frame tick 0 waits for a signal that never appears [s, periods]: the longer of both."""
 NO_FRAMES = DecodeTable({})
 """The decode table of an observer that is given signals: it is asked for no frame."""
 
@@ -69,13 +70,14 @@ def observe(bank: Bank, signals: Signals) -> list[Tick]:
 
 def ticks_of(model: Model, inputs: Sequence[Input], signals: Signals, generators: Generators) -> list[Tick]:
     """The same with any generators."""
-    modes = ModeTracker(modes_of(model), inputs)
-    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, PERIOD_S, START_WITHIN_S), signals)
+    modes = ModeTracker(modes_of(model), inputs, model.period_s)
+    start_within_s = max(START_WITHIN_S, START_PERIODS * model.period_s)
+    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, model.period_s, start_within_s), signals)
 
 
 def samples_of(manifest: Manifest, signals: Signals) -> list[Tick]:
     """Every tick of a log as a bundle takes its samples and modes, without running its generators."""
-    modes = ModeTracker(manifest.modes, manifest.inputs)
+    modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
     sampler, period_s, start_within_s = Sampler(manifest.inputs), manifest.period_s, manifest.start_within_s
     return _ticks(Observer(NO_FRAMES, sampler, modes, Blind(), period_s, start_within_s), signals)
 

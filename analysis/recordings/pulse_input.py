@@ -11,11 +11,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.graph.bank import Bank
 from faultline.analysis.recordings.pulse import Pulse, PulseError
 from faultline.analysis.recordings.track import Mask, Track
+from faultline.service.core.manifest import ticks_of
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.modes import PARTIAL
 from faultline.service.core.signals.values import FloatArray
 
 BLOCK = 50  # ticks, 10 s, which hardly know of each other
@@ -41,7 +41,7 @@ class InputChoice(NamedTuple):
 
 
 def choose_input(
-    bank: Bank, ticks: Sequence[Tick], pulse: Pulse, tracks: Mapping[str, Track], signal: str = "dc_dose"
+    bank: Bank, ticks: Sequence[Tick], pulse: Pulse, tracks: Mapping[str, Track], signal: str
 ) -> list[InputChoice]:
     """The better input of every test of the bank that uses `signal`, by the fault-free `ticks` of one recording.
 
@@ -54,11 +54,13 @@ def choose_input(
     column = [channel.signal for channel in bank.inputs].index(signal)
     some = bank.only([k for k, generator in enumerate(bank.generators) if signal in generator.inputs])
     usable = np.array([tick.usable.all() for tick in ticks])
-    counted = _counted(ticks, usable, max(g.warm_up_ticks for g in some.generators))
+    model = bank.model
+    partial, warm_up = model.modes.names.index(model.modes.rest.name), ticks_of(model.warm_up_s, model.period_s)
+    counted = _counted(ticks, usable, partial, warm_up)
     if counted.sum() < 2 * BLOCK:
         raise PulseError(
-            f"the inputs cannot be compared: {counted.sum() * PERIOD_S:.0f} s of partial dose with all signals known, "
-            f"{2 * BLOCK * PERIOD_S:g} s are needed"
+            f"the inputs cannot be compared: {counted.sum() * model.period_s:.0f} s of mode "
+            f"{model.modes.rest.name} with all signals known, {2 * BLOCK * model.period_s:g} s are needed"
         )
     first = int(np.argmax(usable))
     latest = np.maximum.accumulate(np.where(usable[first:], np.arange(first, len(ticks)), first))
@@ -72,7 +74,7 @@ def choose_input(
     for predicted in {generator.predicts for generator in some.generators}:
         pulsed, at = z.copy(), tracks[predicted].t
         sampled = at[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)]
-        pulsed[:, column] = pulse.share(tracks[signal], sampled, PERIOD_S)
+        pulsed[:, column] = pulse.share(tracks[signal], sampled, model.period_s)
         with_pulses[predicted] = residuals(pulsed)
     return [
         _choice(generator.test, generator.predicts, with_duty[:, k], with_pulses[generator.predicts][:, k])
@@ -80,9 +82,9 @@ def choose_input(
     ]
 
 
-def _counted(ticks: Sequence[Tick], usable: Mask, warm_up: int) -> Mask:
-    """Ticks at partial dose that are a warm-up away from whatever could not be used."""
-    counted = np.array([tick.mode == PARTIAL for tick in ticks]) & usable
+def _counted(ticks: Sequence[Tick], usable: Mask, mode: int, warm_up: int) -> Mask:
+    """Ticks of a mode that are a warm-up away from whatever could not be used."""
+    counted = np.array([tick.mode == mode for tick in ticks]) & usable
     last = -1
     for k in range(len(ticks)):
         last = k if not usable[k] else last

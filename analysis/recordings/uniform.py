@@ -14,6 +14,8 @@ from faultline.analysis.recordings.track import Track
 from faultline.service.core.signals.values import FloatArray
 
 PERIOD_S = 0.2
+"""Of the grid (thesis 5.8)."""
+
 _FINE = 10  # points of the intermediate grid per output sample
 _TAPS = 10 * _FINE + 1
 _CUTOFF = 0.8  # of the output's Nyquist frequency, where both passes leave a quarter; at that frequency, 0.6 %

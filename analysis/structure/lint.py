@@ -121,7 +121,7 @@ def _signals_elsewhere(model: Model) -> set[str]:
     """Known signals that something else than an equation uses: initial values, operating modes."""
     initial = [expression for unknown in model.unknown.values() for expression in unknown.initial]
     found = {symbol.name for expression in initial for symbol in expression.free_symbols}
-    return found if model.modes is None else found | {model.modes.signal, *model.modes.edges}
+    return found | model.modes.signals
 
 
 def _unused_variables(structure: Structure) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import sympy as sp
 
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.model.model import Equation, Fault, Known, Model, OperatingModes, Unknown
+from faultline.analysis.model.model import ONE_MODE, Equation, Fault, Known, Model, OperatingModes, Unknown
 from faultline.analysis.structure.structure import Structure, structure_of
 
 
@@ -66,9 +66,9 @@ def _started(unknown: Unknown, known: Sequence[str], model: Model) -> Unknown:
     return dataclasses.replace(unknown, initial=initial or (sp.S.Zero,), initial_text=text or ("0",))
 
 
-def _modes(modes: OperatingModes | None, known: Sequence[str]) -> OperatingModes | None:
-    if modes is None or modes.signal not in known:
-        return None
+def _modes(modes: OperatingModes, known: Sequence[str]) -> OperatingModes:
+    if not {*modes.bounded} <= {*known}:
+        return ONE_MODE
     return dataclasses.replace(modes, edges={name: size for name, size in modes.edges.items() if name in known})
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.calibration.provenance import recordings_of
-from faultline.analysis.graph.bank import PERIOD_S, Bank
+from faultline.analysis.graph.bank import Bank
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import dump_model
 from faultline.analysis.progress import Progress
@@ -25,15 +25,15 @@ from faultline.analysis.tuning.evidence import no_surer, with_drifts
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
-from faultline.analysis.tuning.thresholds import Seen, more_of
+from faultline.analysis.tuning.thresholds import Seen, edge_last, more_of
 from faultline.analysis.tuning.vehicles import Vehicle, offsets, read
 from faultline.service.core.decision.consistency import of_evidence
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES, Detector, Evidence
+from faultline.service.core.manifest import Detector, Evidence
 
 Array = npt.NDArray[np.float64]
 
-LEAST_S = 20.0  # in a mode: some visits, or a visit in which the hose has settled
+LEAST = 1.0  # settling times in a mode: some visits, or a visit in which all has settled
 GOLDEN_TICKS = 150
 
 
@@ -107,15 +107,17 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
             f"{path}: its tests are {', '.join(theirs)}, those of {runnable.bank.model.name} {', '.join(names)}; "
             "adapt a base of the same model"
         )
-    problems = [*of_evidence(base.evidence)]
-    if not {*base.evidence.generators}.issubset(names) or [len(row) for row in base.zero] != [len(MODES)] * len(names):
+    problems = [*of_evidence(base.evidence, base.modes.names)]
+    if not {*base.evidence.generators}.issubset(names) or [len(row) for row in base.zero] != [
+        len(base.modes.names)
+    ] * len(names):
         problems.append("its evidence or its offsets are not of these tests")
     if problems:
         raise InputError(f"{path}: damaged: {problems[0]}; run `faultline tune` for it again")
     if [channel.signal for channel in base.inputs] != [channel.signal for channel in runnable.bank.inputs]:
         raise InputError(f"{path}: its signals are not the model's; adapt a base of the same model")
-    if base.modes != modes_of(runnable.bank.model):
-        raise InputError(f"{path}: its operating modes are not the model's; adapt a base of the same model")
+    if base.modes != modes_of(runnable.bank.model) or base.period_s != runnable.bank.model.period_s:
+        raise InputError(f"{path}: its operating modes or period are not the model's; adapt a base of the same model")
     if base.drift_sizes is None:
         raise InputError(f"{path}: does not say how large its drifts are; run `faultline tune` for it again")
     model = runnable.bank.model
@@ -126,15 +128,15 @@ def _check_base(base: Tuning, runnable: Runnable, path: Path) -> None:
 
 def _check_length(vehicle: Vehicle, described: Sequence[int]) -> None:
     names = ", ".join(drive.seen.name for drive in vehicle.drives)
-    short, remedies = [], []
-    for mode in dict.fromkeys(described):
+    short, remedies, time = [], [], vehicle.drives[0].seen.time
+    for mode in dict.fromkeys(stand_in for _, stand_in in edge_last(described)):
         ticks = sum(drive.seen.usable[drive.seen.mode == mode].all(axis=1).sum() for drive in vehicle.drives)
-        if (seconds := float(ticks) * PERIOD_S) < LEAST_S:
-            short.append(f"{MODES[mode]!r} for {seconds:.0f} s")
+        if (seconds := float(ticks) * time.period_s) < LEAST * time.settling_s:
+            short.append(f"{vehicle.drives[0].seen.modes[mode]!r} for {seconds:.0f} s")
             remedies.append(more_of(mode))
     if short:
         raise InputError(
-            f"{names}: saw mode {', '.join(short)}, {LEAST_S:.0f} s are needed; "
+            f"{names}: saw mode {', '.join(short)}, {LEAST * time.settling_s:.0f} s are needed; "
             f"add a fault-free drive {' and '.join(dict.fromkeys(remedies))}"
         )
 
@@ -153,8 +155,9 @@ def _check_plausible(vehicle: Vehicle, base: Tuning, found: Array, described: Se
             drives = ", ".join(drive.seen.name for drive in vehicle.drives)
             raise InputError(
                 f"{drives}: {evidence.generators[worst]} lies {found[rows[worst], mode]:.3g} off in mode "
-                f"{MODES[mode]!r}, {far[worst]:.1f} standard deviations of what {path} makes plausible "
-                f"({PLAUSIBLE:.0f} are taken): a fault that is there would be adapted away; repair or calibrate anew"
+                f"{vehicle.drives[0].seen.modes[mode]!r}, {far[worst]:.1f} standard deviations of what {path} makes "
+                f"plausible ({PLAUSIBLE:.0f} are taken): a fault that is there would be adapted away; repair, or "
+                "calibrate anew"
             )
 
 

@@ -212,6 +212,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
         recordings=[drive.sha256 for vehicle in vehicles for drive in vehicle.drives],
         calibrated=[sha256 for vehicle in vehicles for sha256 in recordings_of(vehicle.runnable.bank.model)],
         modes=modes_of(bank.model),
+        period_s=bank.model.period_s,
         start_within_s=START_WITHIN_S,
         detectors=found.detectors,
         evidence=found.evidence,

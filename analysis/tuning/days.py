@@ -15,7 +15,7 @@ def without_day(s: Seen, evidence: Evidence, generators: Sequence[str]) -> Seen:
     """
     rows = [generators.index(name) for name in evidence.generators]
     moved = [*rows, *(generators.index(follower.generator) for follower in evidence.followers)]
-    day, level = Day(evidence), s.r.copy()
+    day, level = Day(evidence, s.time), s.r.copy()
     for mode, own, usable in zip(s.mode.tolist(), s.r[:, rows], s.usable[:, rows], strict=True):
         day.add(mode, own, usable)
     day.settle()

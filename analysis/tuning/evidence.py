@@ -14,17 +14,17 @@ import numpy.typing as npt
 from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
 from faultline.analysis.model import Model
-from faultline.analysis.tuning.thresholds import OWN, Seen
+from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import MODES, Evidence, Follower, Hypothesis
+from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
-BLOCK_TICKS = 25
-VISIT_TICKS = 50
-"""10 s: no visit is surer than so much of it. What a valve's pulses and the sampling make of each other may last as
-long as the visit does, at a dose that tuning has not seen."""
+BLOCK, VISIT = 25, 50
+"""Ticks: noise is estimated from means over `BLOCK`, and no visit is surer than `VISIT` of it. What the pulses
+of an actuator and the sampling make of each other may last as long as the visit does, at a level that tuning has not
+seen."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
@@ -38,7 +38,7 @@ def gather(
     bank: Bank,
     offset: Array,
     recordings: Sequence[Seen],
-    stand_ins: Sequence[int] = OWN,
+    stand_ins: Sequence[int],
     apart: Sequence[Seen] | None = None,
 ) -> tuple[Evidence, list[float]]:
     """Return the evidence of a bundle, and the sizes of the drifts that the model names, in parts of what it says.
@@ -56,7 +56,7 @@ def gather(
     order = [*rows, *(row for row in range(len(bank.generators)) if row not in rows)]  # followers are behind
     K, everywhere, around = len(rows), spread[:, order], offset[order].T  # (modes, T)
     spread, offset = everywhere[:, :K], around[:, :K]
-    noise = np.zeros((len(MODES), len(rows), len(rows)))
+    noise = np.zeros((len(described), len(rows), len(rows)))
     visit = np.zeros_like(noise)
     for mode in set(described):
         noise[mode] = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
@@ -140,7 +140,7 @@ def _centred(s: Seen, offset: Array) -> Seen:
 
 def _spread(recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:
     """The robust spread (modes, T) of recordings that lie around zero."""
-    found = np.zeros((len(MODES), recordings[0].r.shape[1]))
+    found = np.zeros((len(stand_ins), recordings[0].r.shape[1]))
     for row in range(found.shape[1]):
         for mode in set(stand_ins):
             r = np.concatenate([s.r[s.inside(row, mode), row] for s in recordings])
@@ -165,16 +165,16 @@ def visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[A
 
 
 def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
-    """The long-run covariance per tick (rows, rows) around each visit's mean, from means over 25 ticks."""
+    """The long-run covariance per tick (rows, rows) around each visit's mean, from means over blocks."""
     total, freedom = np.zeros((len(rows), len(rows))), 0
     for r in visits(recordings, mode, rows):
-        blocks = len(r) // BLOCK_TICKS
+        blocks = len(r) // BLOCK
         if blocks > 1:
-            means = r[: blocks * BLOCK_TICKS].reshape(blocks, BLOCK_TICKS, -1).mean(axis=1)
+            means = r[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1)
             away = means - means.mean(axis=0)
             total += away.T @ away
             freedom += blocks - 1
-    return BLOCK_TICKS * total / max(freedom, 1)
+    return BLOCK * total / max(freedom, 1)
 
 
 def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
@@ -187,7 +187,7 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Arra
             away = means - means.mean(axis=0)
             total += away.T @ away - (len(stays) - 1) * noise * np.mean([1.0 / len(r) for r in stays])
             freedom += len(stays) - 1
-    least = noise / VISIT_TICKS
+    least = noise / VISIT
     return np.asarray(least + _positive(total / max(freedom, 1) - least))
 
 
@@ -197,7 +197,7 @@ def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array
     One that hardly shows a mode says nothing of it: the others' deviations are that much larger, so that the mean
     square over all R is the one over those that do.
     """
-    modes = range(len(MODES))
+    modes = range(len(recordings[0].modes))
     means = np.array([[_mean(s, mode, rows) for mode in modes] for s in recordings]) - offset
     shown = np.isfinite(means)
     return np.asarray(np.where(shown, means, 0.0) * np.sqrt(len(means) / np.maximum(shown.sum(axis=0), 1)))
@@ -219,9 +219,9 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
     then the directions in which what is left strays together. The edge, which is no evidence, is left as it is. Sizes
     and directions are those of the first K generators, and say how far the others move with them.
     """
-    R, T = len(means), means.shape[2]
-    all_y, all_W = (means / spread)[:, :EDGE], (drifts / spread)[:, :EDGE]
-    y, W = all_y[..., :K].reshape(R, -1), all_W[..., :K].reshape(len(drifts), EDGE * K)
+    R, T, C = len(means), means.shape[2], means.shape[1] - 1
+    all_y, all_W = (means / spread)[:, 1:], (drifts / spread)[:, 1:]
+    y, W = all_y[..., :K].reshape(R, -1), all_W[..., :K].reshape(len(drifts), C * K)
     size, own = np.ones(len(W)), np.maximum(np.sqrt((y**2).mean(axis=0)), LEAST_OWN)
     x = np.zeros((R, len(W)))
     for _ in range(STEPS):
@@ -234,12 +234,12 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
     u = _directions(y - x @ W)
     left = (y - x @ W) - u @ (u.T @ (y - x @ W))
     alone = np.abs(means[..., :K]).max(axis=0) / spread[:, :K]
-    alone[:EDGE] = np.sqrt(np.maximum((left**2).mean(axis=0) + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(
-        EDGE, K
+    alone[1:] = np.sqrt(np.maximum((left**2).mean(axis=0) + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(
+        C, K
     )
     more = np.tensordot(u.T, all_y - np.tensordot(x, all_W, axes=1), axes=1) / np.sqrt(R)  # (n, modes, T)
     found = np.zeros((len(W) + len(more), len(means[0]), T))
-    found[:, :EDGE] = np.concatenate([size[:, None, None] * all_W, more])
+    found[:, 1:] = np.concatenate([size[:, None, None] * all_W, more])
     found[: len(W), EDGE] = size[:, None] * (drifts / spread)[:, EDGE]
     return alone * spread[:, :K], found * spread, size
 
@@ -266,7 +266,7 @@ def named_drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int
     steps = np.concatenate([np.zeros((len(trials), len(model.known))), signals])  # (n, nz)
     trials += [{}] * len(signals)
     if not trials:
-        return np.zeros((0, len(MODES), len(bank.tests)))
+        return np.zeros((0, len(stand_ins), len(bank.tests)))
     return _shifts(bank, recordings, trials, stand_ins, steps)
 
 
@@ -274,8 +274,8 @@ def _shifts(
     bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], stand_ins: Sequence[int], steps: Array
 ) -> Array:
     """Return how far (n, modes, rows) the mean residuals move with each of n trials, its samples `steps` (n, nz) on."""
-    total = np.zeros((len(MODES), len(trials), len(bank.tests)))
-    count = np.zeros(len(MODES))
+    total = np.zeros((len(stand_ins), len(trials), len(bank.tests)))
+    count = np.zeros(len(stand_ins))
     off = np.concatenate([np.zeros((1, steps.shape[1])), steps])
     for s in recordings:
         z = s.z[:, None] + off  # (K, 1 + n, nz)

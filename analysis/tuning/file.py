@@ -8,7 +8,7 @@ import msgspec
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Claim, Detector, Evidence, Input, Modes, PerMode
 
-SCHEMA = "faultline.tuning/5"
+SCHEMA = "faultline.tuning/6"
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -16,10 +16,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     `model_sha256` is that of the model file, `networks_sha256` that of the networks' graph, `recordings` those of the
     drives used (`Log.drive`), `calibrated` those that made the models of all vehicles, `golden_z` (K, nz) samples from
-    the beginning of the first of the logs. `inputs` have the limits of what is believed of a sensor
-    (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie, root mean
-    square; `base` the SHA-256 of the tuning that this one was adapted from. `drift_sizes` are those of the first drifts
-    of the evidence, which the model names, in parts of what it says; tunings made before do not have them.
+    the beginning of the first of the logs, `period_s` [s] apart. `inputs` have the limits of what is believed of a
+    sensor (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie,
+    root mean square; `base` the SHA-256 of the tuning that this one was adapted from. `drift_sizes` are those of
+    the first drifts of the evidence, which the model names, in parts of what it says.
     """
 
     schema: str
@@ -27,6 +27,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     recordings: list[str]
     calibrated: list[str]
     modes: Modes
+    period_s: float
     start_within_s: float
     detectors: list[Detector]
     evidence: Evidence

@@ -18,8 +18,10 @@ from faultline.service.core.manifest import (
     Detector,
     LowPassDetector,
     Side,
+    Span,
     SpreadDetector,
     ThresholdDetector,
+    TimeScale,
 )
 
 Array = npt.NDArray[np.float64]
@@ -27,11 +29,10 @@ Kind = Literal["cusum", "one-sided", "threshold", "low-pass", "adaptive", "sprea
 
 LEVEL_KINDS: Final[tuple[Kind, ...]] = ("cusum", "one-sided", "threshold", "low-pass", "adaptive")
 
-LASTING_TICKS = 75  # 15 s
+LASTING = Span(periods=75)
 ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
-HOLD_TICKS = 50  # 10 s: as long as residuals take to calm down after a step of the dose
-TIME_TICKS = 25.0  # 5 s
-MEMORY_TICKS = 150.0  # 30 s
+HOLD = Span(settlings=0.5)  # as long as residuals take to calm down after a step
+TIME, MEMORY = Span(settlings=0.25), Span(settlings=1.5)
 OPEN, OPEN_SPREAD = 1e9, 100.0
 MINIMUM_J = 15.0
 LEAST = {"cusum": MINIMUM_J, "threshold": 4.0, "low-pass": 1.0, "adaptive": 4.0, "spread": float(np.log(1.5))}
@@ -60,30 +61,32 @@ class Run(NamedTuple):
     s: Array
 
 
-def opened(kind: Kind, d: Described, runs: Sequence[Run]) -> list[Detector]:
+def opened(kind: Kind, d: Described, runs: Sequence[Run], time: TimeScale) -> list[Detector]:
     """The detectors of a kind for one generator, their thresholds open."""
     name, offset, scale = d.generator, d.offset.tolist(), d.scale.tolist()
+    hold_s, time_s, memory_s = map(time.seconds, (HOLD, TIME, MEMORY))
     match kind:
         case "cusum" | "one-sided":
             sides: tuple[Side, ...] = ("both",) if kind == "cusum" else ("above", "below")
             return [
                 CusumDetector(
-                    generator=name, offset=offset, scale=scale, nu=ALLOWANCE + lasting(runs, side), J=OPEN, side=side
+                    generator=name,
+                    offset=offset,
+                    scale=scale,
+                    nu=ALLOWANCE + lasting(runs, time.ticks(LASTING), side),
+                    J=OPEN,
+                    side=side,
                 )
                 for side in sides
             ]
         case "threshold":
-            return [ThresholdDetector(generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS)]
+            return [ThresholdDetector(generator=name, offset=offset, scale=scale, J=OPEN, hold_s=hold_s)]
         case "low-pass":
-            return [
-                LowPassDetector(
-                    generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS, time_ticks=TIME_TICKS
-                )
-            ]
+            return [LowPassDetector(generator=name, offset=offset, scale=scale, J=OPEN, hold_s=hold_s, time_s=time_s)]
         case "adaptive":
             return [
                 AdaptiveDetector(
-                    generator=name, offset=offset, scale=scale, J=OPEN, hold_ticks=HOLD_TICKS, usual=d.usual.tolist()
+                    generator=name, offset=offset, scale=scale, J=OPEN, hold_s=hold_s, usual=d.usual.tolist()
                 )
             ]
         case "spread":
@@ -93,15 +96,15 @@ def opened(kind: Kind, d: Described, runs: Sequence[Run]) -> list[Detector]:
                     offset=offset,
                     scale=scale,
                     J=OPEN_SPREAD,
-                    hold_ticks=HOLD_TICKS,
-                    memory_ticks=MEMORY_TICKS,
+                    hold_s=hold_s,
+                    memory_s=memory_s,
                 )
             ]
 
 
-def reached(settings: Detector, run: Run) -> Array:
+def reached(settings: Detector, run: Run, period_s: float) -> Array:
     """What an open detector compares with its threshold (n,), in the threshold's units."""
-    fresh = detector(settings)
+    fresh = detector(settings, period_s)
     values = np.empty(len(run.s))
     for index, (tick, s) in enumerate(zip(run.tick, run.s, strict=True)):
         fresh.update(int(tick), float(s))
@@ -114,12 +117,12 @@ def closed(settings: Detector, J: float) -> Detector:
     return replace(settings, J=min(J, OPEN_SPREAD) if isinstance(settings, SpreadDetector) else J)
 
 
-def lasting(runs: Sequence[Run], side: Side = "both") -> float:
-    """The largest mean of any run over `LASTING_TICKS` in a row, to either side or to one."""
+def lasting(runs: Sequence[Run], ticks: int, side: Side = "both") -> float:
+    """The largest mean of any run over so many ticks in a row, to either side or to one."""
     largest = 0.0
     for run in runs:
         sums = np.concatenate([[0.0], np.cumsum(run.s)])
-        means = (sums[LASTING_TICKS:] - sums[:-LASTING_TICKS]) / LASTING_TICKS
+        means = (sums[ticks:] - sums[:-ticks]) / ticks
         means = {"both": np.abs(means), "above": means, "below": -means}[side]
         largest = max(largest, float(means.max(initial=0.0)))
     return largest

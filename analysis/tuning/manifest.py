@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Mapping
 
 from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.tuning.file import Tuning
 from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
@@ -29,7 +28,8 @@ def manifest_of(
         name=bank.model.name,
         version=version,
         sensor_set=bank.model.sensor_set,
-        period_s=PERIOD_S,
+        period_s=bank.model.period_s,
+        settling_s=bank.model.settling_s,
         start_within_s=tuning.start_within_s,
         dbc=dbc_name,
         graphs=runnable.files,

@@ -16,10 +16,10 @@ from faultline.service.core.signals.values import are_good
 
 Array = npt.NDArray[np.float64]
 
-RESTLESS_S = 10.0
-"""A signal that never rested for so long is one whose rest means something."""
-RESTS, LEAST_REST_S = 5.0, 10.0
-"""It is frozen after so many times its longest rest, and not before so long."""
+RESTLESS = 10.0
+"""Of its maximum age: a signal that never rested for so long is one whose rest means something."""
+RESTS = 5.0
+"""It is frozen after so many times its longest rest, and not before it is `RESTLESS`."""
 STEPS = 2.0
 """It jumps by more than so many times its largest step."""
 
@@ -46,9 +46,10 @@ class _Range:
 
     def limited(self) -> Input:
         """The signal with the limits that its numbers set."""
+        restless_s = RESTLESS * self._channel.maximum_age_s
         return msgspec.structs.replace(
             self._channel,
-            frozen_s=max(RESTS * self.rest, LEAST_REST_S) if self.rest < RESTLESS_S else None,
+            frozen_s=max(RESTS * self.rest, restless_s) if self.rest < restless_s else None,
             largest_step=STEPS * self.step if self.step > 0.0 else None,
         )
 

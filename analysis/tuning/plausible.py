@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from faultline.analysis.tuning.claim import Fold
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
-from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ def doubts(fold: Fold, evidence: Evidence, generators: Sequence[str], stand_ins:
     rows = [generators.index(name) for name in evidence.generators]
     for drive, offset in fold.test:
         others = [other.seen for other in fold.vehicle.drives if other is not drive]
-        apart, halved = np.zeros((2, len(MODES), len(rows)))
+        apart, halved = np.zeros((2, len(stand_ins), len(rows)))
         for mode in steady(stand_ins):
             whole, (first, second) = _median(drive.seen, mode, rows), _halves(drive.seen)
             if others:
@@ -62,8 +62,8 @@ def doubts(fold: Fold, evidence: Evidence, generators: Sequence[str], stand_ins:
             if far[worst, k] > PLAUSIBLE:
                 yield (
                     f"{drive.seen.name}: {evidence.generators[k]} lies {far[worst, k]:.1f} standard deviations {what} "
-                    f"in mode {MODES[worst]!r} ({PLAUSIBLE:.0f} are plausible): is there a fault in it? Leave it out, "
-                    "or know why"
+                    f"in mode {drive.seen.modes[worst]!r} ({PLAUSIBLE:.0f} are plausible): is there a fault in it? "
+                    "Leave it out, or know why"
                 )
 
 

@@ -21,11 +21,11 @@ from faultline.analysis.tuning.days import without_day
 from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
-from faultline.service.core.manifest import Detector, Evidence, kind_of
+from faultline.service.core.manifest import Detector, Evidence, Span, kind_of
 
 Array = npt.NDArray[np.float64]
 
-APART_TICKS = 75  # peaks closer than 15 s are one cluster
+APART = Span(settlings=0.75)  # peaks that are closer are one cluster
 PEAKS = 10  # a tail is fitted to so many clusters at least, where there are so many
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -49,10 +49,15 @@ class Rule:
 
 @dataclass(frozen=True)
 class Trace:
-    """x (K,) of a drive, over `hours`."""
+    """x (K,) of a drive, over `hours`; peaks closer than `apart` ticks are one cluster."""
 
     x: Array
     hours: float
+    apart: int
+
+    def peaks(self, u: float) -> list[float]:
+        """The largest value of each cluster above u."""
+        return peaks(self.x, u, self.apart)
 
 
 @dataclass(frozen=True)
@@ -69,14 +74,14 @@ def levels(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidenc
         [without_day(s, evidence, rule.generators) for s in together(vehicles, to, rule.stand_ins)]
         for together in (pooled, pooled_left_out)
     )
-    found: list[list[Detector]] = []
+    time, found = centred[0].time, list[list[Detector]]()
     for row, name in enumerate(rule.generators):
         found.append([])
         for kind in rule.kinds:
             described = describe(name, row, centred, float(rule.floor[row]), rule.stand_ins, kind, to[row])
             runs = [standard(s, row, described, kind) for s in left_out]
-            for detector in opened(kind, described, runs):
-                typical = float(np.mean([reached(detector, run).max() for run in runs]))
+            for detector in opened(kind, described, runs, time):
+                typical = float(np.mean([reached(detector, run, time.period_s).max() for run in runs]))
                 found[row].append(closed(detector, max(LEAST[kind_of(detector)] / MARGIN, typical)))
     return in_order(found)
 
@@ -93,9 +98,9 @@ def trace(detectors: Sequence[Detector], s: Seen, rule: Rule, hours: float) -> T
         row = rule.generators.index(detector.generator)
         use = s.usable[:, row]
         run = standard(s, row, described_by(detector), kind_of(detector))
-        values = reached(closed(detector, OPEN), run) / detector.J
+        values = reached(closed(detector, OPEN), run, s.time.period_s) / detector.J
         x[use] = np.maximum(x[use], values)
-    return Trace(x, hours)
+    return Trace(x, hours, s.time.ticks(APART))
 
 
 def factor_for(target: float, blocks: Sequence[Sequence[Trace]]) -> Factor:
@@ -114,16 +119,16 @@ def factor_for(target: float, blocks: Sequence[Sequence[Trace]]) -> Factor:
     return Factor(max(drawn, float(np.quantile(resampled, CONFIDENCE))), extrapolated=True)
 
 
-def peaks(x: Array, u: float) -> list[float]:
-    """The largest value of each cluster above u; clusters lie `APART_TICKS` apart.
+def peaks(x: Array, u: float, apart: int) -> list[float]:
+    """The largest value of each cluster above u; clusters lie `apart` ticks apart.
 
-    >>> peaks(np.concatenate([[0.0, 3.0, 1.0, 2.5], np.zeros(100), [4.0, 0.0]]), 2.0)
+    >>> peaks(np.concatenate([[0.0, 3.0, 1.0, 2.5], np.zeros(100), [4.0, 0.0]]), 2.0, 75)
     [3.0, 4.0]
     """
     above = np.flatnonzero(x > u)
     if not len(above):
         return []
-    parts = np.split(above, np.flatnonzero(np.diff(above) > APART_TICKS) + 1)
+    parts = np.split(above, np.flatnonzero(np.diff(above) > apart) + 1)
     return [float(x[part].max()) for part in parts]
 
 
@@ -132,7 +137,7 @@ def _counted(traces: Sequence[Trace], allowed: int) -> float:
     low, high = 0.0, max(float(each.x.max()) for each in traces)
     while high - low > 1e-3 * high:
         middle = (low + high) / 2.0
-        if sum(len(peaks(each.x, middle)) for each in traces) > allowed:
+        if sum(len(each.peaks(middle)) for each in traces) > allowed:
             low = middle
         else:
             high = middle
@@ -146,7 +151,7 @@ def _drawn(traces: Sequence[Trace], target: float, bound: bool = True) -> float:
     u, found = highest / 4.0, []
     for part in np.linspace(0.9, 0.25, 14):  # the highest u with enough clusters above it
         u = float(part * highest)
-        found = [peak for each in traces for peak in peaks(each.x, u)]
+        found = [peak for each in traces for peak in each.peaks(u)]
         if len(found) >= PEAKS:
             break
     if not found:  # nothing ever left zero: the least thresholds will do

@@ -1,9 +1,9 @@
 """Detectors from fault-free recordings that calibration has not seen.
 
 A residual is standardised by the median and the spread of its mode. The drift nu of its CUSUM covers what lasts: the
-largest mean over 15 s that any recording shows, of either sign, plus an allowance, because a constant bias above nu
-crosses every threshold in the end. J is then a multiple of the largest sum reached, and never below a minimum. The
-thresholds of other kinds are set in the same way, from what they compare.
+largest mean over 75 ticks in a row that any recording shows, of either sign, plus an allowance, because
+a constant bias above nu crosses every threshold in the end. J is then a multiple of the largest sum reached, and never
+below a minimum. The thresholds of other kinds are set in the same way, from what they compare.
 """
 
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ from itertools import zip_longest
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.tuning.kinds import LASTING_TICKS, LEAST, Described, Kind, Run, closed, opened, reached
+from faultline.analysis.tuning.kinds import LASTING, LEAST, Described, Kind, Run, closed, opened, reached
 from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES, Detector, kind_of
+from faultline.service.core.manifest import Detector, TimeScale, kind_of
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
 
@@ -24,13 +24,13 @@ Array = npt.NDArray[np.float64]
 
 MINIMUM_TICKS = 50  # of a mode, over all recordings
 MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
-OWN = tuple(range(len(MODES)))  # every mode is described by its own ticks
 
 
 @dataclass(frozen=True)
 class Seen:
     """A recording through the generators: samples (K, nz), residuals (K, T), whether usable (K, T), mode (K,).
 
+    `modes` are the names of the modes, `time` is that of the ticks.
     `sigma` (K, T) is the generators' own spread; only adaptive detectors need it. `level` (K, T) are the residuals
     without the day, once that has been taken off. `number` (K,) are those of the ticks, where not all are there.
     """
@@ -40,6 +40,8 @@ class Seen:
     r: Array
     usable: npt.NDArray[np.bool_]
     mode: npt.NDArray[np.int64]
+    modes: tuple[str, ...]
+    time: TimeScale
     sigma: Array | None = None
     level: Array | None = None
     number: npt.NDArray[np.int64] | None = None
@@ -65,21 +67,22 @@ class Seen:
 
 def more_of(mode: int) -> str:
     """What a drive does to show more of a mode; nothing stays at an edge."""
-    return "with more steps, such as of the dose" if mode == EDGE else "that stays in it"
+    return "with more steps of the inputs" if mode == EDGE else "that stays in it"
 
 
-def seen(name: str, ticks: Sequence[Tick]) -> Seen:
+def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeScale) -> Seen:
     """What tuning needs of a recording: the ticks with every input usable.
 
     Raises:
-        InputError: some test could tell for less than 15 s of it.
+        InputError: some test could tell for too little of it.
     """
     ticks = [tick for tick in ticks if tick.usable.all()]
     usable = np.array([tick.residuals.usable for tick in ticks])
     told = int(usable.sum(axis=0).min()) if ticks else 0
-    if told < LASTING_TICKS:
+    least = time.ticks(LASTING)
+    if told < least:
         raise InputError(
-            f"{name}: some test could tell for {told} ticks only, {LASTING_TICKS} are needed; "
+            f"{name}: some test could tell for {told} ticks only, {least} are needed; "
             "tune on minutes with all signals, within their operating ranges"
         )
     return Seen(
@@ -88,6 +91,8 @@ def seen(name: str, ticks: Sequence[Tick]) -> Seen:
         r=np.array([tick.residuals.r for tick in ticks]),
         usable=usable,
         mode=np.array([tick.mode for tick in ticks]),
+        modes=modes,
+        time=time,
         sigma=np.array([tick.residuals.sigma for tick in ticks]),
         number=np.array([tick.number for tick in ticks]),
     )
@@ -97,7 +102,7 @@ def tune_detectors(
     generators: Sequence[str],
     recordings: Sequence[Seen],
     floor: Array,
-    stand_ins: Sequence[int] = OWN,
+    stand_ins: Sequence[int],
     kinds: Sequence[Kind] = ("cusum",),
     offset: Array | None = None,
 ) -> list[Detector]:
@@ -110,6 +115,7 @@ def tune_detectors(
     Raises:
         InputError: an operating mode was hardly visited: its residuals are unknown, and unknown is not zero.
     """
+    time = recordings[0].time
     found: list[list[Detector]] = []
     for name in generators:
         row = len(found)
@@ -118,8 +124,8 @@ def tune_detectors(
         for kind in kinds:
             described = describe(name, row, recordings, float(floor[row]), stand_ins, kind, known)
             runs = [standard(s, row, described, kind) for s in recordings]
-            for detector in opened(kind, described, runs):
-                largest = max(float(reached(detector, run).max()) for run in runs)
+            for detector in opened(kind, described, runs, time):
+                largest = max(float(reached(detector, run, time.period_s).max()) for run in runs)
                 found[row].append(closed(detector, max(LEAST[kind_of(detector)], MARGIN * largest)))
     return in_order(found)
 
@@ -127,6 +133,11 @@ def tune_detectors(
 def in_order(of_generators: Sequence[Sequence[Detector]]) -> list[Detector]:
     """All the generators' first detectors, then all their second ones, and so on."""
     return [each for rank in zip_longest(*of_generators) for each in rank if each is not None]
+
+
+def edge_last(stand_ins: Sequence[int]) -> list[tuple[int, int]]:
+    """Every mode with what describes it, the edge last: what is missing is told of a mode that can be held, if any."""
+    return sorted(enumerate(stand_ins), key=lambda each: each[0] == EDGE)
 
 
 def describe(
@@ -143,14 +154,16 @@ def describe(
     Raises:
         InputError: an operating mode was hardly visited.
     """
-    centres, scales, usual = np.zeros(len(MODES)), np.zeros(len(MODES)), np.ones(len(MODES))
-    for mode, stand_in in enumerate(stand_ins):
+    count = len(stand_ins)
+    centres, scales, usual = np.zeros(count), np.zeros(count), np.ones(count)
+    for mode, stand_in in edge_last(stand_ins):
         inside = [s.inside(row, stand_in) for s in recordings]
         r = np.concatenate([s.tested(kind)[use, row] for s, use in zip(recordings, inside, strict=True)])
         if len(r) < MINIMUM_TICKS:
             raise InputError(
-                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode {MODES[stand_in]!r} "
-                f"for {len(r)} ticks only; add a fault-free recording {more_of(stand_in)}"
+                f"tuning data ({', '.join(s.name for s in recordings)}): {name} saw mode "
+                f"{recordings[0].modes[stand_in]!r} for {len(r)} ticks only; add a fault-free "
+                f"recording {more_of(stand_in)}"
             )
         sigma = np.concatenate([_sigma(s, row)[use] for s, use in zip(recordings, inside, strict=True)])
         centres[mode] = float(np.median(r)) if offset is None else offset[mode]

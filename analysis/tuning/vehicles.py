@@ -6,20 +6,21 @@ from its own drives, and not from those of others: so residuals are centred per 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.calibration.provenance import check_vehicle, vehicle_of
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.modes import modes_of, time_of
 from faultline.analysis.recordings.observe import open_for, ticks_of
 from faultline.analysis.tuning.numbers import limited
-from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, more_of, seen
+from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, edge_last, more_of, seen
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES, Input
+from faultline.service.core.manifest import Input
 from faultline.service.core.residuals.observer import Tick
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +44,7 @@ class Drive:
     @property
     def hours(self) -> float:
         """For how long some test could tell."""
-        return float(self.seen.usable.any(axis=1).sum()) * PERIOD_S / 3600.0
+        return float(self.seen.usable.any(axis=1).sum()) * self.seen.time.period_s / 3600.0
 
 
 @dataclass(frozen=True)
@@ -83,16 +84,16 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         signals = log.signals(log.table(units, str(path)))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
         inputs = limited(runnable.bank.inputs, signals)
-        drives.append(Drive(log.drive, ticks, seen(log.id, ticks), inputs))
+        drives.append(Drive(log.drive, ticks, seen(log.id, ticks, modes_of(model).names, time_of(model)), inputs))
     return Vehicle(runnable, drives)
 
 
 def hardly_seen(drives: Sequence[Drive], stand_ins: Sequence[int]) -> tuple[int, int, int] | None:
     """The first generator and mode that drives show too little of, and its ticks; None where there is none."""
-    for row, mode in np.ndindex(drives[0].seen.usable.shape[1], len(MODES)):
-        ticks = sum(int(drive.seen.inside(row, stand_ins[mode]).sum()) for drive in drives)
+    for row, (_, stand_in) in product(range(drives[0].seen.usable.shape[1]), edge_last(stand_ins)):
+        ticks = sum(int(drive.seen.inside(row, stand_in).sum()) for drive in drives)
         if ticks < MINIMUM_TICKS:
-            return row, stand_ins[mode], ticks
+            return row, stand_in, ticks
     return None
 
 
@@ -102,8 +103,8 @@ def check_modes(vehicle: Vehicle, stand_ins: Sequence[int]) -> None:
         row, mode, ticks = missing
         raise InputError(
             f"tuning data ({', '.join(drive.seen.name for drive in vehicle.drives)}): "
-            f"{vehicle.runnable.generators[row].name} saw mode {MODES[mode]!r} for {ticks} ticks only; "
-            f"add a fault-free recording {more_of(mode)}"
+            f"{vehicle.runnable.generators[row].name} saw mode {vehicle.drives[0].seen.modes[mode]!r} for {ticks} "
+            f"ticks only; add a fault-free recording {more_of(mode)}"
         )
 
 
@@ -118,7 +119,7 @@ def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array 
     Where every drive shows every mode the offset is the mean over drives. Without `otherwise` the drives must show
     every mode (`check_modes`).
     """
-    shape = drives[0].seen.usable.shape[1], len(MODES)
+    shape = drives[0].seen.usable.shape[1], len(stand_ins)
     found = np.full(shape, np.nan) if otherwise is None else otherwise.copy()
     modes = [*dict.fromkeys(stand_ins)]  # each once, or one would count as often as it stands for another
     column = [modes.index(mode) for mode in stand_ins]

@@ -27,6 +27,8 @@ T = TypeVar("T")
 
 MANIFEST = "manifest.json"
 SEAL = "manifest.sha256"
+OLDER = tuple(f"faultline.bundle/{number}" for number in range(1, 6))
+"""Schemas of earlier versions."""
 SIGNATURE = re.compile(r"manifest\.[0-9A-F]{16}\.minisig")
 """Names of signatures, by the key's id: there may be several."""
 MAXIMUM_SIZE = 64 * 1024 * 1024  # bytes; a bundle is some hundred kilobytes
@@ -145,10 +147,8 @@ def decode_manifest(raw: bytes, where: str) -> Manifest:
     """Decode the manifest in `raw`: first its version, then every field and their consistency."""
     header = decode_json(raw, _Header, where)
     if header.schema != SCHEMA:
-        raise BundleError(
-            f"{where}: schema: this is {header.schema[:80]!r}, this faultline runs {SCHEMA!r}; "
-            "install the matching version"
-        )
+        remedy = "export it again with `faultline export`" if header.schema in OLDER else "install the matching version"
+        raise BundleError(f"{where}: schema: this is {header.schema[:80]!r}, this faultline runs {SCHEMA!r}; {remedy}")
     if not header.detectors:
         raise BundleError(
             f"{where}: detectors: there are none, so the bundle has no thresholds; run `faultline tune`, "

@@ -29,9 +29,6 @@ GRAPH_ERRORS: tuple[type[Exception], ...] = (
 )
 """What onnxruntime raises: its own exceptions, which have no base in common, and what pybind11 makes of C++'s."""
 
-UNNAMED_PERIOD = "0.2"
-"""Period [s] of graphs without metadata: until graphs carried it, every export had this one."""
-
 
 class Golden(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Golden vectors: samples `z` (K, nz) of a recording's beginning and the residuals `r` (K, T) they must give.
@@ -56,7 +53,13 @@ class Bundle(NamedTuple):
 
     def bank(self) -> GeneratorBank:
         """Return fresh generators."""
-        return GeneratorBank(self.graphs, self.manifest.generators, self.manifest.inputs, self.manifest.evidence)
+        return GeneratorBank(
+            self.graphs,
+            self.manifest.generators,
+            self.manifest.inputs,
+            self.manifest.period_s,
+            self.manifest.evidence,
+        )
 
 
 def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, int] = NOBODY) -> Bundle:
@@ -236,8 +239,6 @@ def _check_graph(raw: bytes, manifest: Manifest, graph: str, rows: int | None, w
 
 def _check_metadata(found: Mapping[str, str], wanted: Mapping[str, str], where: str) -> None:
     """Raise BundleError where a graph was exported with another period, order of columns or hypotheses."""
-    if not found:
-        found = {**wanted, "period_s": UNNAMED_PERIOD}
     for field, value in wanted.items():
         if (own := found.get(field, "missing")) != value:
             what = f"period_s {own[:20]}, not {value}" if field == "period_s" else f"other {field} than those"

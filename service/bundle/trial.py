@@ -60,7 +60,7 @@ def child(folder: str) -> int:
 
     def decides(bundle: Bundle) -> None:
         manifest, bank = bundle.manifest, bundle.bank()
-        tracker, decision = ModeTracker(manifest.modes, manifest.inputs), Decision(manifest)
+        tracker, decision = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s), Decision(manifest)
         usable = np.ones(len(manifest.inputs), dtype=np.bool_)
         for tick, z in enumerate(map(np.array, bundle.golden.z)):
             decision.update(tick, tracker.update(z, usable), bank.step(z, usable))

@@ -6,33 +6,64 @@ The types here say what a single value may be, and decoding enforces it; what va
 `core.decision.consistency`.
 """
 
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Final, Literal, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Meta
 
-SCHEMA: Final = "faultline.bundle/5"
+SCHEMA: Final = "faultline.bundle/6"
 
-MODES = ("idle", "partial", "maximum", "edge")
-"""Operating modes, in the order of every per-mode list: no dose, some dose, valve held open, just after a change."""
+EDGE: Final = "edge"
+"""The first mode of every per-mode list: just after a step, or unknown. Those of the system follow."""
 
 T = TypeVar("T")
+
+
+class Span(NamedTuple):
+    """How long something lasts: the longest of so many settling times of a system, sampling periods and seconds."""
+
+    settlings: float = 0.0
+    periods: float = 0.0
+    seconds: float = 0.0
+
+
+class TimeScale(NamedTuple):
+    """How long a tick and how long the system's settling time is [s]."""
+
+    period_s: float
+    settling_s: float
+
+    def seconds(self, span: Span) -> float:
+        """A span in seconds."""
+        return max(span.settlings * self.settling_s, span.periods * self.period_s, span.seconds)
+
+    def ticks(self, span: Span) -> int:
+        """A span in ticks, one at least.
+
+        >>> TimeScale(0.2, 20.0).ticks(Span(settlings=1.5)), TimeScale(60.0, 120.0).ticks(Span(periods=15, seconds=60))
+        (150, 15)
+        """
+        return max(1, round(self.seconds(span) / self.period_s))
+
+
+def ticks_of(seconds: float, period_s: float) -> int:
+    """So many seconds in ticks."""
+    return round(seconds / period_s)
+
 
 Name = Annotated[str, Meta(pattern=r"\A\w[\w.-]*\Z", max_length=80)]
 Text = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]*\Z", max_length=1000)]  # it is printed in one line
 Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
-Period = Annotated[float, Meta(ge=1e-3)]  # shorter ones would keep the vehicle computing ticks for ever
-Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
-Memory = Annotated[float, Meta(ge=1, le=1e6)]
-"""Of a filter, in ticks."""
+Period = Annotated[float, Meta(ge=1e-3, le=60)]  # shorter ones would keep the vehicle computing ticks for ever
+Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 Address = Annotated[int, Meta(ge=0, le=253)]
 """A source address of SAE J1939."""
 Version = Annotated[int, Meta(ge=0, le=2**53)]
 Side = Literal["both", "above", "below"]
 NotEmpty = Annotated[list[T], Meta(min_length=1)]
-PerMode = Annotated[list[T], Meta(min_length=len(MODES), max_length=len(MODES))]
+PerMode = Annotated[list[T], Meta(min_length=2)]
 
 
 class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -112,21 +143,44 @@ class Generator(_Part, frozen=True):
     states: list[State]
     faults: list[Name]
     equations: list[Name]
-    warm_up_ticks: Ticks
+    warm_up_s: Seconds
+
+
+class Bounds(_Part, frozen=True, omit_defaults=True):
+    """An open interval of a signal; None is no bound."""
+
+    above: float | None = None
+    below: float | None = None
+
+
+class Mode(_Part, frozen=True, omit_defaults=True):
+    """An operating mode: it holds where every signal of `where` is within its bounds.
+
+    `description` is what it is, `instruction` what somebody does who brings the system there.
+    """
+
+    name: Name
+    where: dict[Name, Bounds] = {}
+    description: Text = ""
+    instruction: Text = ""
 
 
 class Modes(_Part, frozen=True):
     """Rules that derive the operating mode from the samples.
 
-    The mode is idle below `idle_below`, maximum above `maximum_above` of `signal`; it is *edge* for `settle_ticks`
-    after an input has moved by more than its entry in `edges` from one tick to the next.
+    It is the first of the `steady` ones that holds; the one without bounds holds where no other does. It is *edge* for
+    `settle_s` after an input has moved by more than its entry in `edges` from one tick to the next, and where a signal
+    of the bounds cannot be used.
     """
 
-    signal: Name
-    idle_below: float
-    maximum_above: float
+    steady: NotEmpty[Mode]
     edges: dict[Name, Positive]
-    settle_ticks: Ticks
+    settle_s: Seconds
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The modes in the order of every per-mode list."""
+        return EDGE, *(mode.name for mode in self.steady)
 
 
 class _Detector(_Part, frozen=True, tag_field="kind"):
@@ -146,34 +200,34 @@ class CusumDetector(_Detector, frozen=True, tag="cusum"):
 
 
 class ThresholdDetector(_Detector, frozen=True, tag="threshold"):
-    """Threshold `J` on the residual of a tick, held for `hold_ticks` (`service.core.detectors.threshold`)."""
+    """Threshold `J` on the residual of a tick, held for `hold_s` (`service.core.detectors.threshold`)."""
 
     J: Positive
-    hold_ticks: Ticks
+    hold_s: Seconds
 
 
 class LowPassDetector(_Detector, frozen=True, tag="low-pass"):
-    """Threshold `J` behind a low-pass filter of `time_ticks` (`service.core.detectors.low_pass`)."""
+    """Threshold `J` behind a low-pass filter of `time_s` (`service.core.detectors.low_pass`)."""
 
     J: Positive
-    hold_ticks: Ticks
-    time_ticks: Memory
+    hold_s: Seconds
+    time_s: Seconds
 
 
 class AdaptiveDetector(_Detector, frozen=True, tag="adaptive"):
     """Threshold `J` that follows the generator's sigma, `usual` in the mode (`service.core.detectors.adaptive`)."""
 
     J: Positive
-    hold_ticks: Ticks
+    hold_s: Seconds
     usual: PerMode[Positive]
 
 
 class SpreadDetector(_Detector, frozen=True, tag="spread"):
-    """Threshold `J` on |ln variance|, forgotten over `memory_ticks` (`service.core.detectors.spread`)."""
+    """Threshold `J` on |ln variance|, forgotten over `memory_s` (`service.core.detectors.spread`)."""
 
     J: Annotated[float, Meta(gt=0, le=100)]  # it bounds the variance by exp(2 J), which must be a number
-    hold_ticks: Ticks
-    memory_ticks: Memory
+    hold_s: Seconds
+    memory_s: Seconds
 
 
 Detector = CusumDetector | ThresholdDetector | LowPassDetector | AdaptiveDetector | SpreadDetector
@@ -299,17 +353,20 @@ class Claim(_Part, frozen=True):
 class Manifest(_Part, frozen=True, omit_defaults=True):
     """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
 
+    After `settling_s` the slowest state of the system has forgotten where it started: how long things last is counted
+    in that (`TimeScale`).
     `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow. `senders`
     are the source addresses that were chosen for messages of the DBC, by their names; `buses` the names of the buses on
     which messages come, where the vehicle has several.
     """
 
-    schema: Literal["faultline.bundle/5"]
+    schema: Literal["faultline.bundle/6"]
     name: Text
     version: Version
     sensor_set: Literal["production", "instrumented"]
     period_s: Period
+    settling_s: Positive
     start_within_s: NotNegative
     dbc: Name
     graphs: NotEmpty[GraphFile]
@@ -327,3 +384,8 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     claim: Claim | None = None
     senders: dict[Name, Address] = {}
     buses: dict[Name, Name] = {}
+
+    @property
+    def time(self) -> "TimeScale":
+        """Ticks and settling times of the system."""
+        return TimeScale(self.period_s, self.settling_s)

@@ -40,14 +40,14 @@ class Monitor:
         self._observer = Observer(
             table,
             self._sampler,
-            ModeTracker(manifest.modes, manifest.inputs),
+            ModeTracker(manifest.modes, manifest.inputs, manifest.period_s),
             bank,
             manifest.period_s,
             manifest.start_within_s,
         )
         self._observer.gives_ages = watches_ages
         self._decision = Decision(manifest)
-        self._teller = Teller(source, bundle_id, manifest.period_s)
+        self._teller = Teller(source, bundle_id, manifest.time)
         self.watch = watch
         self._quality: Qualities | None = None
 

@@ -3,7 +3,6 @@
 import msgspec
 import numpy as np
 
-from faultline.service.core.manifest import MODES
 from faultline.service.core.records.discrimination import separations
 from faultline.service.core.records.line import encode
 from faultline.service.core.signals.values import FloatArray, Quality
@@ -65,7 +64,9 @@ def description(here: SystemState) -> SystemDescription:
         version=manifest.version,
         sensor_set=manifest.sensor_set,
         period_s=manifest.period_s,
-        modes=[*MODES],
+        settling_s=manifest.settling_s,
+        modes=[*manifest.modes.names],
+        instructions={mode.name: mode.instruction for mode in manifest.modes.steady if mode.instruction},
         inputs=msgspec.convert(manifest.inputs, list[Signal], from_attributes=True),
         generators=msgspec.convert(manifest.generators, list[GeneratorMeaning], from_attributes=True),
         detectors=msgspec.to_builtins(manifest.detectors),
@@ -86,7 +87,7 @@ def live_tick(here: SystemState, sent: int) -> tuple[int, bytes] | None:
         bundle=here.bundle.id,
         tick=latest.tick,
         t_s=round(latest.tick * manifest.period_s, 3),
-        mode=MODES[latest.mode],
+        mode=manifest.modes.names[latest.mode],
         z=_numbers(latest.z),
         quality=[Quality(each).name.lower() for each in latest.quality],
         y_hat=_numbers(latest.y_hat),

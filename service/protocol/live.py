@@ -5,6 +5,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from faultline.service.core.manifest import EDGE, TimeScale
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis
 
@@ -67,13 +68,29 @@ class SystemDescription(msgspec.Struct, frozen=True, kw_only=True):
     version: Annotated[int, Meta(description="of the bundle")] = 0
     sensor_set: Annotated[str, Meta(description="which sensors the vehicle has")] = ""
     period_s: Annotated[float, Meta(description="time between two samples [s]")]
-    modes: Annotated[list[str], Meta(description="names of the operating modes")] = []
+    settling_s: Annotated[float, Meta(description="time after which the slowest state has forgotten its start [s]")] = (
+        0.0
+    )
+    modes: Annotated[
+        list[str], Meta(description="names of the operating modes, as in lists by mode; `edge` first")
+    ] = []
+    instructions: Annotated[dict[str, str], Meta(description="what brings a mode about, for a technician")] = {}
     inputs: Annotated[list[Signal], Meta(description="signals, in the order of `z` and `quality`")]
     generators: Annotated[list[GeneratorMeaning], Meta(description="in the order of `y_hat` to `usable`")]
     detectors: Annotated[list[dict[str, object]], Meta(description="with their thresholds, as in the manifest")] = []
     faults: Annotated[list[FaultMeaning], Meta(description="those that the model knows")]
     disturbances: Annotated[list[DisturbanceMeaning], Meta(description="what may enter equations besides")] = []
     equations: Annotated[list[EquationMeaning], Meta(description="those that what is unknown can be near")] = []
+
+    @property
+    def time(self) -> TimeScale:
+        """Ticks and settling times."""
+        return TimeScale(self.period_s, self.settling_s)
+
+    @property
+    def steady(self) -> list[str]:
+        """The operating modes but the edge."""
+        return [mode for mode in self.modes if mode != EDGE]
 
     @property
     def tests(self) -> list[str]:

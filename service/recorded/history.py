@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.manifest import Manifest
 from faultline.service.core.memory.freeze import Sample
 from faultline.service.core.records.discrimination import separations
 from faultline.service.core.signals.values import Quality
@@ -70,7 +70,7 @@ class Ticks:
             latest=self.latest,
             tick=ticks.tolist(),
             t_s=np.round(ticks * self._manifest.period_s, 3).tolist(),
-            mode=[MODES[int(each)] for each in mode[:, 0]],
+            mode=[self._manifest.modes.names[int(each)] for each in mode[:, 0]],
             z=_named(signals, z, good),
             quality={
                 name: [Quality(int(each)).name.lower() for each in quality[:, k]] for k, name in enumerate(signals)

@@ -27,7 +27,7 @@ from faultline.service.protocol.questions import Question
 from faultline.service.workshop.cycle import Cycle, End
 from faultline.service.workshop.hindrance import remedy
 from faultline.service.workshop.listening import live_ticks
-from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, VISITS, plan
+from faultline.service.workshop.plan import HOLD, PATIENCE, VISITS, plan
 from faultline.service.workshop.report import page
 from faultline.service.workshop.result import Frame, Result, result
 from faultline.service.workshop.screen import Live, Plain, Screen, printable
@@ -72,7 +72,9 @@ def main(argv: list[str]) -> int:
     out = sys.stderr if options.json else sys.stdout
     for line in _said_before(begun, report):
         print(printable(line), file=out, flush=True)
-    cycle = Cycle(begun.system, plan(options.hold, VISITS), options.patience)
+    hold_s, patience_s = map(begun.system.time.seconds, (HOLD, PATIENCE))
+    steps = plan(begun.system.steady, options.hold or hold_s, VISITS)
+    cycle = Cycle(begun.system, steps, options.patience or patience_s)
     end = _observe(cycle, options.control, _screen(options))
     frame = Frame(state=begun.state, before=begun.memory.faults, begun=now, note=options.note)
     seen, end = _at_the_end(options.control, begun, end)
@@ -98,9 +100,11 @@ def _options(argv: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--force", action="store_true", help="replace a report that is already there")
     parser.add_argument("--note", metavar="TEXT", help="of the technician, for the report")
-    parser.add_argument("--hold", type=_seconds, default=HOLD_S, metavar="S", help=f"of each step ({HOLD_S:.0f})")
     parser.add_argument(
-        "--patience", type=_seconds, default=PATIENCE_S, metavar="S", help=f"without progress ({PATIENCE_S:.0f})"
+        "--hold", type=_seconds, metavar="S", help=f"of each step ({HOLD.settlings:.0f} settling times)"
+    )
+    parser.add_argument(
+        "--patience", type=_seconds, metavar="S", help=f"without progress ({PATIENCE.settlings:.0f} settling times)"
     )
     parser.add_argument("--plain", action="store_true", help="a line per change instead of one screen")
     parser.add_argument("--json", action="store_true", help="print the result for programs; progress on standard error")

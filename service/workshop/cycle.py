@@ -7,16 +7,16 @@ by who listens.
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from faultline.service.core.manifest import MODES
+from faultline.service.core.manifest import Span
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.protocol.live import LiveTick, SystemDescription
-from faultline.service.workshop.plan import QUIET_S, REQUIRED, STOOD_S, Step
+from faultline.service.workshop.plan import QUIET, STOOD, Step
 from faultline.service.workshop.progress import NEAR, Progress
 from faultline.service.workshop.trace import Trace
 
-LONGEST_GAP_S = 2.0
-"""Ticks that a slow reader was not sent count as those around them: an edge between would have lasted longer."""
+LONGEST_GAP = Span(settlings=0.1, seconds=2)
+"""Ticks that a slow reader was not sent count as those around them: an edge would have been longer."""
 
 End = Literal["complete", "patience", "interrupted", "service-ended", "begun-anew"]
 """complete: every step is done, and what is told has settled. patience: nothing came further for too long.
@@ -47,6 +47,8 @@ class Cycle:
 
     def __init__(self, system: SystemDescription, steps: Sequence[Step], patience_s: float) -> None:
         self.system, self.patience_s = system, patience_s
+        self.modes = system.steady
+        self.quiet_s, self._stand_s, self._gap_s = map(system.time.seconds, (QUIET, STOOD, LONGEST_GAP))
         self._steps = tuple(steps)
         self.episodes: list[Episode] = []
         self.suspicions = 0
@@ -60,7 +62,7 @@ class Cycle:
 
     def _begin(self) -> None:
         self.progress = Progress(self._steps)
-        self.seconds = {test: dict.fromkeys(REQUIRED, 0.0) for test in self.system.tests}
+        self.seconds = {test: dict.fromkeys(self.modes, 0.0) for test in self.system.tests}
         self.worst: dict[str, float] = dict.fromkeys(self.system.tests, 0.0)
         self.alarmed: set[str] = set()
         self._quiet_s = 0.0
@@ -79,7 +81,7 @@ class Cycle:
             before = None
         period = self.system.period_s
         gap = period if before is None else (tick.tick - before.tick) * period
-        span = gap if gap <= LONGEST_GAP_S + NEAR and before is not None and before.mode == tick.mode else period
+        span = gap if gap <= self._gap_s + NEAR and before is not None and before.mode == tick.mode else period
         self._elapsed += gap
         self._note(tick, first=self.latest is None)
         self._settle(tick, before, gap)
@@ -109,8 +111,8 @@ class Cycle:
     def settled(self) -> bool:
         """Return True if the diagnosis has been stable for long enough to end with."""
         if self.latest is not None and self.latest.diagnoses:
-            return self._stood_s >= STOOD_S - NEAR
-        return self._quiet_s >= QUIET_S - NEAR
+            return self._stood_s >= self._stand_s - NEAR
+        return self._quiet_s >= self.quiet_s - NEAR
 
     @property
     def ended(self) -> End | None:
@@ -125,7 +127,7 @@ class Cycle:
 
     def _cover(self, tick: LiveTick, span: float) -> None:
         telling = {row.test for row, usable in zip(self.system.generators, tick.usable, strict=True) if usable}
-        for test in telling - {*tick.cannot_tell} if tick.mode in REQUIRED else ():
+        for test in telling - {*tick.cannot_tell} if tick.mode in self.modes else ():
             self.seconds[test][tick.mode] += span
         for row, value, usable in zip(self.system.generators, tick.sums, tick.usable, strict=True):
             if usable and value is not None and abs(value) > abs(self.worst[row.test]):
@@ -151,6 +153,3 @@ class Cycle:
         self._quiet_s = 0.0 if is_suspected or tick.diagnoses else self._quiet_s + gap
         same = before is not None and candidates(before.diagnoses) == candidates(tick.diagnoses)
         self._stood_s = self._stood_s + gap if same and tick.diagnoses else 0.0
-
-
-assert {*REQUIRED} < {*MODES}

@@ -85,7 +85,7 @@ def hindrances(system: SystemDescription, tick: LiveTick) -> list[Hindrance]:
 def instead(hindrance: Hindrance) -> str:
     """Return what to do about it."""
     if hindrance.quality is None:
-        return "bring the system there: build up pressure with the pump"
+        return "bring the system into that range"
     if hindrance.quality in ("missing", "late"):
         return "check ignition, the sensor's plug and the control unit that sends it"
     if hindrance.quality == "doubted":

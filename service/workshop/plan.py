@@ -3,31 +3,29 @@
 A step is a mode that the service observes on the bus, held for so long that all tests can tell of it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-# A suspicion is looked at afresh once residuals have settled, 20 s (the warm-up of the tests) after it; the level that
-# the last 30 to 60 s show is compared with other days (`core.decision.window.Recent`); an alarm that goes heals after
-# 15 s in the mode that showed it. A minute of a mode is enough of each.
-HOLD_S = 60.0
-# Means of a mode differ from visit to visit by more than noise does (`Evidence.visit`), and what shows only in one mode
-# is to be seen coming back: twice a minute tells more than two minutes at once.
+from faultline.service.core.manifest import Span
+
+HOLD = Span(settlings=3, seconds=60)
+"""A suspicion is looked at afresh one settling time after it; the level of the last 1.5 to 3 of
+them is compared with other drives (`core.decision.window.Recent`); an alarm that goes heals after 0.75 in the mode that
+showed it."""
+
 VISITS = 2
-# So long nothing must be suspected before the end: it is what the decision asks of quiet in a mode.
-QUIET_S = 15.0
-# So long the explanations of a fault must have stood: 20 s until they are ranked, and two looks at them, 3 s apart.
-STOOD_S = 26.0
-# What is suspected is confirmed or taken for the day's within ten minutes.
-PATIENCE_S = 600.0
+"""Means of a mode differ from visit to visit by more than noise does (`Evidence.visit`), and what shows only in one
+mode is to be seen coming back: two visits tell more than one of twice the length."""
 
-REQUIRED = ("idle", "partial", "maximum")
-"""Modes in which every fault has to be looked for; at an *edge* nothing can be told."""
+QUIET = Span(settlings=0.75, seconds=15)
+"""So long nothing must be suspected before the end: it is what the decision asks of quiet in a mode."""
 
-ORDERS = {
-    "idle": "hold the pressure and do not dose",
-    "partial": "dose partially: any dose between none and full, held steady",
-    "maximum": "dose at maximum: the valve held open",
-}
-"""What brings a mode about."""
+STOOD = Span(settlings=1.3, seconds=26)
+"""So long the explanations of a fault must have stood: one until they are ranked, and two looks at
+them."""
+
+PATIENCE = Span(settlings=30, seconds=600)
+"""After this what is suspected is confirmed or taken for the drive's."""
 
 
 class Step(NamedTuple):
@@ -38,10 +36,10 @@ class Step(NamedTuple):
     hold_s: float
 
 
-def plan(hold_s: float = HOLD_S, visits: int = VISITS) -> tuple[Step, ...]:
+def plan(modes: Sequence[str], hold_s: float, visits: int = VISITS) -> tuple[Step, ...]:
     """Return the steps in the order in which they are asked for; any order counts.
 
-    >>> [f"{step.mode} {step.visit}" for step in plan()]
-    ['idle 1', 'partial 1', 'maximum 1', 'idle 2', 'partial 2', 'maximum 2']
+    >>> [f"{step.mode} {step.visit}" for step in plan(["low", "high"], 60.0)]
+    ['low 1', 'high 1', 'low 2', 'high 2']
     """
-    return tuple(Step(mode, visit, hold_s) for visit in range(1, visits + 1) for mode in REQUIRED)
+    return tuple(Step(mode, visit, hold_s) for visit in range(1, visits + 1) for mode in modes)

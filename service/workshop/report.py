@@ -8,7 +8,6 @@ from faultline.service.pages import Table, render
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop import svg
 from faultline.service.workshop.hindrance import remedy
-from faultline.service.workshop.plan import REQUIRED
 from faultline.service.workshop.result import RememberedSeen, Result
 from faultline.service.workshop.trace import Sample
 from faultline.service.workshop.verdict import ENDS, Candidate
@@ -92,9 +91,10 @@ def _coverage(result: Result) -> Table:
         return f"{seconds:.0f} of {required:.0f} s{'' if seconds >= required else ', SHORT'}"
 
     rows = [
-        (each.test, *(cell(each.seen_s[mode], result.required_s[mode]) for mode in REQUIRED)) for each in result.tests
+        (each.test, *(cell(each.seen_s[mode], result.required_s[mode]) for mode in result.required_s))
+        for each in result.tests
     ]
-    return _words(("test", *REQUIRED), rows)
+    return _words(("test", *result.required_s), rows)
 
 
 def _tests(result: Result, system: SystemDescription) -> Table:

@@ -9,7 +9,6 @@ from faultline.service.core.records.health import Standing
 from faultline.service.protocol.answers import ServiceState
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle, End
-from faultline.service.workshop.plan import REQUIRED
 from faultline.service.workshop.verdict import Seen, Verdict, judge, required_s
 
 SCHEMA = "faultline.workshop/1"
@@ -135,7 +134,7 @@ def _test(cycle: Cycle, system: SystemDescription, test: str) -> TestSeen:
         verdict=verdict,
         alarmed=test in cycle.alarmed,
         worst=round(cycle.worst[test], 3),
-        seen_s={mode: round(cycle.seconds[test][mode], 1) for mode in REQUIRED},
+        seen_s={mode: round(cycle.seconds[test][mode], 1) for mode in cycle.modes},
     )
 
 

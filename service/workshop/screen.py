@@ -5,7 +5,6 @@ import unicodedata
 from typing import Protocol, TextIO
 
 from faultline.service.workshop.cycle import Cycle
-from faultline.service.workshop.plan import REQUIRED
 from faultline.service.workshop.units import shown
 from faultline.service.workshop.words import SILENCE_S, order, so_far
 
@@ -97,10 +96,10 @@ def drawn(cycle: Cycle) -> list[str]:
         f"   {channel.signal:<12}{shown(value, channel.unit):>14}{'' if quality == 'good' else f'  {quality}'}"
         for channel, value, quality in zip(cycle.system.inputs, tick.z, tick.quality, strict=True)
     ]
-    rows += ["", f"   {'test':<8}{'now':<13}{'worst':>7}   seconds in {', '.join(REQUIRED)}"]
+    rows += ["", f"   {'test':<8}{'now':<13}{'worst':>7}   seconds in {', '.join(cycle.modes)}"]
     for test in cycle.system.tests:
         now = "cannot tell" if test in tick.cannot_tell else "ALARM" if test in tick.alarm else "quiet"
-        seconds = "".join(f"{cycle.seconds[test][mode]:6.0f}" for mode in REQUIRED)
+        seconds = "".join(f"{cycle.seconds[test][mode]:6.0f}" for mode in cycle.modes)
         rows.append(f"   {test:<8}{now:<13}{cycle.worst[test]:+7.2f}   {seconds}")
     return rows
 

@@ -10,7 +10,9 @@ from faultline.service.workshop.units import scaled, unit_shown
 WIDTH, LEFT, RIGHT = 720, 70, 8
 HEIGHT = 150  # of a signal's picture
 ROW = 26  # of a test's line
-SHADES = {"idle": "#ffffff", "partial": "#e4e4e4", "maximum": "#c4c4c4", "edge": "#f4f4f4"}
+SHADES = ("#ffffff", "#e4e4e4", "#c4c4c4", "#d4d4d4", "#b4b4b4")
+"""Of the steady modes, in turn."""
+AT_EDGE = "#f4f4f4"
 DASHES = ("5 3", "2 2", "8 3 2 3", "1 3", "10 4")
 SUMS = "Sum of each test in parts of its threshold, held at -2 and 2; alarm beyond the dashed lines, -1 and 1."
 
@@ -64,7 +66,9 @@ def signals(system: SystemDescription, samples: Sequence[Sample]) -> list[Pictur
         caption = (
             f"{channel.signal} [{unit_shown(channel.unit)}]: measured (whole line), predicted (dashes in px: {tests})"
         )
-        pictures.append(_signal(f"{channel.signal} over the cycle", caption, samples, measured, predicted))
+        pictures.append(
+            _signal(f"{channel.signal} over the cycle", caption, samples, measured, predicted, system.steady)
+        )
     return pictures
 
 
@@ -81,11 +85,16 @@ def sums(system: SystemDescription, samples: Sequence[Sample]) -> Picture:
         curves.append((_path([(each.t_s, each.sums[n]) for each in samples], time, level), 1.2, "none"))
     labels += _times(time, height - 6)
     title = "sums of the tests in parts of their threshold"
-    return Picture(title, SUMS, height, _shades(samples, time), levels, curves, labels)
+    return Picture(title, SUMS, height, _shades(samples, time, system.steady), levels, curves, labels)
 
 
 def _signal(
-    title: str, caption: str, samples: Sequence[Sample], measured: list[Point], predicted: list[list[Point]]
+    title: str,
+    caption: str,
+    samples: Sequence[Sample],
+    measured: list[Point],
+    predicted: list[list[Point]],
+    modes: Sequence[str],
 ) -> Picture:
     told = {
         t_s for line in predicted for t_s, value in line if value is not None
@@ -99,7 +108,9 @@ def _signal(
     labels = [(LEFT - 6, level(value) + 4, "end", f"{value:.3g}") for value in ticks]
     curves = [(_path(line, time, level), 0.8, DASHES[n % len(DASHES)]) for n, line in enumerate(predicted)]
     curves.append((_path(measured, time, level), 1.4, "none"))
-    return Picture(title, caption, HEIGHT, _shades(samples, time), levels, curves, [*labels, *_times(time, HEIGHT - 6)])
+    return Picture(
+        title, caption, HEIGHT, _shades(samples, time, modes), levels, curves, [*labels, *_times(time, HEIGHT - 6)]
+    )
 
 
 def _value(value: float | None, unit: str) -> float | None:
@@ -111,13 +122,14 @@ def _time(samples: Sequence[Sample]) -> Axis:
     return Axis(*ends, LEFT, WIDTH - RIGHT)
 
 
-def _shades(samples: Sequence[Sample], time: Axis) -> list[tuple[float, float, str]]:
+def _shades(samples: Sequence[Sample], time: Axis, modes: Sequence[str]) -> list[tuple[float, float, str]]:
     """Return the operating mode as shade of the background, for each visit."""
     starts = [k for k, each in enumerate(samples) if k == 0 or each.mode != samples[k - 1].mode]
+    shade = {mode: SHADES[k % len(SHADES)] for k, mode in enumerate(modes)}
     shades = []
     for start, end in zip(starts, [*starts[1:], len(samples) - 1], strict=True):
         left, right = time(samples[start].t_s), time(samples[end].t_s)
-        shades.append((left, right - left, SHADES.get(samples[start].mode, "#ffffff")))
+        shades.append((left, right - left, shade.get(samples[start].mode, AT_EDGE)))
     return shades
 
 

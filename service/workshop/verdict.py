@@ -12,7 +12,6 @@ from faultline.service.core.records.health import Standing, meaning
 from faultline.service.protocol.live import FaultMeaning, SystemDescription
 from faultline.service.workshop.cycle import Cycle, End, Episode
 from faultline.service.workshop.hindrance import hindrances, instead
-from faultline.service.workshop.plan import QUIET_S, REQUIRED
 from faultline.service.workshop.progress import NEAR
 
 Kind = Literal["fault", "no-fault", "cannot-tell"]
@@ -156,7 +155,7 @@ def _blind(cycle: Cycle) -> list[str]:
     required = required_s(cycle)
     short: dict[str, list[str]] = {}
     for test, seconds in cycle.seconds.items():
-        lacking = [f"{mode} {seconds[mode]:.0f} s" for mode in REQUIRED if seconds[mode] < required[mode] - NEAR]
+        lacking = [f"{mode} {seconds[mode]:.0f} s" for mode in cycle.modes if seconds[mode] < required[mode] - NEAR]
         if lacking:
             short.setdefault(", ".join(lacking), []).append(test)
     whole = ", ".join(f"{mode} {seconds:.0f} s" for mode, seconds in required.items())
@@ -169,10 +168,10 @@ def _undecided(cycle: Cycle) -> list[str]:
         what = f"{who} alarms" if who else "what is seen is unlike this day"
         return [f"{what} at the end, and no fault is confirmed: something is suspected and not decided"]
     if cycle.latest is not None and not cycle.settled:
-        return [f"the last {QUIET_S:.0f} s were not all without a suspicion"]
+        return [f"the last {cycle.quiet_s:.0f} s were not all without a suspicion"]
     return []
 
 
 def required_s(cycle: Cycle) -> dict[str, float]:
     """Return the seconds in which every test has to be able to tell, by mode."""
-    return {mode: sum(step.hold_s for step in cycle.progress.steps if step.mode == mode) for mode in REQUIRED}
+    return {mode: sum(step.hold_s for step in cycle.progress.steps if step.mode == mode) for mode in cycle.modes}

@@ -5,7 +5,6 @@ from faultline.service.core.records.event import Diagnosis
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.hindrance import hindrances, instead
-from faultline.service.workshop.plan import ORDERS, REQUIRED
 from faultline.service.workshop.verdict import Candidate, Kind, named
 
 SILENCE_S = 2.0
@@ -22,19 +21,24 @@ def order(cycle: Cycle) -> str:
     if k is None:
         return _waiting(cycle)
     step = progress.steps[k]
-    told = f"{ORDERS[step.mode]}, for another {progress.left(k):.0f} s"
+    told = f"{instruction(cycle.system, step.mode)}, for another {progress.left(k):.0f} s"
     if progress.must_leave:
-        return f"dose otherwise for a moment, as this must be a second time. Then {told}"
+        return f"leave this mode for a moment, as it must be a second time. Then {told}"
     if not any(tick.usable):
         return f"{_why(cycle)} Then {told}"
     if tick.mode != step.mode:
-        return f"wait: values settle after a change. Then {told}" if tick.mode not in REQUIRED else told
+        return f"wait: values settle after a change. Then {told}" if tick.mode not in cycle.modes else told
     return f"go on: {told}" if all(tick.usable) else f"go on: {told}. {_why(cycle)}"
+
+
+def instruction(system: SystemDescription, mode: str) -> str:
+    """Return what brings a mode about."""
+    return system.instructions.get(mode, f"bring the system into its mode {mode!r}")
 
 
 def _waiting(cycle: Cycle) -> str:
     if cycle.latest is not None and cycle.latest.diagnoses:
-        return "all steps are done: go on dosing as you like, until the candidates stand"
+        return "all steps are done: operate the system as you like, until the candidates stand"
     if cycle.suspected:
         return "all steps are done, and something is suspected: repeat the steps until it is decided"
     return "all steps are done: some seconds more without a suspicion"
@@ -47,7 +51,11 @@ def _why(cycle: Cycle) -> str:
     if found:
         return " ".join(f"{each}: {instead(each)}." for each in found)
     blind = " ".join(cycle.latest.cannot_tell)
-    return f"{blind or 'Some tests'} cannot tell yet: they warm up for some 20 s." if blind else "Tests warm up."
+    return (
+        f"{blind or 'Some tests'} cannot tell yet: they warm up for some {cycle.system.settling_s:.0f} s."
+        if blind
+        else "Tests warm up."
+    )
 
 
 def so_far(cycle: Cycle) -> str:

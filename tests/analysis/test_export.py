@@ -50,6 +50,7 @@ def made(tmp_path: Path) -> Made:
         model_sha256=model_digest(text),
         recordings=[TUNED],
         modes=modes_of(load_model("uds")),
+        period_s=0.2,
         start_within_s=START_WITHIN_S,
         calibrated=[],
         zero=[d.offset for d in golden.manifest.detectors],
@@ -339,7 +340,7 @@ def test_the_manifest_says_which_sender_of_a_vendors_message_was_chosen(made: Ma
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/5'"),
+        ({"schema": "faultline.tuning/0"}, "schema: this is 'faultline.tuning/0', wanted is 'faultline.tuning/6'"),
         ({"extra": 1}, "not a tuning file: Object contains unknown field `extra`"),
         ({"detectors": None}, "not a tuning file: Expected `array`, got `null`"),
     ],

@@ -164,7 +164,7 @@ def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
     monitor = Monitor(manifest, bundle.bank(), bundle.table, asked.name, bundle.id, watch)
     told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in frames(asked, load_dbc(), [run])))
     origin_s = ticks[0].t_s
-    dose = [channel.signal for channel in manifest.inputs].index(manifest.modes.signal)
+    dose = [channel.signal for channel in manifest.inputs].index("dc_dose")
     z = np.array([tick.z for tick in ticks])
     return Watched(
         events=[(origin_s + event.t_s, event) for event in told],
@@ -175,7 +175,7 @@ def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
         r=np.array([tick.residuals.r for tick in ticks]),
         usable=np.array([tick.residuals.usable for tick in ticks]),
         mode=np.array([tick.mode for tick in ticks]),
-        dosing=z[:, dose] >= manifest.modes.idle_below,
+        dosing=z[:, dose] >= 0.02,
     )
 
 

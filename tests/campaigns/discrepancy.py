@@ -32,8 +32,7 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.experiment import propose
 from faultline.analysis.model import load_model
-from faultline.service.core.manifest import MODES
-from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.manifest import EDGE
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES, Cycle, read_cycle
 from faultline.testbench.effects import EFFECTS
@@ -162,7 +161,7 @@ def _closure(case: Case, found: Discovery, data: Data, root: Path) -> dict[str, 
         f"{name} {mode}": {title: float(by_output[name][mode].rms) for title, by_output in errors.items()}
         for name, by_mode in floor.before.agreement.items()
         for mode in by_mode
-        if mode != MODES[EDGE]
+        if mode != EDGE
     }
     return {"closure": by_regime, "refused": list(adoption(data, found, runs).reasons)}
 

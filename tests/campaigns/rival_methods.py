@@ -16,7 +16,9 @@ from sklearn.ensemble import RandomForestClassifier
 
 from faultline.service.core.decision.isolation import diagnoses
 from faultline.service.core.detectors.spread import LARGEST
-from faultline.service.core.signals.modes import EDGE
+
+MODES = range(4)
+"""Indices of the dosing system's modes, the edge first."""
 
 ISOLATED_S = 120.0
 """A rival, too, has so long after its alarm."""
@@ -133,7 +135,7 @@ def _ends(s: Series) -> npt.NDArray[np.int64]:
 def _features(s: Series, ends: npt.NDArray[np.int64]) -> Array:
     """Mean and spread (windows, 2 modes T) of each residual by mode; NaN where a mode was not seen."""
     columns = []
-    for mode in range(EDGE):
+    for mode in MODES[1:]:
         inside = s.usable & (s.mode == mode)[:, None]
         sums = [np.cumsum(np.where(inside, power, 0.0), axis=0) for power in (1.0, s.r, s.r.astype(np.float64) ** 2)]
         n, first, second = (_between(total, ends) for total in sums)
@@ -190,7 +192,7 @@ class Variance:
 
     def fit(self, made_from: Sequence[Series]) -> None:
         """Levels and spreads of differences by mode, and the largest |ln v| of each test, from fault-free drives."""
-        shape = made_from[0].r.shape[1], EDGE + 1
+        shape = made_from[0].r.shape[1], len(MODES)
         self._level, self._sd = np.zeros(shape), np.ones(shape)
         for j, mode in np.ndindex(shape):
             inside = [s.usable[:, j] & (s.mode == mode) for s in made_from]

@@ -37,7 +37,7 @@ def series(vehicle: int, fault: str | None, seed: int, seconds: float = 400.0, n
         alarms=[],
         **told,
     )
-    usable, mode = np.ones(r.shape, dtype=np.bool_), (np.arange(len(t)) // 100) % 3
+    usable, mode = np.ones(r.shape, dtype=np.bool_), 1 + (np.arange(len(t)) // 100) % 3
     return Series(one, t, z.astype(np.float32), r.astype(np.float32), usable, mode, np.ones(len(t), dtype=np.bool_))
 
 

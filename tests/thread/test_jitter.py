@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from faultline.service.bundle.load import load_bundle
-from faultline.service.core.decision.decision import RANKING_PERIOD
+from faultline.service.core.decision.decision import RANKING
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import candidates, decode
 from faultline.service.logs import Frame, open_log
@@ -15,6 +15,7 @@ from faultline.service.logs import Frame, open_log
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 OFFLINE = [decode(line) for line in (GOLDEN / "events.jsonl").read_bytes().splitlines()]
 
+RANKING_TICKS = load_bundle(GOLDEN / "bundle").manifest.time.ticks(RANKING)
 USUAL_S, SELDOM_S, SELDOM = 3e-4, 1e-2, 1e-3
 """Lateness [s, wall] of replayed frames as measured: the usual spread, and the worst of one frame in a thousand."""
 
@@ -42,4 +43,4 @@ def test_lateness_moves_no_event_by_more_than_two_samples_and_a_refinement_by_tw
         looks = (
             2 if ours.transition == "refined" else 0
         )  # which look sees it, and which says it again, hangs on a sample
-        assert abs(ours.tick - theirs.tick) <= 2 + looks * RANKING_PERIOD, (seed, ours, theirs)
+        assert abs(ours.tick - theirs.tick) <= 2 + looks * RANKING_TICKS, (seed, ours, theirs)

@@ -49,7 +49,8 @@ def followed(path: Path) -> tuple[Cycle, Verdict]:
     """What every tick of the log says, as the control socket would send it."""
     bundle = load_bundle(GOLDEN / "bundle")
     here: Any = SimpleNamespace(name="uds", bundle=bundle, recorder=SimpleNamespace(latest=None))
-    cycle = Cycle(msgspec.convert(json.loads(msgspec.json.encode(description(here))), SystemDescription), plan(), 600.0)
+    system = msgspec.convert(json.loads(msgspec.json.encode(description(here))), SystemDescription)
+    cycle = Cycle(system, plan(system.steady, 60.0), 600.0)
 
     def watch(tick: Observed, decision: Decision) -> None:
         here.recorder.latest = Sample.of(tick, decision)

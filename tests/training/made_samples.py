@@ -6,11 +6,13 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import load_model
 from faultline.training.layout import Layout, layout_of
 from faultline.training.recipe import DEFAULT, Phase
 from faultline.training.samples import Samples, Stretch
+
+PERIOD_S = 0.2  # of the dosing system
+
 
 Array = npt.NDArray[np.float64]
 

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from faultline.analysis.calibration.problem import DELAY_S, LAG_S
+from faultline.analysis.calibration.problem import DELAY, LAG
 from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.add.adopt import adopted
 from faultline.analysis.discrepancy.add.held_out import Shown
 from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import MODES
-from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.manifest import EDGE
 
 WORSE = 1.05
 """A free run's error in a mode may grow by this factor, and to what noise lets expect; more, and nothing is added."""
@@ -78,7 +77,7 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         told = [f"{g.output} {_digits(g.before.rms)} -> {_digits(g.after.rms)} {known[g.output].unit}" for g in steady]
         yield f"the held-out free run is not better, by its RMS error in steady operation ({', '.join(told)})"
     for gap in shown.gaps:
-        if gap.mode != MODES[EDGE] and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
+        if gap.mode != EDGE and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
             yield (
                 f"the held-out free run of {gap.output} grows worse ({gap.mode}), from {gap.before.rms:.0f} to "
                 f"{gap.after.rms:.0f} {known[gap.output].unit}"
@@ -87,7 +86,10 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         if not inside:
             yield f"{name} has run into its bound"
     nuisance = chosen.unknowns.nuisance(chosen.x)
-    for what, values, usual in (("lag", nuisance.lag, LAG_S), ("delay", nuisance.delay, DELAY_S)):
+    for what, values, usual in (
+        ("lag", nuisance.lag, LAG * found.study.model.period_s),
+        ("delay", nuisance.delay, DELAY * found.study.model.period_s),
+    ):
         for name, seconds in values.items():
             if abs(seconds) > UNLIKELY * usual:
                 yield f"the {what} of {name} has gone to {seconds:.2f} s, {usual:g} s is usual"

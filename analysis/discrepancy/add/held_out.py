@@ -19,7 +19,6 @@ from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried
 from faultline.analysis.discrepancy.name.likelihood import Bins, Likelihood, bins_of
 from faultline.analysis.simulation import System, Trajectory
-from faultline.service.core.manifest import MODES
 from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
@@ -166,7 +165,7 @@ def _white(system: System, bins: Sequence[Bins], e: Array) -> dict[str, dict[str
         np.concatenate([getattr(part, name) for part in bins]) for name in ("output", "mode", "neighbour")
     )
     run = np.cumsum(~neighbour)
-    titles = {MODES[k]: mode == k for k in range(len(MODES))} | {STEADY: mode != EDGE}
+    titles = {name: mode == k for k, name in system.model.modes.listed} | {STEADY: mode != EDGE}
     return {
         name: {
             title: found

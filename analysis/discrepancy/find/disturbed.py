@@ -15,9 +15,6 @@ from faultline.analysis.simulation import Drive, System, Trajectory, disturbance
 
 Array = npt.NDArray[np.float64]
 
-STEP_S = 0.2
-"""Of these runs, if the problem's own step is shorter: what is looked for lasts for seconds."""
-
 
 @dataclass(frozen=True)
 class DisturbedRuns:
@@ -71,7 +68,7 @@ def disturbed_runs(problem: Problem, x: Array) -> DisturbedRuns:
     system = system_of(problem.system.model, problem.system.parameters, disturbed=True)
     sections, trajectories = [], []
     for section, fine in zip(problem.sections, problem.trajectories(x), strict=True):
-        every = max(1, round(STEP_S / fine.drive.step_s))
+        every = max(1, round(section.time.period_s / fine.drive.step_s))
         inputs = fine.drive.inputs[::every]
         extra = np.zeros((len(inputs), len(system.inputs) - inputs.shape[1]))
         guess = fine.w[::every]

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.discrepancy.find.disturbed import DisturbedRuns
-from faultline.analysis.discrepancy.find.quantities import PARTIAL, Term, mode_of, quantities, terms_of
+from faultline.analysis.discrepancy.find.quantities import Term, mode_of, quantities, terms_of
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 
@@ -138,14 +137,15 @@ class Operation:
 
     def _of_modes(self, own: set[str]) -> list[Course]:
         rule, found = self.model.modes, []
-        for k, name in enumerate(MODES):
+        rest, first = rule.names.index(rule.rest.name), rule.bounded[0] if rule.bounded else ""
+        for k, name in enumerate(rule.names):
             there = self._mode == k
-            if rule is not None and SELDOM < np.mean(there) < 1.0 - SELDOM:
+            if len(rule.steady) > 1 and SELDOM < np.mean(there) < 1.0 - SELDOM:
                 found.append(
                     Course(
-                        f"only at {name} {rule.signal}",
+                        f"only at {name} {first}",
                         there * 1.0,
-                        _cost(EVERYWHERE if k == PARTIAL else 2.0, rule.signal, own),
+                        _cost(EVERYWHERE if k == rest else 2.0, first, own),
                     )
                 )
         return found

@@ -16,8 +16,8 @@ from faultline.analysis.model import Model
 
 Array = npt.NDArray[np.float64]
 
-AWAY_S = 30.0
-"""A step nearer than this to the beginning or the end may be anything."""
+AWAY = 1.5
+"""Settling times. A step nearer than this to the beginning or the end may be anything."""
 
 EXPLAINED = 0.6
 """Of the curve's square around its mean: a step that explains less is none."""
@@ -29,8 +29,8 @@ CLEAR = 30.0
 """Evidence [nats] that something is missing; with less there is no curve to look at."""
 
 
-SETTLING_S = (20.0, 40.0, 80.0, 160.0)
-"""What settles, with these time constants: a warm-up, a clock that is found."""
+SETTLING = (1.0, 2.0, 4.0, 8.0)
+"""What settles, with these time constants in settling times: a warm-up, a clock that is found."""
 
 
 @dataclass(frozen=True)
@@ -71,24 +71,26 @@ def onset(model: Model, location: Location, recordings: Sequence[str]) -> Onset 
     courses = location.courses[suspect.equation]
     for log, recording in enumerate(recordings):
         here = np.asarray(suspect.log == log)
-        t_s = _step(suspect.t[here], suspect.value[here], 1.0 / suspect.sd[here] ** 2, courses[here])
+        t_s = _step(suspect.t[here], suspect.value[here], 1.0 / suspect.sd[here] ** 2, courses[here], model.settling_s)
         if t_s is not None:
             own = [model.equations[name] for name in location.members if name in model.equations]  # not an effect's
             return Onset(t_s, location.members[0], tuple(e.fault.name for e in own if e.fault), recording)
     return None
 
 
-def _step(t: Array, value: Array, weight: Array, courses: Array) -> float | None:
+def _step(t: Array, value: Array, weight: Array, courses: Array, settling_s: float) -> float | None:
     """When [s] the values (cells,) take a step; None if that is no good account of them.
 
     `courses` (cells, n) are those of the quantities that they follow.
     """
-    inside = t[(t > t.min() + AWAY_S) & (t < t.max() - AWAY_S)] if len(t) else t
+    away_s = AWAY * settling_s
+    inside = t[(t > t.min() + away_s) & (t < t.max() - away_s)] if len(t) else t
     always = np.ones((len(t), 1))
     whole = _left(value, weight, always)
     if not len(inside) or whole <= 0.0:
         return None
-    physics = [t[:, None] - t.mean(), courses, *(np.exp(-(t[:, None] - t.min()) / tau) for tau in SETTLING_S)]
+    since = (t[:, None] - t.min()) / settling_s
+    physics = [t[:, None] - t.mean(), courses, *(np.exp(-since / tau) for tau in SETTLING)]
     otherwise = min(_left(value, weight, np.hstack([always, course])) for course in physics)
     left = {at: _left(value, weight, np.hstack([always, (t >= at)[:, None]])) for at in inside}
     best = min(left, key=lambda at: left[at])

@@ -10,11 +10,8 @@ import sympy as sp
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.model import Model
 from faultline.analysis.simulation import System, Trajectory
-from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
-
-IDLE, PARTIAL, MAXIMUM = (MODES.index(name) for name in ("idle", "partial", "maximum"))
 
 
 def quantities(trajectory: Trajectory) -> dict[str, Array]:
@@ -91,16 +88,11 @@ def terms_of(model: Model, equation: str, values: Mapping[str, Array], numbers: 
 
 
 def mode_of(model: Model, system: System, section: Section) -> npt.NDArray[np.int64]:
-    """The operating mode at the section's instants by its signal alone, as nothing is settling: no *edge*."""
-    count = len(section.t)
-    rule = model.modes
-    if rule is None:
-        return np.full(count, PARTIAL, dtype=np.int64)
-    if rule.signal in system.inputs:
-        level = section.drive.inputs[:, system.inputs.index(rule.signal)]
-    else:
-        samples = section.samples[rule.signal]
-        level = np.interp(section.t, samples.t, samples.value)
-    low = -np.inf if rule.idle_below is None else rule.idle_below
-    high = np.inf if rule.maximum_above is None else rule.maximum_above
-    return np.asarray(np.where(level < low, IDLE, np.where(level > high, MAXIMUM, PARTIAL)), dtype=np.int64)
+    """The operating mode at the section's instants by the levels alone, as nothing is settling: no *edge*."""
+    levels = {
+        name: section.drive.inputs[:, system.inputs.index(name)]
+        if name in system.inputs
+        else np.interp(section.t, section.samples[name].t, section.samples[name].value)
+        for name in model.modes.bounded
+    }
+    return model.modes.at(levels, len(section.t))

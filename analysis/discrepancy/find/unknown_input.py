@@ -18,14 +18,14 @@ from faultline.analysis.discrepancy.find.quantities import mode_of
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-CELL_S = 4.0
-"""As long as the slowest time constant of a dosing system: what is faster shows as its mean."""
+CELL = 0.2
+"""Settling times. As long as the slowest time constant: what is faster shows as its mean."""
 
 MOST_CELLS = 400
 """More, and the cells become longer instead: time grows with their square."""
 
-DRIFT_S, QUICK_S = 40.0, 8.0
-"""How long the slow prior and the quick one remember (Matern 3/2)."""
+DRIFT, QUICK = 2.0, 0.4
+"""Settling times. How long the slow prior and the quick one remember (Matern 3/2)."""
 
 PRIORS = ("drifting", "switching", "quick")
 SWITCHING = {"level": 0.1, "mode": 1.0, "stretch": 0.1, "drift": 0.1}
@@ -34,11 +34,12 @@ SWITCHING = {"level": 0.1, "mode": 1.0, "stretch": 0.1, "drift": 0.1}
 
 @dataclass(frozen=True)
 class Cells:
-    """`number` (K,) is each instant's cell by section.
+    """`number` (K,) is each instant's cell by section, `settling_s` the model's settling time [s].
 
     Of each cell: `t` [s] its middle, the number of its recording or `log`, its section, stretch and mode.
     """
 
+    settling_s: float
     number: tuple[Ints, ...]
     t: Array
     log: Ints
@@ -62,7 +63,7 @@ class Cells:
     def roots(self) -> dict[str, Array]:
         """A root of each prior's covariance, by its name in `PRIORS`; its variance is one to two."""
         same = self.section[:, None] == self.section
-        drift = same * _matern(self.t, DRIFT_S)
+        drift = same * _matern(self.t, DRIFT * self.settling_s)
         parts = {
             "level": np.ones_like(drift),
             "mode": self.mode[:, None] == self.mode,
@@ -70,14 +71,14 @@ class Cells:
             "drift": drift,
         }
         switching = sum(variance * parts[name] for name, variance in SWITCHING.items())
-        covariances = (1.0 + drift, switching, same * _matern(self.t, QUICK_S))
+        covariances = (1.0 + drift, switching, same * _matern(self.t, QUICK * self.settling_s))
         return {name: _root(np.asarray(K)) for name, K in zip(PRIORS, covariances, strict=True)}
 
 
 def cells_of(runs: DisturbedRuns) -> Cells:
     """The cells of all sections."""
     span = sum(float(section.t[-1]) for section in runs.sections)
-    length = max(CELL_S, span / MOST_CELLS)
+    length = max(CELL * runs.system.model.settling_s, span / MOST_CELLS)
     number, t, mode, place, stretches, log = [], [], [], [], [], []
     beginnings = np.cumsum([section.number == 0 for section in runs.sections]) - 1
     for k, section in enumerate(runs.sections):
@@ -91,7 +92,8 @@ def cells_of(runs: DisturbedRuns) -> Cells:
         stretches.append(stretch[middle])
         place.append(np.full(len(middle), k))
         log.append(np.full(len(middle), beginnings[k]))
-    return Cells(tuple(number), *(np.concatenate(part) for part in (t, log, place, stretches, mode)))
+    whole = [np.concatenate(part) for part in (t, log, place, stretches, mode)]
+    return Cells(runs.system.model.settling_s, tuple(number), *whole)
 
 
 def _stretches(section: Section, columns: Sequence[int]) -> Ints:

@@ -27,8 +27,8 @@ from faultline.analysis.simulation import System
 
 Array = npt.NDArray[np.float64]
 
-BLOCK_S = 10.0
-"""Longer than the hose remembers: what is left of blocks is independent."""
+BLOCK = 0.5
+"""Settling times. Longer than the slowest state remembers: what is left of blocks is independent."""
 
 ROUNDS = 3
 """How often the baseline is fitted, with levels from what the one before left."""
@@ -63,7 +63,7 @@ class Attempt:
     `x` (n,) are its `unknowns`' most likely values, `curvature` (n, n) the precision there, `inside` (n,) those not at
     a bound. `cost` [nats] is what the search ended at, `promised` [nats] what was in sight there. `training` and
     `predicted` are log evidences [nats], comparable between attempts of one baseline. `blocks` are log likelihoods of
-    `BLOCK_S` at the optimum, training first; `dispersion` is the mean square of what is left, 1 if only noise is.
+    `BLOCK` at the optimum, training first; `dispersion` is the mean square of what is left, 1 if only noise is.
     """
 
     effects: tuple[str, ...]
@@ -125,7 +125,7 @@ class Judge:
     def __init__(self, study: Study, baseline: Baseline) -> None:
         self._study = study
         self._bins = [bins_of(section) for section in study.training], [bins_of(section) for section in study.held]
-        numbers = [blocks(bins, BLOCK_S) for bins in self._bins]
+        numbers = [blocks(bins, BLOCK * study.model.settling_s) for bins in self._bins]
         self._blocks = np.concatenate([numbers[0], numbers[1] + numbers[0].max() + 1])
         problems = self._with(())
         self._baseline = baseline

@@ -18,13 +18,12 @@ import numpy.typing as npt
 
 from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Section, cut, fitting
-from faultline.analysis.discrepancy.data import STEP_S
+from faultline.analysis.discrepancy.data import STEP
 from faultline.analysis.discrepancy.effects.compiled import model_with, system_with
 from faultline.analysis.discrepancy.effects.library import EXPERIMENTS
 from faultline.analysis.discrepancy.find.quantities import mode_of
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
 from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of
-from faultline.analysis.graph.bank import PERIOD_S
 from faultline.analysis.model import Equation, Known, Model, Unknown
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.model.file import SYSTEMS
@@ -166,28 +165,29 @@ class _Rival:
     def __init__(self, study: Study, how: Control, attempt: Attempt) -> None:
         effects = [study.library[name] for name in attempt.effects]
         self.attempt, self.name, self.how = attempt, attempt.effects[-1], how
-        self.system = system_with(study.model, effects)
+        self.system, self._period_s = system_with(study.model, effects), study.model.period_s
         model = _closed(model_with(study.model, effects), how)
         self._loop = system_of(model, model.calibrated)
 
     def measured(self, experiment: Experiment, like: Section) -> dict[str, Track]:
         """Every signal as this model would have it, sampled as in the section `like`."""
         how, values = self.how, self.attempt.values
-        t = np.arange(0.0, experiment.duration_s, STEP_S)
+        step_s = STEP * self._period_s
+        t = np.arange(0.0, experiment.duration_s, step_s)
         asked = _asked(experiment, t, how.ramp)
         names = self._loop.inputs
         inputs = np.column_stack([asked[0] if name == SET_POINT else asked[1] for name in names])
         start = _start(self._loop, values)
         guess = np.where(start > 0.5 * START_BAR * BAR, asked[0][:, None], start)  # after the pump, or before it
-        drive = Drive(STEP_S, inputs, start, guess)
+        drive = Drive(step_s, inputs, start, guess)
         trajectory = run(self._loop, drive, values)
         pressure = trajectory.w[:, self._loop.states.index(how.follows)]
         speed = _speed(how, asked[0], pressure)
-        sampled = np.arange(0.0, t[-1], PERIOD_S)
+        sampled = np.arange(0.0, t[-1], self._period_s)
         restless = TINY * (-1.0) ** np.arange(len(sampled))  # a speed that held still would be taken for a command
         tracks = {
             how.actuator: Track(sampled, np.interp(sampled, t, speed) + restless),
-            how.command: Track(sampled, asked[1][np.minimum((sampled / STEP_S).astype(int), len(t) - 1)]),
+            how.command: Track(sampled, asked[1][np.minimum((sampled / step_s).astype(int), len(t) - 1)]),
         }
         for name, y in trajectory.outputs().items():
             period = float(np.median(np.diff(like.samples[name].t)))
@@ -229,7 +229,7 @@ def _asked(experiment: Experiment, t: Array, ramp: float) -> tuple[Array, Array]
     duty = np.array([*(d for _, _, d in experiment.segments), experiment.segments[-1][2]])[k]
     first = t < BEFORE_S
     wanted = np.where(first, START_BAR * BAR, pressure)
-    most, set_point = ramp * STEP_S, wanted.copy()
+    most, set_point = ramp * float(t[1] - t[0]), wanted.copy()
     for i in range(1, len(t)):
         set_point[i] = set_point[i - 1] + min(max(wanted[i] - set_point[i - 1], -most), most)
     return set_point, np.where(first, 0.0, duty)
@@ -254,7 +254,7 @@ def _expected(
     expected = {}
     for true in rivals:
         tracks = true.measured(experiment, study.training[0])
-        sections = cut(study.model, true.system, tracks, experiment.name, STEP_S)
+        sections = cut(study.model, true.system, tracks, experiment.name, STEP)
         sections = [
             dataclasses.replace(section, noise=_noise(study.model, true.system, section, study.training))
             for section in sections

@@ -16,7 +16,6 @@ from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.discrepancy.find.quantities import mode_of, quantities
 from faultline.analysis.discrepancy.name.attempt import Attempt, Study
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 
@@ -104,8 +103,9 @@ def _means(
         runs = [quantities(trajectory) for trajectory in problem.trajectories(x)]
     except InputError:
         return {}
+    modes = problem.system.model.modes.names
     courses = {name: np.concatenate([run[name] for run in runs]) for name in names if name in runs[0]}
-    return {(name, MODES[k]): float(c[mode == k].mean()) for name, c in courses.items() for k in np.unique(mode)}
+    return {(name, modes[k]): float(c[mode == k].mean()) for name, c in courses.items() for k in np.unique(mode)}
 
 
 def _apart(one: tuple[float, float], other: tuple[float, float]) -> float:

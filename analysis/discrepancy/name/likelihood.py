@@ -1,6 +1,6 @@
 """How likely the measurements are under a model that runs freely: what makes models comparable.
 
-Samples are averaged over bins of `BIN_S`. What is faster than that, the valve's pulses as they alias into pump speed
+Samples are averaged over bins of `BIN`. What is faster than that, the valve's pulses as they alias into pump speed
 and pressures, is neither noise nor physics that a model of mean flows could have: left in, a slow sensor that smoothes
 it gets dozens of nats in data in which nothing is hidden. The weights are those of `analysis.calibration.noise`, the
 same for every model that is compared: a bin's own level, and the errors of inputs that the run integrates.
@@ -16,13 +16,12 @@ from faultline.analysis.calibration.noise import Whitening, disturbances
 from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-BIN_S = 1.0
-"""Some periods of the valve, and a fraction of what the hose takes to settle."""
+BIN = 5.0
+"""Periods: some of an actuator's pulses, and a fraction of what a state takes to settle."""
 
 FEW = 10
 """With fewer pairs of neighbours than this a mode's level is that of all modes."""
@@ -53,8 +52,8 @@ class Bins:
 
 
 def bins_of(section: Section) -> Bins:
-    """The bins of a section: samples of one output and mode, without a gap, within `BIN_S`."""
-    t = np.concatenate([s.t for s in section.samples.values()])
+    """The bins of a section: samples of one output and mode, without a gap, within `BIN`."""
+    t, bin_s = np.concatenate([s.t for s in section.samples.values()]), BIN * section.time.period_s
     mode = np.concatenate([s.mode for s in section.samples.values()])
     output = np.repeat(np.arange(len(section.samples)), [len(s.t) for s in section.samples.values()])
     period = np.array([np.median(np.diff(s.t)) for s in section.samples.values()])[output]
@@ -62,7 +61,7 @@ def bins_of(section: Section) -> Bins:
     whole = same & (np.diff(t, prepend=0.0) < 2 * period)
     run = np.cumsum(~whole)
     begin = t[np.flatnonzero(~whole)][run - 1]
-    piece = ((t - begin) / BIN_S + 1e-6).astype(np.int64)
+    piece = ((t - begin) / bin_s + 1e-6).astype(np.int64)
     fresh = ~whole | (np.diff(piece, prepend=-1) != 0)
     number = np.cumsum(fresh) - 1
     first = np.flatnonzero(fresh)
@@ -75,7 +74,7 @@ def bins_of(section: Section) -> Bins:
         mode=mode[first],
         t=middle,
         neighbour=whole[first],
-        larger=np.sqrt(np.maximum(BIN_S / period[first] / count, 1.0)),
+        larger=np.sqrt(np.maximum(bin_s / period[first] / count, 1.0)),
     )
 
 
@@ -84,16 +83,17 @@ def levels_of(model: Model, outputs: Sequence[str], bins: Sequence[Bins], left: 
 
     It shows between neighbours, as what is missing in a model is slower; it is at least what the sensor's noise leaves.
     """
-    changes: list[list[list[Array]]] = [[[] for _ in MODES] for _ in outputs]
+    modes = model.modes.names
+    changes: list[list[list[Array]]] = [[[] for _ in modes] for _ in outputs]
     for section, e in zip(bins, left, strict=True):
         change = np.diff(e, prepend=0.0) / np.hypot(section.larger, np.roll(section.larger, 1))
         for o in range(len(outputs)):
-            for k in range(len(MODES)):
+            for k in range(len(modes)):
                 changes[o][k].append(change[section.neighbour & (section.output == o) & (section.mode == k)])
-    found = np.zeros((len(outputs), len(MODES)))
+    found = np.zeros((len(outputs), len(modes)))
     for o, name in enumerate(outputs):
         every = np.concatenate([part for by_mode in changes[o] for part in by_mode])
-        for k in range(len(MODES)):
+        for k in range(len(modes)):
             some = np.concatenate(changes[o][k])
             found[o, k] = max(_deviation(some if len(some) >= FEW else every), LEAST_SHARE * model.known[name].noise)
     return found

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.discrepancy.discover import Discovery
-from faultline.analysis.discrepancy.find.disturbed import STEP_S
 from faultline.analysis.model import Model
 from faultline.analysis.simulation import system_of
 
@@ -36,13 +35,13 @@ def abscissa_of(found: Discovery) -> Abscissa | None:
     place = _place(sections, found.before.suspects[0].t)
     if place is None:
         return None
-    inputs, signal = system_of(model, []).inputs, model.modes.signal if model.modes else ""
+    inputs, signal = system_of(model, []).inputs, next(iter(model.modes.bounded), "")
     if signal in inputs and set(np.unique(course.value)) <= {0.0, 1.0}:
         column = inputs.index(signal)
         held = [section.drive.inputs[:, column] for section in sections]
         at = [(k, round(time / sections[k].drive.step_s)) for k, time in place]
         return Abscissa(_titled(model, signal), np.array([held[k][min(n, len(held[k]) - 1)] for k, n in at]))
-    every = [max(1, round(STEP_S / section.drive.step_s)) for section in sections]
+    every = [max(1, round(section.time.period_s / section.drive.step_s)) for section in sections]
     lengths = [len(section.t[::n]) for section, n in zip(sections, every, strict=True)]
     if sum(lengths) != len(course.value):
         return None

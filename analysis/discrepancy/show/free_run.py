@@ -26,11 +26,11 @@ from faultline.analysis.model import Model
 
 Array = npt.NDArray[np.float64]
 
-SHOWN_S = 300.0
-"""More of it is no longer read."""
+SHOWN = 15.0
+"""Settling times. More of it is no longer read."""
 
-SMOOTH_S = 1.0
-"""Over which residuals are drawn as means: of the valve's pulses no model of mean flows knows."""
+SMOOTH = 5.0
+"""Periods over which residuals are drawn as means: of the valve's pulses no model of mean flows knows."""
 
 
 def free_run(shown: Shown, document: Document, model: Model) -> bytes:
@@ -41,8 +41,9 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
     figure = Figure(figsize=(11, 1.35 * sum(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
     section = shown.after.sections[0]
+    shown_s = SHOWN * section.time.settling_s
     begin = section.start_s + min(float(s.t[0]) for s in section.samples.values()) - 5.0
-    last = min(_end(shown.after), begin + SHOWN_S)
+    last = min(_end(shown.after), begin + shown_s)
     _run(grid[0], shown, document, widest, model)
     for axes, name in zip(grid[1:-1], outputs, strict=True):
         _left(axes, shown, document, name, model)
@@ -55,7 +56,7 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
         "left: means of a second; grey: twice the error that the noise of sensors and inputs lets expect, in steady "
         "operation"
     )
-    cut = f"; the first {SHOWN_S:.0f} s of {_end(shown.after) - begin:.0f} s" if _end(shown.after) > last else ""
+    cut = f"; the first {shown_s:.0f} s of {_end(shown.after) - begin:.0f} s" if _end(shown.after) > last else ""
     grid[-1].set_xlabel(f"log time [s]{cut}\n{note}", fontsize=9)
     many = len(document.origin.held_out) > 1
     recording = f"{document.origin.held_out[0]}{', the first held-out recording' if many else ', held out'}"
@@ -85,7 +86,7 @@ def _left(axes: Axes, shown: Shown, document: Document, name: str, model: Model)
     one, unit = unit_of(model.known[name].unit, largest)
     for found, color, _ in _models(shown, document):
         for section, errors in zip(_first(found), found.errors, strict=False):
-            t, e = _means(section.samples[name].t, errors[name] / one)
+            t, e = _means(section.samples[name].t / (SMOOTH * section.time.period_s), errors[name] / one)
             axes.plot(section.start_s + t, e, color=color, linewidth=1.1)
     expected = 2.0 * _of_means(shown, name) / one
     if np.isfinite(expected):
@@ -98,13 +99,14 @@ def _of_means(shown: Shown, name: str) -> float:
     """The error to expect of means: the floor averages, what the inputs' noise does hardly."""
     gaps = {gap.mode: gap for gap in shown.gaps if gap.output == name}
     a = gaps.get(STEADY, next(iter(gaps.values()))).after
-    count = SMOOTH_S / float(np.median(np.diff(shown.after.sections[0].samples[name].t)))
+    section = shown.after.sections[0]
+    count = SMOOTH * section.time.period_s / float(np.median(np.diff(section.samples[name].t)))
     return float(np.sqrt(a.expected**2 - a.floor**2 * (1.0 - 1.0 / max(count, 1.0))))
 
 
 def _means(t: Array, e: Array) -> tuple[Array, Array]:
-    """Means over `SMOOTH_S`, with a gap (NaN) where nothing was compared."""
-    cell = np.floor(t / SMOOTH_S).astype(np.int64)
+    """Means over times `t` (N,) from one whole number to the next, with a gap (NaN) where nothing was compared."""
+    cell = np.floor(t).astype(np.int64)
     number, first, count = np.unique(cell, return_index=True, return_counts=True)
     middle, mean = np.add.reduceat(t, first) / count, np.add.reduceat(e, first) / count
     gap = np.flatnonzero(np.diff(number) > 1) + 1

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.add.held_out import Shown
 from faultline.analysis.discrepancy.find.operating_space import UNITS
 from faultline.analysis.discrepancy.show.abscissa import Abscissa
@@ -32,7 +31,6 @@ from faultline.analysis.discrepancy.show.drawing import (
 )
 from faultline.analysis.discrepancy.show.free_run import free_run
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import MODES
 
 Array = npt.NDArray[np.float64]
 
@@ -59,7 +57,6 @@ def regimes(document: Document) -> bytes:
 def _bars(axes: Axes, of: Sequence[Regime], document: Document) -> None:
     changed = bool(document.strengths)
     one, unit = unit_of(of[0].unit, max(regime.rms_before for regime in of))
-    of = sorted(of, key=lambda regime: [*MODES, STEADY].index(regime.mode))
     place, width = np.arange(len(of)), 0.36 if changed else 0.6
     was, now = (np.array([getattr(regime, name) for regime in of]) / one for name in ("rms_before", "rms_after"))
     shift = 0.5 * width if changed else 0.0

@@ -15,7 +15,6 @@ from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.metrics import Told, told
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.manifest import MODES
 from faultline.service.core.records.event import Event
 from faultline.service.core.signals.values import Mask
 
@@ -85,7 +84,7 @@ def facts(given: Given, verdict: Verdict, events: list[Event], story: Story) -> 
         told=told(events, np.asarray(story.usable.any(axis=1)), onset, manifest.period_s, verdict.faults, known),
         blocks=blocks(story, onset),
         ticks=np.array([onset, K - onset]),
-        modes=np.array([np.bincount(story.mode[part], minlength=len(MODES)) for part in parts]),
+        modes=np.array([np.bincount(story.mode[part], minlength=len(manifest.modes.names)) for part in parts]),
         usable=np.array([story.usable[part].sum(axis=0) for part in parts]),
         square=np.array([(np.where(story.usable[part], story.r[part], 0.0) ** 2).sum(axis=0) for part in parts]),
         histogram=np.array([_histogram(s[part], story.usable[part]) for part in parts]),

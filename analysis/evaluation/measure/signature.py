@@ -11,7 +11,7 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from faultline.analysis.evaluation.blocks import SCORED, joined
+from faultline.analysis.evaluation.blocks import joined
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.measure.intervals import Share, share
 from faultline.analysis.evaluation.measure.roc import area
@@ -25,7 +25,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     `alarm`: blocks with an alarm among those in which it could tell. `delays_s` from the onset to the first alarm that
     began after it, one for each recording in which there was one, of `recordings`; in `standing` of them a false alarm
     stood at the onset already, which hides the true one and is counted in `alarm`. `cannot_tell`: share of the faulty
-    time. `auc` by what is in `SCORED`, None where there are no blocks to compare.
+    time. `auc` by `analysis.evaluation.blocks.scored`, None where there are no blocks to compare.
     """
 
     generator: str
@@ -58,7 +58,9 @@ def sensitive(generator: Sees, faults: Sequence[str], known: Sequence[str]) -> b
     return False if set(faults) <= set(known) else None
 
 
-def cells(of: Sequence[Facts], generators: Sequence[Generator], known: Sequence[str]) -> list[Cell]:
+def cells(
+    of: Sequence[Facts], generators: Sequence[Generator], known: Sequence[str], scored: Sequence[str]
+) -> list[Cell]:
     """All generators times all faulty cases, in the order of the bundle and of the recordings."""
     free = joined([one.blocks for one in of])
     free_scores = np.where((~free.faulty)[:, None, None], free.scores, np.nan)
@@ -85,7 +87,7 @@ def cells(of: Sequence[Facts], generators: Sequence[Generator], known: Sequence[
                     cannot_tell=round(1.0 - usable / ticks, 4) if ticks else None,
                     auc={
                         name: area(free_scores[:, row, column], all_blocks.scores[faulty, row, column])
-                        for row, name in enumerate(SCORED)
+                        for row, name in enumerate(scored)
                     },
                 )
             )

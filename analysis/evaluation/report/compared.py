@@ -9,9 +9,10 @@ from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.traces import UNITS
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.signals.modes import MAXIMUM
+from faultline.service.core.manifest import Span
+from faultline.service.core.signals.modes import EDGE
 
-AROUND_S = 60.0
+AROUND = Span(settlings=3)
 COLOURS = ("#d55e00", "#009e73", "#cc79a7")
 
 Drawn = tuple[Figure, str, str]
@@ -49,14 +50,15 @@ def draw(e: Evaluation, drawn: Sequence[tuple[Story, Facts]]) -> Iterator[Drawn]
     title = f"{one.verdict.recording}: {one.case.label}"
     figure.suptitle(title, fontsize=10, fontweight="bold", x=0.01, ha="left")
     alt = f"Measured signals and predictions of {', '.join(several)} by each method, {title}; errors are in the table."
-    yield figure, alt, f"Measured and predicted around maximum dose, and what is left, {title}."
+    yield figure, alt, f"Measured and predicted around the longest stay in the last mode, and what is left, {title}."
 
 
 def _around(story: Story) -> slice:
-    """Two minutes around the middle of the longest stay at maximum dose; around the middle where there is none."""
-    at = np.concatenate([[False], story.mode == MAXIMUM, [False]])
+    """Six settling times around the middle of the longest stay in the last mode, or around the middle."""
+    last = len(story.bundle.manifest.modes.names) - 1
+    at = np.concatenate([[False], (story.mode == last) & (last != EDGE), [False]])
     starts, stops = np.flatnonzero(at[1:] & ~at[:-1]), np.flatnonzero(~at[1:] & at[:-1])
     longest = int(np.argmax(stops - starts)) if starts.size else None
     middle = len(story.mode) // 2 if longest is None else int(starts[longest] + stops[longest]) // 2
-    ticks = round(AROUND_S / story.bundle.manifest.period_s)
+    ticks = story.bundle.manifest.time.ticks(AROUND)
     return slice(max(middle - ticks, 0), middle + ticks)

@@ -6,7 +6,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from faultline.analysis.evaluation.blocks import joined
+from faultline.analysis.evaluation.blocks import joined, scored
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.equal import equal_groups
 from faultline.analysis.evaluation.measure.facts import Facts
@@ -17,7 +17,6 @@ from faultline.analysis.evaluation.measure.metrics import Scores, scores
 from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
 from faultline.analysis.evaluation.measure.signature import Cell, cells
 from faultline.service.bundle.load import Bundle
-from faultline.service.core.manifest import MODES
 
 SCHEMA: Final = "faultline.evaluation/1"
 SIMULATED = "simulated"
@@ -83,6 +82,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     model: str
     simulated: bool
     faults: dict[str, str]
+    modes: dict[str, str]
     mode_hours: dict[str, float]
     recordings: list[Judged]
     told: Told
@@ -99,7 +99,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
     known = [fault.name for fault in manifest.faults]
     modes = np.sum([one.modes.sum(axis=0) for one in of], axis=0)
     tests = _tests(bundle, of)
-    found = cells(of, manifest.generators, known)
+    found = cells(of, manifest.generators, known, scored(manifest))
     return Evaluation(
         schema=SCHEMA,
         bundle=manifest.name,
@@ -109,7 +109,10 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         model=manifest.origin.model,
         simulated=all(one.given.recording.source.startswith(SIMULATED) for one in of),
         faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},
-        mode_hours={m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(MODES, modes, strict=True)},
+        modes={mode.name: mode.description for mode in manifest.modes.steady},
+        mode_hours={
+            m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(manifest.modes.names, modes, strict=True)
+        },
         recordings=[_judged(one) for one in of],
         told=Told(
             false_alarms=rate(sum(one.verdict.false_alarms for one in of), sum(one.free_hours for one in of)),

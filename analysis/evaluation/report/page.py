@@ -6,7 +6,7 @@ from pathlib import Path
 from faultline.analysis.evaluation.report import tables
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.pictures import Picture
-from faultline.analysis.evaluation.report.wording import LIMITS, TERMS, hourly
+from faultline.analysis.evaluation.report.wording import LIMITS, TERMS, hourly, modes_of
 from faultline.analysis.evaluation.sentence import never
 from faultline.service.pages import render
 
@@ -23,7 +23,7 @@ def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:
         origin=_origin(e),
         drawn=drawn,
         tables=tables,
-        terms=TERMS,
+        terms=[*TERMS, ("Operating modes", modes_of(e.modes))],
         limits=LIMITS,
     )
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-from faultline.analysis.evaluation.blocks import SCORED
+from faultline.analysis.evaluation.blocks import ALL
 from faultline.analysis.evaluation.measure.isolation import columns
 from faultline.analysis.evaluation.measure.selection import Selection
 from faultline.analysis.evaluation.measure.signature import Cell
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
+from faultline.service.core.manifest import EDGE
 from faultline.service.pages import Row, Table, Td
 
 
@@ -194,11 +195,12 @@ def _grid(
 
 def by_mode(e: Evaluation) -> Table:
     """Area under the curve by operating mode, over the cases that a generator is sensitive to."""
+    scored = (ALL, *(mode for mode in e.mode_hours if mode != EDGE))
     rows: list[Row] = []
     for test in e.tests:
         own = [cell for cell in e.cells if cell.generator == test.generator and cell.sensitive]
         cells: list[str | Td] = []
-        for name in SCORED:
+        for name in scored:
             areas = [area for cell in own if (area := cell.auc[name]) is not None]
             worst = min(areas, default=None)
             cells.append(Td(number(sum(areas) / len(areas) if areas else None), f"least {number(worst)}"))
@@ -207,7 +209,7 @@ def by_mode(e: Evaluation) -> Table:
         "Area under the curve by operating mode: mean over the faults (by size) that the test is sensitive to by "
         "structure, and the least of them. Each is in report.json."
     )
-    return Table(["generator", *SCORED], rows, caption)
+    return Table(["generator", *scored], rows, caption)
 
 
 def areas(e: Evaluation) -> Table:
@@ -217,7 +219,7 @@ def areas(e: Evaluation) -> Table:
     )
 
     def cell(c: Cell) -> Td:
-        area = c.auc[SCORED[0]]
+        area = c.auc[ALL]
         return Td(number(area), tint=max(2.0 * (area or 0.5) - 1.0, 0.0), framed=bool(c.sensitive))
 
     return _grid(e, caption, cell)

@@ -10,10 +10,10 @@ from faultline.analysis.evaluation.measure.signature import sensitive
 from faultline.analysis.evaluation.picture import told
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.story import Array, Story
-from faultline.service.core.manifest import MODES, kind_of
+from faultline.service.core.manifest import kind_of
 from faultline.service.core.signals.values import Mask
 
-SHADES = {"idle": "#dcefe3", "maximum": "#fbe3cf", "edge": "#d3d6da"}
+SHADES, EDGE_SHADE = ("#dcefe3", "#ffffff", "#fbe3cf", "#e3e0f3", "#f6f0cd"), "#d3d6da"
 RESIDUAL, ALARM, ONSET = "#1f4e79", "#c62828", "#222222"
 UNITS = {"Pa": (100.0, "mbar")}
 
@@ -53,7 +53,10 @@ def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
         panel.set_xlabel("log time [s]", fontsize=8)
     if one.verdict.onset_s is not None:
         last.axvline(one.verdict.onset_s, color=ONSET, linestyle="--", linewidth=1)
-    handles = [Patch(color=shade, label=mode) for mode, shade in SHADES.items()]
+    handles = [
+        Patch(color=shade, label=mode)
+        for mode, shade in zip(story.bundle.manifest.modes.names, _shades(story), strict=True)
+    ]
     handles.append(Patch(color=ALARM, label="alarm"))
     figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=8, frameon=False)
     name, case = one.verdict.recording, one.case.label
@@ -62,8 +65,8 @@ def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
     alt = f"Residuals and detectors ({detectors}) of {name}, {case}; alarms of {', '.join(alarmed) or 'no generator'}."
     left_out = ", ".join(f"{test.generator} (as {test.equals})" for test in e.tests if test.equals != test.generator)
     caption = (
-        f"{name}, {case}. Dashed: threshold and onset; red: alarm; gaps: cannot tell; behind: operating mode (white: "
-        "partial dose). A thick frame: the test is sensitive to the fault by structure. Below: what was told, dark "
+        f"{name}, {case}. Dashed: threshold and onset; red: alarm; gaps: cannot tell; behind: operating "
+        "mode. A thick frame: the test is sensitive to the fault by structure. Below: what was told, dark "
         "while of rank 1." + (f" Not drawn, being the same signal as another: {left_out}." if left_out else "")
     )
     return figure, alt, caption
@@ -81,12 +84,16 @@ def _trace(axes: Axes, t_s: Array, values: Array, alarm: Mask) -> None:
     axes.margins(x=0)
 
 
+def _shades(story: Story) -> list[str]:
+    """A colour of every operating mode."""
+    return [EDGE_SHADE, *(SHADES[k % len(SHADES)] for k in range(len(story.bundle.manifest.modes.steady)))]
+
+
 def _behind(axes: Axes, story: Story, onset_s: float | None) -> None:
     """Operating modes as shades, and the onset."""
+    shades = _shades(story)
     edges = np.flatnonzero(np.diff(story.mode)) + 1
     for start, stop in zip([0, *edges], [*edges, len(story.mode)], strict=True):
-        shade = SHADES.get(MODES[story.mode[start]])
-        if shade:
-            axes.axvspan(story.t_s[start], story.t_s[stop - 1], color=shade, linewidth=0, zorder=0)
+        axes.axvspan(story.t_s[start], story.t_s[stop - 1], color=shades[story.mode[start]], linewidth=0, zorder=0)
     if onset_s is not None:
         axes.axvline(onset_s, color=ONSET, linestyle="--", linewidth=1)

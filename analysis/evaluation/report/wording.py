@@ -1,5 +1,7 @@
 """Numbers in words, and what the report's terms mean."""
 
+from collections.abc import Mapping
+
 from faultline.analysis.evaluation.measure.intervals import Rate, Share
 
 NONE = "–"
@@ -89,13 +91,15 @@ TERMS = (
         "By structure: a fault that is in the equations of a test may move its residual, another one may not. Cells to "
         "which a test is sensitive are framed in tables and grey in pictures.",
     ),
-    (
-        "Operating modes",
-        "Idle: no dose; partial: some; maximum: the valve is held open; edge: some seconds after each change, when a "
-        "residual's size says little.",
-    ),
 )
 """The report's section of definitions; the modules `metrics`, `blocks`, `intervals` and `roc` hold the formulas."""
+
+
+def modes_of(modes: Mapping[str, str]) -> str:
+    """The operating modes with their descriptions."""
+    told = "; ".join(f"{name}: {text}" if text else name for name, text in modes.items())
+    return f"{told}; edge: some time after each step of an input, when a residual's size says little."
+
 
 LIMITS = (
     "Rates are those of these recordings: of their vehicles, drives and sizes of faults. Thresholds tuned on one "

@@ -6,7 +6,15 @@ from itertools import groupby
 
 import numpy as np
 
-from faultline.service.core.manifest import MODES, CusumDetector, Detector, Evidence, Manifest, SpreadDetector
+from faultline.service.core.manifest import (
+    EDGE,
+    AdaptiveDetector,
+    CusumDetector,
+    Detector,
+    Evidence,
+    Manifest,
+    SpreadDetector,
+)
 from faultline.service.core.signals.values import FloatArray
 
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing hidden
@@ -22,7 +30,8 @@ def inconsistencies(manifest: Manifest) -> Iterator[str]:
     yield from _names(manifest)
     yield from _generators(manifest)
     yield from _decision(manifest)
-    yield from of_evidence(manifest.evidence)
+    yield from of_evidence(manifest.evidence, manifest.modes.names)
+    yield from _by_mode(manifest)
 
 
 def uneven(rows: Sequence[Sized], wanted: int, path: str, what: str) -> Iterator[str]:
@@ -109,16 +118,28 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     assumable = {*(fault.name for fault in manifest.faults), *(each.name for each in manifest.disturbances)}
     names = [generator.name for generator in manifest.generators]
     modes, evidence = manifest.modes, manifest.evidence
-    yield from _unknown([modes.signal], signals, "modes.signal", "signal")
+    yield from _repeated(modes.names, f"modes ({EDGE} is the first)")
+    for index, mode in enumerate(modes.steady):
+        yield from _unknown(mode.where, signals, f"modes.steady[{index}].where", "signal")
+    if sum(not mode.where for mode in modes.steady) != 1:
+        yield "modes.steady: not exactly one mode without `where`"
     yield from _unknown(modes.edges, signals, "modes.edges", "signal")
-    if not modes.idle_below < modes.maximum_above:
-        yield f"modes.idle_below: {modes.idle_below:g} is not below maximum_above, {modes.maximum_above:g}"
     yield from _detectors(manifest.detectors, names)
     yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
     followers = [follower.generator for follower in evidence.followers]
     yield from _unknown(followers, names, "evidence.followers", "generator")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
+
+
+def _by_mode(manifest: Manifest) -> Iterator[str]:
+    """Lists by mode that do not have an entry for each."""
+    count = len(manifest.modes.names)
+    for row, detector in enumerate(manifest.detectors):
+        usual = {"usual": detector.usual} if isinstance(detector, AdaptiveDetector) else {}
+        for name, values in {"offset": detector.offset, "scale": detector.scale, **usual}.items():
+            if len(values) != count:
+                yield f"detectors[{row}].{name}: has length {len(values)}, but there are {count} modes"
 
 
 def _detectors(detectors: Sequence[Detector], names: Sequence[str]) -> Iterator[str]:
@@ -140,9 +161,19 @@ def _same(detector: Detector, other: Detector) -> bool:
     return type(detector) is type(other) and detector.generator == other.generator and len({*sides}) == 1
 
 
-def of_evidence(evidence: Evidence) -> Iterator[str]:
+def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     """The contradictions within the evidence: shapes over modes and generators, and numbers that nothing can be."""
-    K = len(evidence.generators)
+    K, C = len(evidence.generators), len(modes)
+    lists: dict[str, Sized] = {
+        name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance")
+    }
+    lists |= {f"drifts[{index}]": drift for index, drift in enumerate(evidence.drifts)}
+    for index, each in enumerate(evidence.followers):
+        lists |= {f"followers[{index}].{name}": getattr(each, name) for name in ("offset", "spread")}
+        lists |= {f"followers[{index}].drifts[{k}]": drift for k, drift in enumerate(each.drifts)}
+    for name, by_mode in lists.items():
+        if len(by_mode) != C:
+            yield f"evidence.{name}: has length {len(by_mode)}, but there are {C} modes"
     what = "evidence generators"
     yield from uneven(evidence.offset, K, "evidence.offset", what)
     yield from uneven(evidence.spread, K, "evidence.spread", what)
@@ -161,17 +192,17 @@ def of_evidence(evidence: Evidence) -> Iterator[str]:
             yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
     if (evidence.graph is None) != (not evidence.hypotheses):
         yield f"evidence.graph: {evidence.graph!r} for {len(evidence.hypotheses)} hypotheses"
-    yield from _sizes(evidence)
+    yield from _sizes(evidence, modes)
 
 
-def _sizes(evidence: Evidence) -> Iterator[str]:
+def _sizes(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     """Covariances that can be divided by, and numbers whose squares are numbers."""
     for mode, rows in enumerate(evidence.noise):
         if not _is_covariance(np.array(rows)):
-            yield f"evidence.noise[{mode}]: mode {MODES[mode]}: not symmetric and positive definite"
+            yield f"evidence.noise[{mode}]: mode {modes[mode]}: not symmetric and positive definite"
     for mode, rows in enumerate(evidence.visit):
         if not _is_semidefinite(np.array(rows)):
-            yield f"evidence.visit[{mode}]: mode {MODES[mode]}: not symmetric and positive semidefinite"
+            yield f"evidence.visit[{mode}]: mode {modes[mode]}: not symmetric and positive semidefinite"
     if len(evidence.hypotheses) > MOST_HYPOTHESES:
         yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
     yield from _widths(evidence)

@@ -16,30 +16,33 @@ one that nothing has been learnt of for a while comes back to the usual one, as 
 import numpy as np
 
 from faultline.service.core.decision.straying import Level, Means, Straying, Visit
-from faultline.service.core.manifest import Evidence
+from faultline.service.core.manifest import Evidence, Span, TimeScale
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
 
-GUARD_TICKS = 150
-"""30 s: what is newer waits, one to two times as long."""
+GUARD = Span(settlings=1.5)
+"""What is newer waits, one to two times as long."""
 
-REMEMBERED_TICKS = 6000
-"""20 min: when so many ticks of a mode are known, half of them are forgotten."""
+REMEMBERED = Span(settlings=60, seconds=1200)
+"""When so much of a mode is known, half of it is forgotten."""
 
 WANDER = 0.1
 """How far a day moves while it is learnt, in parts of how far days differ."""
 
-TAU_TICKS = 180_000.0
-"""10 h: a day that nothing is learnt of moves by a seventh of how far days differ in 6 min, by two fifths in 1 h."""
+TAU = Span(settlings=1800, seconds=36_000)
+"""A day that nothing is learnt of moves by a seventh of how far days differ in a hundredth of that, by
+two fifths in a tenth."""
 
 WIDENED = 3.0
 """Detectors see residuals in parts of their spread and of so many standard deviations of what is unknown of the day."""
 
 
 class Day:
-    """What is known of the day. `level` is that; it changes every `GUARD_TICKS` only."""
+    """What is known of the day. `level` is that; it changes every `GUARD` only."""
 
-    def __init__(self, evidence: Evidence) -> None:
+    def __init__(self, evidence: Evidence, time: TimeScale) -> None:
+        self._guard, self._tau = time.ticks(GUARD), time.ticks(TAU)
+        self._remembered = time.ticks(REMEMBERED)
         self._straying = Straying(evidence)
         followers = evidence.followers
         self._offset = np.column_stack([evidence.offset, *(f.offset for f in followers)])  # (modes, K + F)
@@ -70,21 +73,21 @@ class Day:
         """Takes the residuals (K,) of a tick at which nothing is suspected."""
         self._visit.in_mode(mode)
         if mode != EDGE:
-            part = self._newer[:, mode]
+            part = self._newer[:, mode - 1]
             part[0] += usable
             part[1] += usable * (2.0 * self._visit.length + 1.0)
             part[2] += np.where(usable, r, 0.0)
             self._visit.length = self._visit.length + usable
         self._ticks += 1
-        if self._ticks % GUARD_TICKS == 0:
+        if self._ticks % self._guard == 0:
             learnt, self._older, self._newer = self._older, self._newer, np.zeros(self._shape)
             self._learn(learnt)
 
     def wait(self) -> None:
         """A tick of which nothing is learnt: a day moves on, and what waited to be learnt is old."""
         self._aged += 1
-        if self._aged % GUARD_TICKS == 0:
-            f, unknown = float(np.exp(-GUARD_TICKS / TAU_TICKS)), self._straying.unknown.covariance
+        if self._aged % self._guard == 0:
+            f, unknown = float(np.exp(-self._guard / self._tau)), self._straying.unknown.covariance
             covariance = unknown + f**2 * (self._level.covariance - unknown)
             self._before = Level(f * self._level.mean, covariance)
             self._put(self._before)
@@ -108,14 +111,14 @@ class Day:
         if not sums[0].any():  # nothing could tell
             return
         self._known += sums
-        self._known[:, self._known[0] >= REMEMBERED_TICKS] /= 2.0
+        self._known[:, self._known[0] >= self._remembered] /= 2.0
         ticks, squares, total = self._known
         seen = Means(ticks, np.minimum(squares, ticks**2), total, np.zeros((0, *ticks.shape)))
         level = self._straying.known(seen, self._before)
         self._put(Level(level.mean, level.covariance + WANDER**2 * self._straying.unknown.covariance))
 
     def _put(self, level: Level) -> None:
-        mean, variance = (np.vstack([each, each.mean(axis=0)]) for each in self._straying.everywhere(level))
+        mean, variance = (np.vstack([each.mean(axis=0), each]) for each in self._straying.everywhere(level))
         self._level, self._mean = level, mean
         self._wider = np.sqrt(1.0 + WIDENED**2 * variance / self._spread**2)
 

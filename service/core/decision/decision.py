@@ -20,20 +20,20 @@ import numpy as np
 
 from faultline.service.core.decision.explaining import Explainer
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
-from faultline.service.core.decision.intermittence import BLOCK_TICKS, Intermittence
+from faultline.service.core.decision.intermittence import BLOCK, Intermittence
 from faultline.service.core.decision.unlike import Unlike
 from faultline.service.core.decision.window import Blocks
 from faultline.service.core.detectors.bank import DetectorBank
-from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.manifest import Manifest, Span, ticks_of
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
 
-RANKING_PERIOD = 15
+RANKING = Span(periods=15)
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.
 
-Less often than it takes for a change to be told (`core.decision.telling.SETTLE_TICKS`): what alternates is told too. A
+Less often than it takes for a change to be told (`core.decision.telling.SETTLE`): what alternates is told too. A
 bus delivers the same recording with a little jitter each time; misfits compared at every tick would cross at another
 one each time.
 """
@@ -44,28 +44,29 @@ SURE = 100.0
 CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
-VAIN_TICKS = 3000
-"""10 min: what was not confirmed until then is taken for the day's."""
+VAIN = Span(settlings=30, seconds=600)
+"""What was not confirmed until then is taken for the day's."""
 
 DOUBTED, DOUBTS = 10.0, 20
 """A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
 best one fits better by less than this: what confirmed it was on its way to somewhere usual."""
 
-UNSEEN_TICKS = 300
-"""An alarm of 60 s during which some test of the evidence cannot tell is confirmed by its length: a filter that is all
-but shut takes its own pressure out of the operating range. Who it is remains open among those that alarms allow."""
+UNSEEN = Span(settlings=3, seconds=60)
+"""An alarm of this length during which some test of the evidence cannot tell is confirmed by its length: a
+filter that is all but shut takes its own pressure out of the operating range. Who it is remains open among those
+that alarms allow."""
 
 GONE_BLOCKS = 60
-"""3 min: what no block in a row has shown is gone, though something was unlike any day before."""
+"""What no block of so many in a row has shown is gone, though something was unlike any day before."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
 
-LINGER_TICKS = 300
-"""A confirmed episode lasts until no test has alarmed for 60 s: a fault near a threshold is one fault, not many."""
+LINGER = Span(settlings=3, seconds=60)
+"""Without an alarm until a confirmed episode ends: a fault near a threshold is one fault, not many."""
 
-HEALED_TICKS = 75
-"""And until no test has alarmed for 15 s in any mode that showed the fault: a clogged nozzle does not heal at idle."""
+HEALED = Span(settlings=0.75, seconds=15)
+"""And so long in each mode that showed the fault: a clogged nozzle does not heal at idle."""
 
 
 class Decision:
@@ -74,24 +75,30 @@ class Decision:
     def __init__(self, manifest: Manifest) -> None:
         self._tests = [generator.test for generator in manifest.generators]
         names = [generator.name for generator in manifest.generators]
-        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names)
+        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names, manifest.time)
         self._detectors = self._fresh_detectors()
         self._inputs = [frozenset(generator.inputs) for generator in manifest.generators]
         of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
         self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
-        self._settle_ticks = max(g.warm_up_ticks for g in manifest.generators if g.name in manifest.evidence.generators)
+        time = manifest.time
+        self._ranking, self._block, self._vain = map(time.ticks, (RANKING, BLOCK, VAIN))
+        self._unseen_most, self._linger, self._healed = map(time.ticks, (UNSEEN, LINGER, HEALED))
+        self._settle_ticks = ticks_of(
+            max(g.warm_up_s for g in manifest.generators if g.name in manifest.evidence.generators), time.period_s
+        )
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
         self._hypotheses = Hypotheses(manifest.evidence, alone={each.name for each in manifest.disturbances})
         self._explainer = Explainer(manifest)
-        self._unlike = Unlike(manifest.evidence, names, self._hypotheses)
-        self._window = Blocks(manifest.evidence, names)
+        self._unlike = Unlike(manifest.evidence, names, self._hypotheses, time)
+        self._window = Blocks(manifest.evidence, names, time)
         self._intermittence = Intermittence(self._hypotheses)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
         self._first = 0  # tick at which one did first
         self._alarmed: frozenset[int] = frozenset()  # those that did, the last time that any did
         self._deviating: frozenset[int] = frozenset()  # tests that deviate in the window
-        self._showing = np.zeros(EDGE, dtype=np.bool_)  # modes in which they do
-        self._quiet = np.zeros(EDGE)  # ticks of every mode since a test alarmed last
+        self._names = manifest.modes.names[1:]
+        self._showing = np.zeros(len(self._names), dtype=np.bool_)  # modes in which they do
+        self._quiet = np.zeros(len(self._names))  # ticks of every mode since a test alarmed last
         self._look: Look | None = None
         self._settled = self._cleared = False
         self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
@@ -109,7 +116,7 @@ class Decision:
         self.level = self._unlike.without_day(mode, residuals)
         self._detectors.update(tick, mode, residuals._replace(level=self.level))
         self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubted is None)
-        if tick % RANKING_PERIOD == 0:
+        if tick % self._ranking == 0:
             self._unlike.look()
         if self.suspicious:
             if self._latest is None or self._is_news():
@@ -123,10 +130,10 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        if tick % RANKING_PERIOD == 0 and self._doubted is None and (self.suspicious or not self._settled):
+        if tick % self._ranking == 0 and self._doubted is None and (self.suspicious or not self._settled):
             self._weigh(settled)  # but not what is healing
             self._doubt(tick)
-        if tick % BLOCK_TICKS == 0:
+        if tick % self._block == 0:
             self._close_block()
         if self.suspicious:
             self._count_unseen()
@@ -170,8 +177,8 @@ class Decision:
         """A tick without alarm: the episode ends in time."""
         assert self._latest is not None
         if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
-            self._quiet[mode] += 1
-        healed = (self._quiet[self._showing] >= HEALED_TICKS).all() and tick - self._latest >= LINGER_TICKS
+            self._quiet[mode - 1] += 1
+        healed = (self._quiet[self._showing] >= self._healed).all() and tick - self._latest >= self._linger
         if healed or not self.confirmed:
             if self.confirmed:
                 self._unlike.rest()
@@ -180,7 +187,7 @@ class Decision:
 
     def _weigh(self, settled: bool) -> None:
         """Looks at the window; what the one before it said stands until it has seen enough."""
-        if self._unseen >= UNSEEN_TICKS:  # the window cannot confirm what keeps its tests from telling
+        if self._unseen >= self._unseen_most:  # the window cannot confirm what keeps its tests from telling
             if not (self.confirmed and self._settled):
                 self.confirmed, self._settled = True, False
                 self._explain()
@@ -208,7 +215,7 @@ class Decision:
 
     def _doubt(self, tick: int) -> None:
         """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the day's."""
-        if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= VAIN_TICKS):
+        if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= self._vain):
             self.confirmed, self._diagnoses = False, []
             self._doubted = self._detectors.firing
             self._unlike.accept(self._window.means)
@@ -238,7 +245,7 @@ class Decision:
     @property
     def showing(self) -> list[str]:
         """The operating modes that have shown what is wrong, since it was suspected."""
-        return [MODES[mode] for mode in np.flatnonzero(self._showing)]
+        return [self._names[mode] for mode in np.flatnonzero(self._showing)]
 
     @property
     def alarm(self) -> list[str]:

@@ -11,10 +11,11 @@ from faultline.service.core.decision.explaining import TIE
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
 from faultline.service.core.decision.straying import Level
 from faultline.service.core.decision.window import Blocks
+from faultline.service.core.manifest import Span
 from faultline.service.core.signals.values import Mask
 
-BLOCK_TICKS = 15
-"""3 s, of which all are left out or none: the shorter, the fewer are half with the fault and half without."""
+BLOCK = Span(periods=15)
+"""Of which all ticks are left out or none: in short ones few are half with the fault and half without."""
 
 CLEAR = 15.0
 """By how much a misfit must differ."""

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from faultline.service.core.manifest import MODES, Evidence
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
-STEADY = [mode for mode in range(len(MODES)) if mode != EDGE]
 MINIMUM_TICKS = 10
 """A mode counts once this many ticks were seen in it."""
 
@@ -73,15 +72,15 @@ class Straying:
     """The numbers of a bundle's evidence: `offset` (C, K), and `unknown`: the level of a day, before it has begun."""
 
     def __init__(self, evidence: Evidence) -> None:
-        self.offset = np.array(evidence.offset)[STEADY]
-        self._noise, self._visit = np.array(evidence.noise)[STEADY], np.array(evidence.visit)[STEADY]
+        self.offset = np.array(evidence.offset)[1:]
+        self._noise, self._visit = np.array(evidence.noise)[1:], np.array(evidence.visit)[1:]
         C, K = self.offset.shape
-        drifts = np.array(evidence.drifts).reshape(-1, len(MODES), K)[:, STEADY].reshape(-1, C * K)
-        own = np.array(evidence.allowance)[STEADY].ravel()
+        drifts = np.array(evidence.drifts).reshape(-1, 1 + C, K)[:, 1:].reshape(-1, C * K)
+        own = np.array(evidence.allowance)[1:].ravel()
         self.unknown = Level(np.zeros((C, K)), np.diag(own**2) + drifts.T @ drifts)
         moved = np.zeros((len(drifts), C, len(evidence.followers)))
         for column, follower in enumerate(evidence.followers):
-            moved[..., column] = np.array(follower.drifts).reshape(-1, len(MODES))[:, STEADY]
+            moved[..., column] = np.array(follower.drifts).reshape(-1, 1 + C)[:, 1:]
         following = moved.reshape(len(drifts), C * len(evidence.followers))
         told = np.linalg.pinv(self.unknown.covariance, hermitian=True) @ drifts.T  # (D, R)
         self._following = following.T @ told.T  # A (C F, D)

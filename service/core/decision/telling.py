@@ -2,9 +2,10 @@
 
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
+from faultline.service.core.manifest import Span, TimeScale
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition, candidates
 
-SETTLE_TICKS = 10
+SETTLE = Span(periods=10)
 """A change is told once it has lasted this long: tests that fire within it tell their news together."""
 
 State = TypeVar("State")
@@ -50,10 +51,11 @@ class Told(NamedTuple):
 
 
 class Settled(Generic[State]):
-    """A value that changes only when the new one has stayed the same for `SETTLE_TICKS` further ticks."""
+    """A value that changes only when the new one has stayed the same for so many further `ticks`."""
 
-    def __init__(self, value: State) -> None:
+    def __init__(self, value: State, ticks: int) -> None:
         self.value = value
+        self._ticks = ticks
         self._seen = value
         self._lasted = 0
 
@@ -61,7 +63,7 @@ class Settled(Generic[State]):
         """Takes what is seen at a tick; whether the value changed."""
         self._lasted = self._lasted + 1 if seen == self._seen else 0
         self._seen = seen
-        if self._lasted < SETTLE_TICKS or seen == self.value:
+        if self._lasted < self._ticks or seen == self.value:
             return False
         self.value = seen
         return True
@@ -70,19 +72,19 @@ class Settled(Generic[State]):
 class Teller:
     """Makes the events of one source, numbered from 1. State: what has been told and what is about to be."""
 
-    def __init__(self, source: str, bundle_id: str, period_s: float) -> None:
+    def __init__(self, source: str, bundle_id: str, time: TimeScale) -> None:
         self._source = source
         self.bundle = bundle_id
-        self._period = period_s
+        self._period, self._settle = time.period_s, time.ticks(SETTLE)
         self._seq = 0
-        self._told: Settled[Told] = Settled(Told(False, []))
+        self._told: Settled[Told] = Settled(Told(False, []), self._settle)
         self._diagnoses: list[Diagnosis] = []
         self._blind: Settled[list[str]] | None = None
 
     def update(self, tick: int, decision: Decided) -> list[Event]:
         """The events of this tick, at most one for what is wrong and one for the tests that cannot tell."""
         if self._blind is None:
-            self._blind = Settled(decision.cannot_tell)
+            self._blind = Settled(decision.cannot_tell, self._settle)
             return [self._event(tick, "started", decision)]
         events = []
         before = self._told.value

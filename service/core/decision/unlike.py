@@ -11,8 +11,8 @@ from faultline.service.core.decision.day import Day
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.straying import Level, Means
 from faultline.service.core.decision.window import Recent, Window
-from faultline.service.core.detectors.bank import FROZEN_TICKS
-from faultline.service.core.manifest import Evidence
+from faultline.service.core.detectors.bank import FROZEN
+from faultline.service.core.manifest import Evidence, TimeScale
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
 
@@ -30,12 +30,13 @@ class Unlike:
     Evidence that has been unable to tell for long says nothing of now, nor is the day still known: all begins anew.
     """
 
-    def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses) -> None:
+    def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses, time: TimeScale) -> None:
+        self._frozen = time.ticks(FROZEN)
         self._rows = [generators.index(name) for name in evidence.generators]
         self._moved = [*self._rows, *(generators.index(f.generator) for f in evidence.followers)]
         self._hypotheses = hypotheses
-        self._day = Day(evidence)
-        self._recent, self._ever = Recent(evidence, generators), Window(evidence, generators)
+        self._day = Day(evidence, time)
+        self._recent, self._ever = Recent(evidence, generators, time), Window(evidence, generators, time)
         self._unlike_any = False
         self._blind = 0  # ticks since any of the evidence could tell
         self.alarm = False
@@ -61,7 +62,7 @@ class Unlike:
             self._day.add(mode, residuals.r[self._rows], usable)
             self._ever.add(mode, residuals.r, residuals.usable, residuals.shift)
         self._blind = 0 if usable.any() else self._blind + 1
-        if self._blind == FROZEN_TICKS:
+        if self._blind == self._frozen:
             self._day.forget()
             self.rest()
 

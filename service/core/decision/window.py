@@ -1,7 +1,7 @@
 """The fresh window: the mean residual of every mode since a test began to alarm.
 
 The window must be fresh: samples from before the onset, pooled with later ones, look like a dose-dependent fault. And
-it forgets: of every mode it keeps the last `PART_TICKS` to twice as many ticks, so that a fault that has grown, or
+it forgets: of every mode it keeps the last `PART` to twice as much, so that a fault that has grown, or
 another that has joined it hours later, is seen as it is now; a mode not visited since keeps what it showed.
 
 What comes and goes is seen as it is when it is there: the newest seconds are a block, which can be left out.
@@ -12,12 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.decision.straying import Means, Visit
-from faultline.service.core.manifest import Evidence
+from faultline.service.core.manifest import Evidence, Span, TimeScale
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
 
-PART_TICKS = 750  # 150 s
-RECENT_TICKS = 150  # 30 s
+PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
 
 
 class Window:
@@ -26,16 +25,17 @@ class Window:
     PARTS = 2
     """The older one first; ticks are added to the last."""
 
-    def __init__(self, evidence: Evidence, generators: Sequence[str]) -> None:
+    def __init__(self, evidence: Evidence, generators: Sequence[str], time: TimeScale) -> None:
         self._columns = np.array([generators.index(name) for name in evidence.generators])
-        self._hypotheses = len(evidence.hypotheses)
+        self._hypotheses, self._modes = len(evidence.hypotheses), len(evidence.offset) - 1
+        self._part, self._recent = time.ticks(PART), time.ticks(RECENT)
         self.clear()
 
     def clear(self) -> None:
         """Starts a fresh window."""
         K = len(self._columns)
         # Sums as in `Means`, those of hypotheses behind the others.
-        self._sums = np.zeros((self.PARTS, 3 + self._hypotheses, EDGE, K))
+        self._sums = np.zeros((self.PARTS, 3 + self._hypotheses, self._modes, K))
         self._visit = Visit(K)
 
     def add(self, mode: int, r: FloatArray, usable: Mask, shift: FloatArray) -> None:
@@ -45,7 +45,7 @@ class Window:
         if mode == EDGE:
             return
         told = usable[self._columns]
-        part = self._sums[-1, :, mode]
+        part = self._sums[-1, :, mode - 1]
         part[0] += told
         part[1] += told * (2.0 * self._visit.length + 1.0)
         part[2] += np.where(told, r[self._columns], 0.0)
@@ -54,8 +54,8 @@ class Window:
         self._visit.length = self._visit.length + told
 
     def _forget(self, mode: int) -> None:
-        if mode != EDGE and self._sums[1, 0, mode].max() >= PART_TICKS:
-            self._sums[0, :, mode], self._sums[1, :, mode] = self._sums[1, :, mode], 0.0
+        if mode != EDGE and self._sums[1, 0, mode - 1].max() >= self._part:
+            self._sums[0, :, mode - 1], self._sums[1, :, mode - 1] = self._sums[1, :, mode - 1], 0.0
 
     @property
     def means(self) -> Means:
@@ -65,7 +65,7 @@ class Window:
     def _means(self, sums: FloatArray) -> Means:
         ticks, squares, total, *shift = sums
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
-        return Means(ticks, squares, total, np.array(shift).reshape(-1, EDGE, len(self._columns)))
+        return Means(ticks, squares, total, np.array(shift).reshape(-1, self._modes, len(self._columns)))
 
 
 class Blocks(Window):
@@ -98,7 +98,7 @@ class Blocks(Window):
 
 
 class Recent(Window):
-    """The same of the last 30 to 60 s alone, whatever the mode: one that has not been visited since is not seen."""
+    """The same of the last `RECENT` to twice as much alone: a mode not visited since is not seen."""
 
     def clear(self) -> None:
         """Starts anew."""
@@ -107,5 +107,5 @@ class Recent(Window):
 
     def _forget(self, _mode: int) -> None:
         self._ticks += 1
-        if self._ticks % RECENT_TICKS == 0:
+        if self._ticks % self._recent == 0:
             self._sums[0], self._sums[1] = self._sums[1], 0.0

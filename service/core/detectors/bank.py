@@ -15,45 +15,50 @@ from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
     LowPassDetector,
+    Span,
     SpreadDetector,
     ThresholdDetector,
+    TimeScale,
+    ticks_of,
 )
 from faultline.service.core.manifest import Detector as Settings
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
 
-FROZEN_TICKS = 1500  # 5 min
+FROZEN = Span(settlings=15, seconds=300)
 
 
-def detector(settings: Settings) -> Detector:
-    """A fresh detector."""
+def detector(settings: Settings, period_s: float) -> Detector:
+    """A fresh detector of ticks that are `period_s` [s] apart."""
+    hold = 0 if isinstance(settings, CusumDetector) else ticks_of(settings.hold_s, period_s)
     match settings:
         case CusumDetector():
             return Cusum(settings.nu, settings.J, settings.side)
         case ThresholdDetector():
-            return Threshold(settings.J, settings.hold_ticks)
+            return Threshold(settings.J, hold)
         case LowPassDetector():
-            return LowPass(settings.J, settings.hold_ticks, settings.time_ticks)
+            return LowPass(settings.J, hold, max(1.0, settings.time_s / period_s))
         case AdaptiveDetector():
-            return Adaptive(settings.J, settings.hold_ticks)
+            return Adaptive(settings.J, hold)
         case SpreadDetector():
-            return Spread(settings.J, settings.hold_ticks, settings.memory_ticks)
+            return Spread(settings.J, hold, max(1.0, settings.memory_s / period_s))
 
 
 class DetectorBank:
     """The detectors of T generators, of which each has one that tests its level, and may have more.
 
-    A detector of a generator that cannot tell is frozen and its alarm stands, for `FROZEN_TICKS`: a sensor that died in
+    A detector of a generator that cannot tell is frozen and its alarm stands, for `FROZEN`: a sensor that died in
     mid-alarm says nothing of now, and would keep an episode open for ever. One that tests the spread raises
     suspicion; only one that tests the level can be a conflict, because only that has the structural row of its
     generator.
     """
 
-    def __init__(self, settings: Sequence[Settings], generators: Sequence[str]) -> None:
+    def __init__(self, settings: Sequence[Settings], generators: Sequence[str], time: TimeScale) -> None:
+        self._longest = time.ticks(FROZEN)
         self._count = len(generators)
         self._rows = [generators.index(each.generator) for each in settings]
         self._level = [not isinstance(each, SpreadDetector) for each in settings]
-        self._detectors = [detector(each) for each in settings]
+        self._detectors = [detector(each, time.period_s) for each in settings]
         self._standard = Standard(settings, self._rows)
         self._frozen = np.zeros(len(generators), dtype=np.int64)  # ticks since each could tell
 
@@ -76,7 +81,7 @@ class DetectorBank:
         return frozenset(row for each, row in zip(self._detectors, self._rows, strict=True) if self._stands(each, row))
 
     def _stands(self, each: Detector, row: int) -> bool:
-        return each.alarm and bool(self._frozen[row] <= FROZEN_TICKS)
+        return each.alarm and bool(self._frozen[row] <= self._longest)
 
     @property
     def alarmed(self) -> frozenset[int]:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from faultline.service.core.manifest import MODES, AdaptiveDetector, Detector, SpreadDetector
+from faultline.service.core.manifest import AdaptiveDetector, Detector, SpreadDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
 
@@ -22,17 +22,20 @@ class Standard:
     """The standardisation of D detectors; `rows` (D,) are the generators that they look at."""
 
     def __init__(self, detectors: Sequence[Detector], rows: Sequence[int]) -> None:
-        shape = len(detectors), len(MODES)
+        modes = len(detectors[0].offset) if detectors else 0
+        shape = len(detectors), modes
         self._rows = np.array(rows, dtype=np.intp)
         self._offset = np.array([detector.offset for detector in detectors]).reshape(shape)
         self._scale = np.array([detector.scale for detector in detectors]).reshape(shape)
         self._adaptive = np.array([isinstance(d, AdaptiveDetector) for d in detectors], dtype=np.bool_)
         self._spread = np.array([isinstance(d, SpreadDetector) for d in detectors], dtype=np.bool_)
-        ones = [1.0] * len(MODES)
+        ones = [1.0] * modes
         self._usual = np.array([d.usual if isinstance(d, AdaptiveDetector) else ones for d in detectors]).reshape(shape)
 
     def __call__(self, mode: int, residuals: Residuals) -> FloatArray:
         """The standardised residual (D,) of a tick for each detector; whatever it is where the test cannot tell."""
+        if not len(self._rows):
+            return np.zeros(0)
         sigma = np.where(self._adaptive, residuals.sigma[self._rows], 1.0)
         spread = self._scale[:, mode] * sigma / self._usual[:, mode]
         r = residuals.r[self._rows]

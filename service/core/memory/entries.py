@@ -3,7 +3,6 @@
 import numpy as np
 from msgspec import structs
 
-from faultline.service.core.manifest import MODES
 from faultline.service.core.memory.debounce import Debounce
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
@@ -20,9 +19,11 @@ class Episode:
         self.modes: list[str] = []
         self.number: int | None = None
         self.before: Fault | None = None
-        looks = (max(1, round(s / system.period_s)) for s in (rules.failed_after_s, rules.passed_after_s))
+        looks = (max(1, round(s / system.time.period_s)) for s in (rules.failed_after_s, rules.passed_after_s))
         self.debounce = Debounce(*looks)
-        self.quiet = np.zeros((len(MODES), len(system.tests)), dtype=np.int64)  # ticks, since it failed, or the cycle
+        self.quiet = np.zeros(
+            (len(system.modes), len(system.tests)), dtype=np.int64
+        )  # ticks, since it failed, or the cycle
         self.ticks = 0
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 from msgspec import structs
 
-from faultline.service.core.manifest import MODES
+from faultline.service.core.manifest import Span
 from faultline.service.core.memory.entries import Episode, fresh, in_new_cycle, with_told
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
@@ -23,7 +23,8 @@ from faultline.service.core.records.fault import Change, Fault, Number, names
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import Mask
 
-LOOK_TICKS = 25  # 5 s at the usual period
+LOOK = Span(periods=25)
+"""Between two looks at faults of earlier runs."""
 
 
 class FaultChange(NamedTuple):
@@ -89,7 +90,7 @@ class FaultMemory:
             episode.quiet[mode] += usable
         episode.ticks += 1
         news = self._count(episode, usable, suspicious)
-        if episode.ticks % LOOK_TICKS == 0 and not suspicious:
+        if episode.ticks % episode.system.time.ticks(LOOK) == 0 and not suspicious:
             news += self._look(episode)
         return news
 
@@ -254,7 +255,7 @@ class FaultMemory:
 
     def _look(self, episode: Episode) -> list[FaultChange]:
         """Pass faults of earlier runs or cycles that were quiet since where they could be seen."""
-        least = self._rules.quiet_s / episode.system.period_s
+        least = self._rules.quiet_s / episode.system.time.period_s
         news = []
         for fault in [*self.faults.values()]:
             if fault.system != episode.system.name or fault.number == episode.number:
@@ -263,8 +264,8 @@ class FaultMemory:
                 continue
             rows = [k for k, test in enumerate(episode.system.tests) if test in fault.tests]
             seen = episode.quiet[:, rows or slice(None)].min(axis=1)
-            modes = [MODES.index(mode) for mode in fault.modes]
-            if (seen[modes] if modes else seen[:EDGE].sum(keepdims=True)).min() >= least:
+            modes = [k for k, mode in enumerate(episode.system.modes) if mode in fault.modes]  # none: of another bundle
+            if (seen[modes] if modes else seen[EDGE + 1 :].sum(keepdims=True)).min() >= least:
                 was_failed = fault.status.test_failed
                 news.append(self._pass(fault) if was_failed else self._put(fault, None, not_completed_this_cycle=False))
         return news

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from faultline.service.core.decision.decision import Decision
-from faultline.service.core.manifest import MODES, Manifest
+from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.records.freeze_frame import SCHEMA, Excerpt, FreezeFrame, Input, Verdict
 from faultline.service.core.residuals.observer import Tick
@@ -88,7 +88,7 @@ class Recorder:
             bundle=event.bundle,
             tick=event.tick,
             t_s=event.t_s,
-            mode=MODES[last.mode],
+            mode=manifest.modes.names[last.mode],
             inputs=[
                 Input(
                     signal=channel.signal,
@@ -148,7 +148,7 @@ class Recorder:
         return Excerpt(
             first_tick=samples[0].tick,
             period_s=self._manifest.period_s,
-            mode=[MODES[each.mode] for each in samples],
+            mode=[self._manifest.modes.names[each.mode] for each in samples],
             signals={
                 channel.signal: [
                     _number(each.z[k]) if good[k] else None for each, good in zip(samples, usable, strict=True)

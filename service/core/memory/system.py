@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from faultline.service.core.manifest import Manifest
+from faultline.service.core.manifest import Manifest, TimeScale
 from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.fault import Dtc
 
@@ -13,11 +13,12 @@ condition exists (it is no component that the model knows)."""
 
 
 class System(NamedTuple):
-    """Watched system: its name, the manifest's SHA-256 and period [s], and what its names mean."""
+    """Watched system: its name, the manifest's SHA-256, time scale and modes, and what its names mean."""
 
     name: str
     bundle: str
-    period_s: float
+    time: TimeScale
+    modes: tuple[str, ...]
     tests: tuple[str, ...]  # of every generator
     components: dict[str, str]  # by fault
     dtcs: dict[str, Dtc]  # by fault, those that have one
@@ -28,7 +29,8 @@ class System(NamedTuple):
         return cls(
             manifest.name,
             bundle,
-            manifest.period_s,
+            manifest.time,
+            manifest.modes.names,
             tuple(generator.test for generator in manifest.generators),
             {fault.name: fault.component for fault in manifest.faults},
             {

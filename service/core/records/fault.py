@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.manifest import MODES
 from faultline.service.core.records.event import Diagnosis
 
 SCHEMA = "faultline.fault/1"
@@ -134,8 +133,6 @@ def check(fault: Fault, name: str) -> None:
     """Raise ValueError where the fault memory cannot go on with what was kept under `name`, by another version say."""
     if name != f"fault/{fault.number}":
         raise ValueError(f"is of fault {fault.number}")
-    if unknown := [mode for mode in fault.modes if mode not in MODES]:
-        raise ValueError(f"no operating mode is called {unknown[0]!r}; those are {', '.join(MODES)}")
 
 
 def names(diagnoses: Sequence[Diagnosis]) -> frozenset[str]:

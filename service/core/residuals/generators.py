@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import onnxruntime as ort
 
-from faultline.service.core.manifest import Evidence, Generator, Input
+from faultline.service.core.manifest import Evidence, Generator, Input, ticks_of
 from faultline.service.core.residuals.assumed import Assumed
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
@@ -89,6 +89,7 @@ class GeneratorBank:
         graphs: Mapping[str, bytes],
         generators: Sequence[Generator],
         inputs: Sequence[Input],
+        period_s: float,
         evidence: Evidence | None = None,
     ) -> None:
         self._parts = _parts(graphs, generators)
@@ -106,7 +107,7 @@ class GeneratorBank:
                 self._gain[column, names.index(signal)] = gain
         for row, generator in enumerate(generators):
             self._needs[row, [names.index(signal) for signal in generator.inputs]] = True
-        self._warm_up = np.array([generator.warm_up_ticks for generator in generators])
+        self._warm_up = np.array([ticks_of(generator.warm_up_s, period_s) for generator in generators])
         self._x = np.zeros(len(states))
         self._z = self._neutral.copy()
         self._missed = np.full(len(generators), HELD_TICKS + 1)

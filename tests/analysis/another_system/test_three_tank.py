@@ -16,7 +16,6 @@ from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.files import BundleError
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
 from faultline.service.diagnose import main as diagnose
 
 DURATION_S, ONSET_S = 480.0, 270.0
@@ -72,7 +71,7 @@ def test_the_bundle_keeps_the_dbcs_own_name_and_the_models_units(bench: Bench) -
     manifest = load_bundle(bench.bundle).manifest
     assert manifest.dbc == "tanks.dbc"
     assert {channel.unit for channel in manifest.inputs} == {"1", "m"}
-    assert manifest.generators[0].warm_up_ticks == round(load_model("three-tank").warm_up_s / manifest.period_s)
+    assert manifest.generators[0].warm_up_s == load_model("three-tank").warm_up_s == manifest.settling_s
 
 
 def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> None:
@@ -84,16 +83,15 @@ def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> 
         verify_golden(bundle)
 
 
-def test_modes_that_the_pump_has_not_are_described_by_the_one_it_has(bench: Bench) -> None:
+def test_the_pump_has_one_mode_and_the_edge_each_with_numbers_of_its_own(bench: Bench) -> None:
     manifest = load_bundle(bench.bundle).manifest
-    signal = next(channel for channel in manifest.inputs if channel.signal == manifest.modes.signal)
-    assert manifest.modes.idle_below < signal.lower
-    assert manifest.modes.maximum_above > signal.upper
+    assert manifest.modes.names == ("edge", "operation")
     for detector in manifest.detectors:
         for values in (detector.offset, detector.scale):
-            assert values[IDLE] == values[MAXIMUM] == values[PARTIAL] != values[EDGE]
-    for table in (manifest.evidence.offset, manifest.evidence.noise, manifest.evidence.allowance):
-        assert table[IDLE] == table[MAXIMUM] == table[PARTIAL] != table[EDGE]
+            assert len(set(values)) == len(values) == 2
+    evidence = manifest.evidence
+    assert [len(table) for table in (evidence.offset, evidence.noise, evidence.allowance)] == [2, 2, 2]
+    assert evidence.noise[0] != evidence.noise[1]
 
 
 def test_a_healthy_run_is_quiet_and_every_test_could_tell(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

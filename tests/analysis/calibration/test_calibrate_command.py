@@ -16,7 +16,6 @@ from faultline.analysis.model import dump_model, load_model
 from faultline.analysis.tuning.command import main as tune
 from faultline.analysis.tuning.file import load_tuning, model_digest
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES
 from faultline.service.logs import open_log
 
 FREE = ("A_du", "A_ori")
@@ -110,7 +109,7 @@ def test_the_result_is_printed(reported: Reported) -> None:
     for by_output in told["agreement"].values():
         assert list(by_output) == ["y_p_tp", "y_p_ap", "y_p_du"]
         for by_mode in by_output.values():
-            assert set(by_mode) == {*MODES, "steady"}
+            assert set(by_mode) == {*UDS4.modes.names, "steady"}
             assert 0.3 < by_mode["steady"]["rms"] / by_mode["steady"]["expected"] < 1.5
 
 
@@ -193,7 +192,7 @@ def test_tuning_takes_another_recording_of_the_vehicle(
     assert tuning.model_sha256 == model_digest(made.calibrated.read_text())
     assert len(tuning.golden_z) == 150
     assert [detector.generator for detector in tuning.detectors][:2] == ["t02.ode", "t06.ode"]
-    assert all(len(detector.scale) == len(MODES) for detector in tuning.detectors)
+    assert all(len(detector.scale) == len(UDS4.modes.names) for detector in tuning.detectors)
     again = tmp_path / "again.json"
     assert tune([str(made.calibrated), str(made.second), "--out", str(again), "--json"]) == 0
     assert again.read_bytes() == out.read_bytes()

@@ -8,8 +8,8 @@ import pytest
 from made_drive import DOSE, ECU_S, UDS4, UDS4_SYSTEM, frames, log_sections
 
 from faultline.analysis.calibration.noise import (
-    CELL_S,
-    STEP_TIME_S,
+    CELL,
+    STEP_TIME,
     Spread,
     Whitening,
     by_square,
@@ -21,7 +21,10 @@ from faultline.analysis.calibration.noise import (
 )
 from faultline.analysis.calibration.sections import JUMP, Section, by_median
 from faultline.analysis.simulation import Trajectory, run
-from faultline.service.core.manifest import MODES
+
+MODES = UDS4.modes.names
+CELL_S, STEP_TIME_S = CELL * UDS4.settling_s, STEP_TIME * UDS4.period_s
+
 
 Array = npt.NDArray[np.float64]
 SEEDS = range(5)
@@ -44,7 +47,7 @@ def made_levels(section: Section) -> dict[str, Array]:
     """Another one for every output and mode, above the sensors' own."""
     names = list(section.samples)
     return {
-        name: np.asarray(UDS4.known[name].noise * (1.0 + k + 0.5 * np.arange(len(MODES))))
+        name: np.asarray(UDS4.known[name].noise * (1.0 + k + 0.5 * np.array([3, 0, 1, 2])))
         for k, name in enumerate(names)
     }
 

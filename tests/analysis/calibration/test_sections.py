@@ -10,10 +10,10 @@ import pytest
 from made_drive import DOSE, ECU, ECU_S, HOLD_S, LATE_S, SENSORS, SPEED, UDS4, UDS4_SYSTEM, Errors, frames, log_sections
 
 from faultline.analysis.calibration.sections import (
-    BLIND_S,
-    GAP_S,
-    LONGEST_S,
-    SHORTEST_S,
+    BLIND,
+    GAP,
+    LONGEST,
+    SHORTEST,
     Section,
     fitting,
     is_command,
@@ -21,10 +21,11 @@ from faultline.analysis.calibration.sections import (
 from faultline.analysis.calibration.sections import cut as divided
 from faultline.analysis.simulation import System
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES
 from faultline.service.logs import Frame
 
 WARM_UP_S = UDS4.warm_up_s
+BLIND_S, GAP_S = BLIND * UDS4.period_s, GAP * UDS4.period_s
+LONGEST_S, SHORTEST_S = LONGEST * UDS4.period_s, SHORTEST * UDS4.period_s
 
 LOG = frames(UDS4, {}, seed=1)
 
@@ -220,7 +221,7 @@ def test_samples_know_their_operating_mode() -> None:
     """As the vehicle follows them: eight seconds of edge after a step, then by the dose."""
     [section] = cut(LOG)
     for name, s in section.samples.items():
-        t, mode = section.start_s + s.t, np.array(MODES)[s.mode]
+        t, mode = section.start_s + s.t, np.array(UDS4.modes.names)[s.mode]
         for k, dose in enumerate(DOSE):
             settled = (t > 30.0 * k + 10.0) & (t < 30.0 * k + 29.5)
             expected = "idle" if dose < 0.02 else "maximum" if dose > 0.98 else "partial"

@@ -18,16 +18,18 @@ from made_drive import DBC, ECU, HOLD_S, UDS4, frames, freed, write_recording
 
 from faultline.analysis.export import main as export
 from faultline.analysis.model import Model, dump_model
-from faultline.analysis.tuning.adapt import LEAST_S
+from faultline.analysis.tuning.adapt import LEAST
 from faultline.analysis.tuning.command import main as tune
 from faultline.analysis.tuning.file import Tuning, load_tuning
 from faultline.analysis.tuning.thresholds import MARGIN
 from faultline.service.bundle.command import main as show
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES, CusumDetector
-from faultline.service.core.signals.modes import IDLE
+from faultline.service.core.manifest import CusumDetector
 from faultline.service.logs import open_log
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+
 
 Array = npt.NDArray[np.float64]
 
@@ -196,10 +198,10 @@ def test_how_large_drifts_are_is_the_bases_and_what_no_model_names_stays(
 ) -> None:
     base = load_tuning(fleet.base)
     assert base.drift_sizes == [1.0] * 5  # eight drives are too few to see it
-    K, sizes, unnamed = len(base.evidence.generators), [0.5, 1.0, 1.5, 1.0, 2.0], [7.0] * len(MODES)
+    K, sizes, unnamed = len(base.evidence.generators), [0.5, 1.0, 1.5, 1.0, 2.0], [7.0] * len(UDS4.modes.names)
     evidence = msgspec.structs.replace(
         base.evidence,
-        drifts=[*base.evidence.drifts, [[5.0] * K] * len(MODES)],
+        drifts=[*base.evidence.drifts, [[5.0] * K] * len(UDS4.modes.names)],
         followers=[msgspec.structs.replace(f, drifts=[*f.drifts, unnamed]) for f in base.evidence.followers],
     )
     path = tmp_path / "base.json"
@@ -268,7 +270,9 @@ def test_a_fault_in_a_drive_to_tune_on_is_told(
 def test_adapting_needs_every_mode_for_long_enough(fleet: Fleet, tmp_path: Path) -> None:
     log = [frame for frame in frames(UDS4, {}, 41, zero=ZERO) if frame.t < 3 * HOLD_S + 15.0]
     short = write_recording(tmp_path / "short", log, "b")
-    with pytest.raises(InputError, match=rf"short: saw mode .*'maximum' for \d+ s.*, {LEAST_S:.0f} s are needed; add"):
+    with pytest.raises(
+        InputError, match=rf"short: saw mode .*'maximum' for \d+ s.*, {LEAST * UDS4.settling_s:.0f} s are needed; add"
+    ):
         fleet.tune(fleet.b, short, "--adapt", fleet.base)
 
 
@@ -279,7 +283,7 @@ def test_nobody_is_told_to_stay_at_an_edge(fleet: Fleet, tmp_path: Path) -> None
     with pytest.raises(InputError) as caught:
         fleet.tune(fleet.b, calm, "--adapt", fleet.base)
     assert re.search(r"calm: saw mode .*'edge' for \d+ s, 20 s are needed; add a fault-free drive", str(caught.value))
-    assert str(caught.value).endswith("with more steps, such as of the dose")
+    assert str(caught.value).endswith("with more steps of the inputs")
 
 
 def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_path: Path) -> None:
@@ -317,8 +321,8 @@ def test_adapting_refuses_a_base_of_other_tests_modes_or_schema(fleet: Fleet, tm
     written(msgspec.structs.replace(base, detectors=base.detectors[1:]))
     with pytest.raises(InputError, match=r"base.json: its tests are t06.ode, .* those of uds t02.ode, .*; adapt a ba"):
         fleet.tune(*given)
-    written(msgspec.structs.replace(base, modes=msgspec.structs.replace(base.modes, settle_ticks=3)))
-    with pytest.raises(InputError, match=r"base.json: its operating modes are not the model's; adapt a base of the sa"):
+    written(msgspec.structs.replace(base, modes=msgspec.structs.replace(base.modes, settle_s=3)))
+    with pytest.raises(InputError, match=r"base.json: its operating modes or period are not the model's; adapt a"):
         fleet.tune(*given)
     written(msgspec.structs.replace(base, networks_sha256="0" * 64))
     with pytest.raises(InputError, match=r"base.json: has networks, which are of one vehicle only; adapt a base witho"):

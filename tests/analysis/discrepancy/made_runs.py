@@ -12,6 +12,7 @@ from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Samples, Section
 from faultline.analysis.discrepancy.find.quantities import mode_of, quantities
 from faultline.analysis.model import Model
+from faultline.analysis.recordings.modes import time_of
 from faultline.analysis.simulation import Drive, disturbance, run, system_of
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def made(
     system, h = system_of(model, model.calibrated), float(t[1])
     noise = np.tile([model.known[name].noise for name in system.inputs], (len(t), 1))
     outputs, start = _outputs(true or model, u, h, missing)
-    section = Section(0, 0.0, Drive(h, u, start, np.tile(start, (len(t), 1))), noise, {}, {})
+    section = Section(0, 0.0, Drive(h, u, start, np.tile(start, (len(t), 1))), noise, {}, {}, time_of(model))
     mode = mode_of(model, system, section)
     samples = {}
     for name, value in outputs.items():

@@ -131,7 +131,7 @@ def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: 
     assert entry["recordings"] == [open_log(found.training).sha256]
     assert entry["held_out"] == [open_log(found.held).sha256]
     assert structure([str(found.out / "model.toml")]) == 0
-    assert "uds/production" in capsys.readouterr().out
+    assert "uds_production" in capsys.readouterr().out
 
 
 def test_what_makes_the_held_out_free_run_worse_is_not_written(
@@ -249,7 +249,7 @@ def test_what_the_recordings_lack_is_told(found: Found) -> None:
     """Two holds at maximum dose, of which the seconds after the step do not count."""
     missing = json.loads((found.out / "discovery.json").read_bytes())["origin"]["missing"]
     assert any(
-        re.fullmatch(r"the training recordings have \d\d s of mode maximum; record a minute of it", m) for m in missing
+        re.fullmatch(r"the training recordings have \d\d s of mode maximum; record 60 s of it", m) for m in missing
     )
     assert not any("mode idle" in m and "training" in m for m in missing)
     assert all(f"note: {m}" in found.printed for m in missing[:2])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_study import study
 
-from faultline.analysis.calibration.problem import LAG_S
+from faultline.analysis.calibration.problem import LAG
 from faultline.analysis.calibration.validate import STEADY, Agreement
 from faultline.analysis.discrepancy.add.gate import UNLIKELY, WORSE, adoption
 from faultline.analysis.discrepancy.add.held_out import Shown, shown
@@ -140,7 +140,7 @@ def test_a_sensors_lag_that_does_anothers_work_is_refused(
     x = found.outcome.chosen.x.copy()
     x[-1] = many
     [reason] = adoption(data, changed(found, x=x), runs).reasons
-    assert reason == f"the lag of y_p_du has gone to {many * LAG_S:.2f} s, {LAG_S:g} s is usual"
+    assert reason == f"the lag of y_p_du has gone to {many * LAG * 0.2:.2f} s, {LAG * 0.2:g} s is usual"
 
 
 def test_several_reasons_are_all_given(data: Data, found: Discovery, runs: Shown) -> None:

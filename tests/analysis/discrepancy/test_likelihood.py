@@ -7,7 +7,7 @@ import pytest
 from made_study import UDS1, study
 
 from faultline.analysis.calibration.problem import Problem
-from faultline.analysis.discrepancy.name.likelihood import BIN_S, Likelihood, bins_of, blocks, levels_of
+from faultline.analysis.discrepancy.name.likelihood import BIN, Likelihood, bins_of, blocks, levels_of
 from faultline.analysis.simulation import system_of
 
 STUDY = study((), {})
@@ -22,7 +22,7 @@ def test_a_bin_has_one_output_one_mode_and_a_second_at_most() -> None:
     for k in range(bins.number[-1] + 1):
         inside = bins.number == k
         assert len({*output[inside]}) == len({*mode[inside]}) == 1, k
-        assert np.ptp(t[inside]) < BIN_S, k
+        assert np.ptp(t[inside]) < BIN * 0.2, k
         assert (bins.output[k], bins.mode[k]) == (output[inside][0], mode[inside][0]), k
     assert bins.mean(t) == pytest.approx(bins.t)
     assert bins.mean(np.column_stack([t, 2 * t]))[:, 1] == pytest.approx(2 * bins.t)

@@ -13,9 +13,11 @@ from faultline.analysis.evaluation.story import Array, Story
 from faultline.analysis.evaluation.truth import TrueFault, Truth
 from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event
-from faultline.service.core.signals.modes import PARTIAL
 from faultline.service.core.signals.values import Mask
 from faultline.service.logs import load_recording
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 PERIOD_S = 0.2

@@ -226,15 +226,14 @@ def test_a_report_needs_a_fault_free_part(onset_s: float, made: Made, capsys: py
 def test_a_report_needs_a_phase_of_maximum_dose(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
     logs = [made.recording("free", stop_s=60.0), made.recording("too", stop_s=59.0)]
     message = refused_at_once(made, *logs, more=(), capsys=capsys)
-    assert message.startswith(f"{logs[0]}: like the others, without a phase of maximum dose, where most faults show")
+    assert message.startswith(f"{logs[0]}: like the others, never in mode maximum; a report needs every mode, ")
     assert message.endswith("add a recording that has it")
 
 
 def test_a_system_without_a_mode_of_maximum_dose_is_reported_without_one(made: Made) -> None:
-    """Its limit is a whole operating range above the signal's own (`analysis.recordings.modes`)."""
     whole = load_bundle(BUNDLE)
-    highest = next(each.upper for each in whole.manifest.inputs if each.signal == whole.manifest.modes.signal)
-    modes = msgspec.structs.replace(whole.manifest.modes, maximum_above=2.0 * highest)
+    steady = [mode for mode in whole.manifest.modes.steady if mode.name != "maximum"]
+    modes = msgspec.structs.replace(whole.manifest.modes, steady=steady)
     bundle = whole._replace(manifest=msgspec.structs.replace(whole.manifest, modes=modes))
     check_reportable(given(bundle, [made.recording("free", stop_s=60.0)], [made.truths]), bundle)
 

@@ -3,9 +3,9 @@
 import msgspec
 import numpy as np
 import pytest
-from made_story import GOLDEN, event, known, story
+from made_story import GOLDEN, bundle, event, known, story
 
-from faultline.analysis.evaluation.blocks import blocks, cut
+from faultline.analysis.evaluation.blocks import blocks, cut, scored
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.equal import equal_groups
 from faultline.analysis.evaluation.measure.facts import BINS, EDGES
@@ -16,10 +16,12 @@ from faultline.analysis.evaluation.sentence import summary
 from faultline.analysis.evaluation.story import Array, Story, tell
 from faultline.analysis.evaluation.truth import TrueFault, Truth
 from faultline.service.bundle.load import load_bundle
-from faultline.service.core.manifest import MODES
 from faultline.service.core.monitor import Monitor
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import open_log
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+
 
 MINUTE = 300
 """Ticks."""
@@ -101,7 +103,7 @@ def test_an_alarm_that_stands_at_the_onset_is_no_detection_of_the_fault() -> Non
     one = known(story(r, sums), ["fA_du"], 60.0)
     assert one.standing.tolist() == [True, False]
     assert np.isnan(one.delays_s).all()
-    [t02, _] = cells([one], story(r, sums).bundle.manifest.generators, ["fA_du"])
+    [t02, _] = cells([one], story(r, sums).bundle.manifest.generators, ["fA_du"], scored(bundle().manifest))
     assert (t02.standing, t02.delays_s, t02.alarm.hits) == (1, [], 1)
 
 
@@ -154,7 +156,7 @@ def test_the_signature_is_counted_in_blocks() -> None:
     """fA_du is seen by t02 and not by t08; t02 is quiet before the onset but in one block of two."""
     one = known(with_a_fault(), ["fA_du"], 120.0)
     generators = with_a_fault().bundle.manifest.generators
-    t02, t08 = cells([one], generators, ["fA_du", "fA_t"])
+    t02, t08 = cells([one], generators, ["fA_du", "fA_t"], scored(bundle().manifest))
     assert (t02.generator, t02.case, t02.sensitive, t08.sensitive) == ("t02.ode", "fA_du", True, False)
     assert (t02.alarm.hits, t02.alarm.trials, t08.alarm.hits, t08.alarm.trials) == (2, 2, 0, 2)
     assert (t02.delays_s, t02.median_delay_s, t08.delays_s, t08.median_delay_s) == ([10.0], 10.0, [], None)
@@ -225,4 +227,9 @@ def test_sizes_of_a_fault_are_cases_of_their_own_unless_they_are_many() -> None:
 
 
 def test_the_modes_are_in_the_manifests_order() -> None:
-    assert [MODES[number] for number in (IDLE, PARTIAL, MAXIMUM, EDGE)] == ["idle", "partial", "maximum", "edge"]
+    assert [bundle().manifest.modes.names[number] for number in (IDLE, PARTIAL, MAXIMUM, EDGE)] == [
+        "idle",
+        "partial",
+        "maximum",
+        "edge",
+    ]

@@ -102,7 +102,7 @@ def test_the_data_keep_their_shape(report: Path) -> None:
     """A field that is renamed or taken away needs another schema."""
     raw = json.loads((report / "report.json").read_text())
     assert raw["schema"] == SCHEMA == "faultline.evaluation/1"
-    plain = "schema bundle bundle_id sensor_set made_for model simulated faults mode_hours methods"
+    plain = "schema bundle bundle_id sensor_set made_for model simulated faults modes mode_hours methods"
     assert sorted(raw) == sorted([*plain.split(), *FIELDS])
     found = {name: raw[name][0] if isinstance(raw[name], list) else raw[name] for name in FIELDS}
     assert {name: " ".join(entry) for name, entry in found.items()} == FIELDS
@@ -202,7 +202,7 @@ def test_traces_say_what_tests_what_is_not_drawn_and_what_was_told() -> None:
     r, sums = np.full((1200, 2), 3.0), np.zeros((1200, 2))
     made = bundle()
     detectors: list[Detector] = [
-        LowPassDetector(generator=d.generator, offset=d.offset, scale=d.scale, J=1.0, hold_ticks=5, time_ticks=5.0)
+        LowPassDetector(generator=d.generator, offset=d.offset, scale=d.scale, J=1.0, hold_s=1.0, time_s=1.0)
         for d in made.manifest.detectors
     ]
     made = made._replace(manifest=msgspec.structs.replace(made.manifest, detectors=detectors))

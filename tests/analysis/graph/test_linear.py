@@ -16,7 +16,7 @@ import sympy as sp
 from faultline.analysis.codegen import computation_sequence, python_source, residual_program
 from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
-from faultline.analysis.graph.bank import PERIOD_S, Bank, bank_of
+from faultline.analysis.graph.bank import Bank, bank_of
 from faultline.analysis.graph.formula import write_formulas
 from faultline.analysis.graph.linear import expanded
 from faultline.analysis.graph.writer import Writer
@@ -25,6 +25,9 @@ from faultline.analysis.simulation import Drive, run, system_of
 from faultline.analysis.structure import integral_tests
 from faultline.service.core.errors import InputError
 from faultline.service.core.residuals.generators import Graph
+
+PERIOD_S = 0.2  # of the dosing system
+
 
 Array = npt.NDArray[np.float64]
 

@@ -4,13 +4,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from faultline.analysis.graph.bank import PERIOD_S, Bank, build_bank
+from faultline.analysis.graph.bank import Bank, build_bank
 from faultline.analysis.graph.network import Evaluator, flow_network
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, parse_model
 from faultline.analysis.structure import integral_tests
 from faultline.service.core.errors import InputError
 from faultline.service.core.residuals.generators import Graph
+
+PERIOD_S = 0.2  # of the dosing system
+
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,13 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import odeint
 
-from faultline.analysis.graph.bank import PERIOD_S, Bank, build_bank
+from faultline.analysis.graph.bank import Bank, build_bank
 from faultline.analysis.graph.network import Values
 from faultline.analysis.model import load_model
 from faultline.service.core.residuals.generators import Graph
+
+PERIOD_S = 0.2  # of the dosing system
+
 
 Array = npt.NDArray[np.float64]
 

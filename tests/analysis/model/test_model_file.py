@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import sympy as sp
 
-from faultline.analysis.model import ModelError, OperatingModes, dump_model, load_model, parse_model
+from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
 
 GOOD = """
 schema = 1
@@ -38,12 +38,22 @@ prior = 0.3
 unit = "m"
 value = 1
 
-[modes]
-signal = "y"
-idle_below = 0.5
-maximum_above = 1.5
+[[mode]]
+name = "low"
+where = {y = {below = 0.5}}
+
+[[mode]]
+name = "usual"
+
+[[mode]]
+name = "high"
+description = "almost full"
+instruction = "open the inlet"
+where = {y = {above = 1.5, below = 2.0}}
+
+[edges]
 settle_s = 4.0
-edges = {y = 0.25}
+steps = {y = 0.25}
 
 [[equation]]
 name = "e1"
@@ -78,19 +88,25 @@ def test_a_file_becomes_a_model() -> None:
     assert [model.faults["fk"].absolute(s, model) for s in model.faults["fk"].sizes] == [-0.25]
     assert model.faults["fy"].absolute(0.1, model) == 0.1
     assert model.warm_up_s == 30.0
-    assert model.modes == OperatingModes(signal="y", idle_below=0.5, maximum_above=1.5, edges={"y": 0.25}, settle_s=4.0)
+    low, usual, high = model.modes.steady
+    assert (low.where, usual.where, high.where) == ({"y": (None, 0.5)}, {}, {"y": (1.5, 2.0)})
+    assert (high.description, high.instruction) == ("almost full", "open the inlet")
+    assert (model.modes.names, model.modes.rest) == (("edge", "low", "usual", "high"), usual)
+    assert (model.modes.edges, model.modes.settle_s) == ({"y": 0.25}, 4.0)
+    assert (model.period_s, model.maximum_age_s("y")) == (0.3, 1.5)
     assert model.provenance == ({"command": "calibrate", "recordings": ["abc"]},)
 
 
 @pytest.mark.parametrize(
-    "gone", ["", "idle_below = 0.5\n", "maximum_above = 1.5\n", "settle_s = 4.0\nedges = {y = 0.25}\n"]
+    "gone", ["", "below = 0.5", "above = 1.5, ", "[edges]\nsettle_s = 4.0\nsteps = {y = 0.25}\n", "warm_up_s = 30\n"]
 )
 def test_modes_and_warm_up_are_optional_and_survive_being_written(gone: str) -> None:
-    text = GOOD.replace(gone, "")
+    text = GOOD.replace(gone, "above = 0.1" if gone == "below = 0.5" else "")
     model = parse_model(text, "m")
     assert parse_model(dump_model(model), "m") == model
-    bare = parse_model(GOOD.replace(GOOD[GOOD.index("[modes]") : GOOD.index("[[equation]]")], ""), "m")
-    assert bare.modes is None
+    bare = parse_model(GOOD.replace(GOOD[GOOD.index("[[mode]]") : GOOD.index("[[equation]]")], ""), "m")
+    assert bare.modes.names == ("edge", "operation")
+    assert not bare.modes.edges
     assert parse_model(dump_model(bare), "m") == bare
     assert parse_model(GOOD.replace("warm_up_s = 30\n", ""), "m").warm_up_s == 20.0
 
@@ -280,14 +296,54 @@ WRONG = [
         "m.toml: parameter.h0.drift: is in parts of the value, and that is zero; give",
     ),
     ("warm-up no time", change("warm_up_s = 30", "warm_up_s = -1"), "m.toml: warm_up_s: -1 s is no time; give zero"),
-    ("mode signal unknown", change('signal = "y"', 'signal = "h"'), "m.toml: modes.signal: h is no known signal; "),
-    ("mode limits crossed", change("above = 1.5", "above = 0.5"), "m.toml: modes.maximum_above: 0.5 is not above idle"),
-    ("edge of no signal", change("{y = 0.25}", "{h = 1}"), "m.toml: modes.edges.h: is no known signal; those are y"),
-    ("edge no number", change("{y = 0.25}", "{y = '1'}"), "m.toml: modes.edges.y: must be a finite number"),
-    ("edge no step", change("{y = 0.25}", "{y = 0}"), "m.toml: modes.edges.y: a step of 0 is none; give"),
-    ("edges that never settle", change("settle_s = 4.0", ""), "m.toml: modes.settle_s: edges and a positive"),
-    ("settling without edges", change("edges = {y = 0.25}", ""), "m.toml: modes.settle_s: edges and a positive settle"),
-    ("unknown key in modes", change("settle_s", "settle"), "m.toml: modes.settle: unknown key; allowed here "),
+    (
+        "mode signal unknown",
+        change("{y = {below", "{h = {below"),
+        "m.toml: mode[0].where.h: h is no known signal; those",
+    ),
+    ("mode bounds crossed", change("below = 2.0", "below = 1.0"), "m.toml: mode[2].where.y.below: 1 is not above 1.5"),
+    (
+        "mode without bounds",
+        change("{below = 0.5}", "{}"),
+        "m.toml: mode[0].where.y.below: give `above`, `below` or both",
+    ),
+    ("mode twice", change('"low"', '"high"'), "m.toml: mode: two modes are named high; rename one (edge is the time"),
+    ("mode called edge", change('"low"', '"edge"'), "m.toml: mode: two modes are named edge; rename one"),
+    (
+        "mode for the rest twice",
+        change("where = {y = {below = 0.5}}", ""),
+        "m.toml: mode: give exactly one mode without",
+    ),
+    (
+        "mode for the rest missing",
+        change('name = "usual"', 'name = "usual"\nwhere = {y = {below = 3.0}}'),
+        "m.toml: mode: give exactly one mode without `where`: it holds where no other does",
+    ),
+    (
+        "unknown key in a mode",
+        change("instruction", "instructions"),
+        "m.toml: mode[2].instructions: unknown key; allowed",
+    ),
+    ("edge of no signal", change("{y = 0.25}", "{h = 1}"), "m.toml: edges.steps.h: is no known signal; those are y"),
+    ("edge no number", change("{y = 0.25}", "{y = '1'}"), "m.toml: edges.steps.y: must be a finite number"),
+    ("edge no step", change("{y = 0.25}", "{y = 0}"), "m.toml: edges.steps.y: a step of 0 is none; give"),
+    (
+        "edges that never settle",
+        change("settle_s = 4.0", "settle_s = 0"),
+        "m.toml: edges.settle_s: steps and a positive",
+    ),
+    ("settling without edges", change("steps = {y = 0.25}", ""), "m.toml: edges.settle_s: steps and a positive settle"),
+    ("unknown key in edges", change("steps =", "step ="), "m.toml: edges.step: unknown key; allowed here "),
+    (
+        "period too short",
+        change("warm_up_s = 30", "period_s = 1e-4"),
+        "m.toml: period_s: 0.0001 s; give 0.001 s to 60 s",
+    ),
+    (
+        "age no age",
+        change("noise = 0.01", "noise = 0.01\nmaximum_age_s = 0"),
+        "m.toml: known.y.maximum_age_s: 0 s is no",
+    ),
     ("start over a signal", change('"h0"]', '"1/y"]'), "m.toml: unknown.h.initial[1]: `1/y` is not affine in known"),
 ]
 

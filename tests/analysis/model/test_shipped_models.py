@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from faultline.analysis.graph.bank import PERIOD_S, build_bank
+from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import dump_model, load_model, parse_model
 from faultline.analysis.model.file import shipped_models
 from faultline.analysis.structure import detectable, find_tests, integral_tests, isolability, mso_sets, structure_of
@@ -56,14 +56,14 @@ def test_the_rc_circuit_charges_with_its_time_constant() -> None:
     bank = build_bank(RC)
     R, C = RC.parameters["R"].value, RC.parameters["C"].value
     graph, x = Graph(bank.graph()), np.array([[0.0]])
-    t = PERIOD_S * np.arange(1, 51)
+    t = RC.period_s * np.arange(1, 51)
     currents = []
     for _ in t:
         _, y_hat, _, _, x = graph(z=np.array([[10.0, 0.0]]), x=x)
         currents.append(y_hat[0, 0])
     exact = 10.0 / R * np.exp(-t / (R * C))
     np.testing.assert_allclose(currents, exact, atol=0.05 * 10.0 / R)  # implicit Euler, a tenth of RC a step
-    np.testing.assert_allclose(currents, 10.0 / R / (1 + PERIOD_S / (R * C)) ** np.arange(1, 51), rtol=1e-9)
+    np.testing.assert_allclose(currents, 10.0 / R / (1 + RC.period_s / (R * C)) ** np.arange(1, 51), rtol=1e-9)
 
 
 def test_the_one_state_model_has_the_thesiss_equations() -> None:

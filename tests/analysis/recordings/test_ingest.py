@@ -266,7 +266,7 @@ def test_at_altitude_only_each_sensors_own_error_is_taken_off(
     assert report["ambient"] == source
     assert _number(report, "ambient_pa") == pytest.approx(100.0 * hPa, abs=200.0)
     assert ("DOUBTFUL: at standstill all sensors show about 84" in said) == (source == "seen")
-    assert ("set the model's ambient pressures (uds, uds_production: p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
+    assert ("set the model's ambient pressures (uds, uds/production: p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
     assert "mbar taken off" in said
 
 

@@ -100,7 +100,7 @@ def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled
 ) -> None:
     """Other than in the thesis (5.9): here the estimate is right to 12 ms and in step with the predicted sensor."""
     pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
-    choices = {choice.test: choice for choice in choose_input(bank, observe(bank, seen), pulse, tracks)}
+    choices = {choice.test: choice for choice in choose_input(bank, observe(bank, seen), pulse, tracks, "dc_dose")}
     assert list(choices) == [g.test for g in bank.generators if "dc_dose" in g.inputs]
     for test in ("t12", "t13", "t19", "t21"):
         assert choices[test].better == "pulses"
@@ -112,14 +112,14 @@ def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled
 
 def test_pulses_out_of_step_are_worse_than_the_duty_cycle(bank: Bank, seen: Signals, tracks: dict[str, Track]) -> None:
     pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
-    choices = choose_input(bank, observe(bank, seen), pulse._replace(phase=pulse.phase + 0.5), tracks)
+    choices = choose_input(bank, observe(bank, seen), pulse._replace(phase=pulse.phase + 0.5), tracks, "dc_dose")
     assert {choice.test for choice in choices if choice.better == "duty cycle"} >= {"t12", "t13", "t19", "t21"}
 
 
 def test_without_partial_dose_the_inputs_are_not_compared(bank: Bank, seen: Signals, tracks: dict[str, Track]) -> None:
     ticks = [tick for tick in observe(bank, seen) if tick.t_s < 40.0]
-    with pytest.raises(PulseError, match="the inputs cannot be compared: 0 s of partial dose"):
-        choose_input(bank, ticks, Pulse(FREQUENCY, 0.3, 1.0), tracks)
+    with pytest.raises(PulseError, match="the inputs cannot be compared: 0 s of mode partial"):
+        choose_input(bank, ticks, Pulse(FREQUENCY, 0.3, 1.0), tracks, "dc_dose")
 
 
 def test_the_better_input_is_named_where_the_difference_is_clear() -> None:

@@ -202,7 +202,8 @@ def test_parts_that_nothing_uses_are_told() -> None:
 
 
 def test_a_signal_that_gives_the_operating_mode_is_used() -> None:
-    extra = '[known.w]\nunit = "1"\nmin = 0.0\nmax = 1.0\nnoise = 0.1\n[modes]\nsignal = "w"\nidle_below = 0.5\n'
+    extra = '[known.w]\nunit = "1"\nmin = 0.0\nmax = 1.0\nnoise = 0.1\n'
+    extra += '[[mode]]\nname = "low"\nwhere = {w = {below = 0.5}}\n[[mode]]\nname = "else"\n'
     assert lint(parse_model(MODEL + extra, "tank.toml")) == []
 
 

@@ -15,8 +15,13 @@ from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.explaining import TIE
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
 from faultline.service.core.decision.window import Window
-from faultline.service.core.manifest import MODES, Evidence
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.manifest import Evidence, TimeScale
+from faultline.service.core.signals.modes import EDGE
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system
+OWN = (0, 1, 2, 3)
+
 
 Array = npt.NDArray[np.float64]
 
@@ -42,7 +47,7 @@ def watched(bank: Bank, seed: int, fault: dict[str, float] | None = None) -> See
     mode = np.repeat(list(LEVELS), TICKS)
     mode[np.arange(len(z)) % TICKS < 20] = EDGE
     usable = np.repeat((np.arange(len(z)) >= 20)[:, None], len(bank.tests), axis=1)
-    return Seen(f"made-{seed}", z, r, usable, mode)
+    return Seen(f"made-{seed}", z, r, usable, mode, MODES, TIME)
 
 
 def without_drifts(model: Model) -> Model:
@@ -77,7 +82,7 @@ class Made:
 
     def look(self, seen: Seen) -> Look:
         """At the whole recording."""
-        window = Window(self.evidence, [g.name for g in self.bank.generators])
+        window = Window(self.evidence, [g.name for g in self.bank.generators], TIME)
         for mode, r, usable, shift in zip(seen.mode, seen.r, seen.usable, self.shifts(seen), strict=True):
             window.add(int(mode), r, usable, shift)
         found = Hypotheses(self.evidence).look(window.means)
@@ -92,8 +97,10 @@ class Made:
 def made() -> Made:
     bank = build_bank(without_drifts(load_model("uds")))
     recordings = [watched(bank, 1), watched(bank, 2)]
-    offset = np.array([d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma)])
-    return Made(bank, offset, recordings, gather(bank, offset, recordings)[0])
+    offset = np.array(
+        [d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma, OWN)]
+    )
+    return Made(bank, offset, recordings, gather(bank, offset, recordings, OWN)[0])
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
@@ -172,14 +179,15 @@ def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None
     rng = np.random.default_rng(6)
     strayed = []
     for one in made.recordings:
-        s = Seen(one.name, *(np.concatenate([part] * 10) for part in (one.z, one.r, one.usable, one.mode)))
+        z, r, usable, mode = (np.concatenate([part] * 10) for part in (one.z, one.r, one.usable, one.mode))
+        s = Seen(one.name, z, r, usable, mode, MODES, TIME)
         r = s.r.copy()
         for start in range(0, len(r), 40):
             r[start : start + 40] += rng.normal(0.0, 1e3)
         mode = s.mode.copy()
         mode[::40] = EDGE  # every level is a visit
         strayed.append(replace(s, r=r, mode=mode))
-    evidence, _ = gather(made.bank, made.offset, strayed)
+    evidence, _ = gather(made.bank, made.offset, strayed, OWN)
     column = evidence.generators.index("t02.ode")
     for visit in np.array(evidence.visit)[list(STEADY)]:
         assert np.sqrt(visit[column, column]) == pytest.approx(1e3, rel=0.35)
@@ -193,7 +201,7 @@ def test_a_drift_of_the_model_is_a_shift_that_all_means_share(made: Made) -> Non
     known = {**model.known, "y_p_du": replace(model.known["y_p_du"], drift=300.0)}
     parameters = {**model.parameters, "A_du": replace(model.parameters["A_du"], drift=0.15)}
     bank = build_bank(replace(model, known=known, parameters=parameters))
-    area, sensor = np.array(gather(bank, made.offset, made.recordings)[0].drifts)
+    area, sensor = np.array(gather(bank, made.offset, made.recordings, OWN)[0].drifts)
     column = made.column("t02")
     np.testing.assert_allclose(sensor[:, column], 300.0, rtol=1e-9)
     clogged = made.shift("fA_du", -0.15)[list(STEADY), column]
@@ -213,7 +221,7 @@ def test_the_allowance_is_never_below_its_part_of_the_spread(made: Made) -> None
 
 
 def test_the_same_recordings_give_the_same_evidence(made: Made) -> None:
-    assert gather(made.bank, made.offset, made.recordings)[0] == made.evidence
+    assert gather(made.bank, made.offset, made.recordings, OWN)[0] == made.evidence
 
 
 def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None:
@@ -226,14 +234,14 @@ def test_how_all_means_stray_together_is_seen_in_many_drives(made: Made) -> None
         r = one.r.copy()
         r[:, row] += rng.normal(0.0, 500.0)
         drives.append(replace(one, name=f"drive-{number}", r=r))
-    evidence, _ = gather(made.bank, made.offset, drives)
+    evidence, _ = gather(made.bank, made.offset, drives, OWN)
     column = evidence.generators.index("t02.ode")
     first = np.array(evidence.drifts[0])[list(STEADY)]
     assert np.abs(first[:, column]) == pytest.approx(500.0, rel=0.35)
     assert np.ptp(first[:, column]) < 150.0  # of one sign, and of one size
     others = [k for k in range(len(evidence.generators)) if k != column]
     assert np.abs(first[:, others]).max() < 100.0
-    few, _ = gather(made.bank, made.offset, drives[:4])
+    few, _ = gather(made.bank, made.offset, drives[:4], OWN)
     assert few.drifts == []
     assert np.array(few.allowance)[STEADY[0], column] > np.array(evidence.allowance)[STEADY[0], column]
 
@@ -243,16 +251,16 @@ def test_drifts_that_the_model_names_have_the_size_that_drives_show() -> None:
     rng = np.random.default_rng(9)
     spread = np.full((len(MODES), 2), 100.0)
     drifts = np.zeros((2, len(MODES), 2))
-    drifts[0, :EDGE] = [[200.0, -200.0]]
-    drifts[1, :EDGE] = [[300.0, 0.0], [200.0, 0.0], [100.0, 0.0]]
+    drifts[0, 1:] = [[200.0, -200.0]]
+    drifts[1, 1:] = [[300.0, 0.0], [200.0, 0.0], [100.0, 0.0]]
     means = 0.5 * rng.standard_normal((200, 1, 1, 1))[:, 0] * drifts[0] + 20.0 * rng.standard_normal(
         (200, *spread.shape)
     )
     own, found, size = as_seen(means, spread, drifts, 2)
     assert found[:2] == pytest.approx(size[:, None, None] * drifts)
     assert size == pytest.approx([0.5, 0.0], abs=0.1)
-    strayed = np.sqrt(own**2 + (found**2).sum(axis=0))[:EDGE]
-    assert strayed == pytest.approx(np.sqrt(20.0**2 + (0.5 * drifts[0]) ** 2)[:EDGE], rel=0.15)
+    strayed = np.sqrt(own**2 + (found**2).sum(axis=0))[1:]
+    assert strayed == pytest.approx(np.sqrt(20.0**2 + (0.5 * drifts[0]) ** 2)[1:], rel=0.15)
 
 
 def test_generators_that_are_no_evidence_move_with_the_drifts_of_those_that_are() -> None:
@@ -260,12 +268,12 @@ def test_generators_that_are_no_evidence_move_with_the_drifts_of_those_that_are(
     rng = np.random.default_rng(10)
     spread, (x, u) = np.full((len(MODES), 3), 100.0), rng.standard_normal((2, 200, 1))
     drifts = np.zeros((1, len(MODES), 3))
-    drifts[0, :EDGE] = [100.0, -100.0, 300.0]
+    drifts[0, 1:] = [100.0, -100.0, 300.0]
     means = np.zeros((200, *spread.shape))
-    means[:, :EDGE] = x[:, None] * [100.0, -100.0, 300.0] + u[:, None] * [200.0, 200.0, -400.0]
+    means[:, 1:] = x[:, None] * [100.0, -100.0, 300.0] + u[:, None] * [200.0, 200.0, -400.0]
     means[..., :2] += 5.0 * rng.standard_normal((200, len(MODES), 2))
     own, found, _ = as_seen(means, spread, drifts, 2)
     assert own.shape == (len(MODES), 2)
-    told = np.einsum("kmt,kms->mts", found, found)[:EDGE]  # of modes, the covariance that drifts make of generators
-    wanted = np.cov(means[:, 0].T, bias=True)
+    told = np.einsum("kmt,kms->mts", found, found)[1:]  # of modes, the covariance that drifts make of generators
+    wanted = np.cov(means[:, 1].T, bias=True)
     assert told == pytest.approx(np.broadcast_to(wanted, told.shape), rel=0.15, abs=2000.0)

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from faultline.analysis.tuning.numbers import LEAST_REST_S, RESTLESS_S, RESTS, STEPS, limited, widest
+from faultline.analysis.tuning.numbers import RESTLESS, RESTS, STEPS, limited, widest
 from faultline.service.core.manifest import Input
 from faultline.service.core.signals.received import Received, column_of
 from faultline.service.core.signals.values import Quality
@@ -43,7 +43,7 @@ def of(*numbers: tuple[float, float | None]) -> Input:
 def test_the_longest_rest_and_the_largest_step_set_the_limits() -> None:
     found = of((0.0, 3.0), (0.5, 3.0), (1.0, 3.0), (1.5, 3.5), (2.0, 3.4), (6.0, 3.4))
     assert found.largest_step == pytest.approx(STEPS * 0.5)
-    assert found.frozen_s == max(RESTS * 4.0, LEAST_REST_S)
+    assert found.frozen_s == max(RESTS * 4.0, RESTLESS)
 
 
 def test_a_step_over_a_gap_and_what_is_no_number_are_none() -> None:
@@ -52,9 +52,9 @@ def test_a_step_over_a_gap_and_what_is_no_number_are_none() -> None:
 
 
 def test_what_may_rest_is_never_frozen() -> None:
-    resting = [(0.5 * k, 3.0) for k in range(round(2 * RESTLESS_S) + 1)]
+    resting = [(0.5 * k, 3.0) for k in range(round(2 * RESTLESS) + 1)]
     assert of(*resting).frozen_s is None
-    assert of(*((t, 0.0) for t, _ in resting)).frozen_s == LEAST_REST_S  # outside the operating region it may
+    assert of(*((t, 0.0) for t, _ in resting)).frozen_s == RESTLESS  # outside the operating region it may
     assert of(*resting).largest_step is None
 
 

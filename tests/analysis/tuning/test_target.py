@@ -16,19 +16,25 @@ from faultline.analysis.tuning.claim import claim, folds, rate_of, thresholds
 from faultline.analysis.tuning.claim import shifted as of_left_out
 from faultline.analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
 from faultline.analysis.tuning.plausible import doubts
-from faultline.analysis.tuning.target import Rule, Trace, factor_for, levels, peaks
-from faultline.analysis.tuning.thresholds import MARGIN, OWN, Seen, tune_detectors
+from faultline.analysis.tuning.target import Rule, Trace, factor_for, levels
+from faultline.analysis.tuning.thresholds import MARGIN, Seen, tune_detectors
 from faultline.analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.detectors.bank import DetectorBank
-from faultline.service.core.manifest import MODES, Detector, Evidence, kind_of
+from faultline.service.core.manifest import Detector, Evidence, TimeScale, kind_of
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system
+OWN = (0, 1, 2, 3)
+APART = 75
+
 
 Array = npt.NDArray[np.float64]
 
-SPREAD = np.array([200.0, 900.0, 400.0, 2000.0])
+SPREAD = np.array([2000.0, 200.0, 900.0, 400.0])
 NAMES = ["ta.ode", "tb.ode"]
 FLOOR = np.array([100.0, 100.0])
 NOBODY = cast("Runnable", None)  # a vehicle's model is asked for nothing here
@@ -42,7 +48,7 @@ def drive(seed: int, offset: float = 0.0, ticks: int = 4000, without: Sequence[i
     r = offset + SPREAD[mode][:, None] * rng.standard_normal((ticks, 2))
     usable = np.repeat(~np.isin(mode, [*without])[:, None], 2, axis=1)
     sigma = np.full((ticks, 2), 50.0)
-    seen = Seen(f"made-{seed}", np.zeros((ticks, 5)), r, usable, mode, sigma)
+    seen = Seen(f"made-{seed}", np.zeros((ticks, 5)), r, usable, mode, MODES, TIME, sigma)
     told = [
         Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), int(mode[k]), Residuals(r[k], r[k], sigma[k], usable[k]))
         for k in range(ticks)
@@ -77,7 +83,7 @@ def no_days(_: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
 
 
 def suspected(detectors: Sequence[Detector], s: Drive) -> int:
-    bank, before, count = DetectorBank(detectors, NAMES), False, 0
+    bank, before, count = DetectorBank(detectors, NAMES, TIME), False, 0
     for tick in s.ticks:
         bank.update(tick.number, tick.mode, tick.residuals)
         count += bank.suspicious and not before
@@ -192,7 +198,7 @@ def poisson(seed: int, hours: float, rate: float) -> Trace:
     x = np.zeros(round(hours * HOUR))
     at = rng.choice(len(x) // 100, rng.poisson(hours * rate * np.exp(5.0)), replace=True) * 100
     np.maximum.at(x, at, rng.exponential(1.0, len(at)))
-    return Trace(x, hours)
+    return Trace(x, hours, APART)
 
 
 def test_with_hours_enough_the_factor_is_counted_and_right() -> None:
@@ -201,7 +207,7 @@ def test_with_hours_enough_the_factor_is_counted_and_right() -> None:
     factor = factor_for(1.0, blocks)
     assert not factor.extrapolated
     assert factor.value == pytest.approx(5.0, abs=0.4)
-    assert sum(len(peaks(t.x, factor.value)) for [t] in blocks) <= 60
+    assert sum(len(t.peaks(factor.value)) for [t] in blocks) <= 60
 
 
 def test_with_too_few_hours_the_tail_is_drawn_on_and_holds() -> None:
@@ -214,7 +220,7 @@ def test_with_too_few_hours_the_tail_is_drawn_on_and_holds() -> None:
 
 def test_traces_that_never_leave_zero_have_a_factor() -> None:
     """Of all drives, or of those that resampling draws alone."""
-    still = [Trace(np.zeros(HOUR // 2), 0.5)]
+    still = [Trace(np.zeros(HOUR // 2), 0.5, APART)]
     assert factor_for(0.02, [still, still]).value == 0.0
     peaked = poisson(1, 0.5, 1.0)
     assert factor_for(0.02, [still, still, [peaked]]).value > float(peaked.x.max())
@@ -299,7 +305,7 @@ def test_moving_a_recording_moves_each_mode_by_its_own() -> None:
     s = THREE[0].drives[0].seen
     by = np.arange(8.0).reshape(2, 4)
     np.testing.assert_allclose(
-        (moved(s, by).r - s.r)[s.mode == PARTIAL], [[1.0, 5.0]] * int((s.mode == PARTIAL).sum()), atol=1e-9
+        (moved(s, by).r - s.r)[s.mode == PARTIAL], [[2.0, 6.0]] * int((s.mode == PARTIAL).sum()), atol=1e-9
     )
 
 

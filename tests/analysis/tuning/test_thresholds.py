@@ -1,5 +1,6 @@
 """Detectors from made residuals whose centre, spread and lasting bias are known."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -8,21 +9,27 @@ import numpy.typing as npt
 import pytest
 
 from faultline.analysis.tuning.evidence import visits
-from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING_TICKS, MINIMUM_J, described_by
-from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, OWN, Seen, seen, standard
+from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, described_by
+from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, Seen, seen, standard
 from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
 from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import MODES, CusumDetector, kind_of
+from faultline.service.core.manifest import CusumDetector, TimeScale, kind_of
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE
+
+IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
+MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system
+OWN = (0, 1, 2, 3)  # every mode is described by its own ticks
+LASTING_TICKS = TIME.ticks(LASTING)
+
 
 Array = npt.NDArray[np.float64]
 
-CENTRE = np.array([100.0, -300.0, 50.0, 0.0])  # Pa, by mode
-SPREAD = np.array([200.0, 900.0, 400.0, 2000.0])
+CENTRE = np.array([0.0, 100.0, -300.0, 50.0])  # Pa, by mode
+SPREAD = np.array([2000.0, 200.0, 900.0, 400.0])
 FLOOR = np.array([100.0, 1.0])
 NAMES = ["ta.ode", "tb.ode"]
 
@@ -32,11 +39,19 @@ def made(seed: int, ticks: int = 4000) -> Seen:
     rng = np.random.default_rng(seed)
     mode = np.tile(np.repeat([EDGE, IDLE, PARTIAL, MAXIMUM], 100), ticks // 400)
     r = CENTRE[mode] + SPREAD[mode] * rng.standard_normal(ticks)
-    return Seen(f"made-{seed}", np.zeros((ticks, 5)), np.column_stack([r, 2 * r]), np.ones((ticks, 2), np.bool_), mode)
+    return Seen(
+        f"made-{seed}",
+        np.zeros((ticks, 5)),
+        np.column_stack([r, 2 * r]),
+        np.ones((ticks, 2), np.bool_),
+        mode,
+        MODES,
+        TIME,
+    )
 
 
 def replaced(run: Seen, r: Array | None = None, usable: npt.NDArray[np.bool_] | None = None) -> Seen:
-    return Seen(run.name, run.z, run.r if r is None else r, run.usable if usable is None else usable, run.mode)
+    return dataclasses.replace(run, r=run.r if r is None else r, usable=run.usable if usable is None else usable)
 
 
 def tune_detectors(
@@ -157,7 +172,7 @@ def test_a_missing_mode_is_refused_by_name(mode: int) -> None:
         with pytest.raises(
             InputError,
             match=rf"tuning data \(made-1\): tb.ode saw mode '{MODES[mode]}' for {kept} ticks only; add a .*"
-            + ("with more steps, such as of the dose$" if mode == EDGE else "that stays in it$"),
+            + ("with more steps of the inputs$" if mode == EDGE else "that stays in it$"),
         ):
             tune_detectors(NAMES, [replaced(run, usable=usable)], FLOOR)
 
@@ -168,7 +183,7 @@ def test_a_mode_that_the_system_has_not_is_described_by_its_stand_in() -> None:
     inside = replaced(run, usable=np.repeat(((run.mode == PARTIAL) | (run.mode == EDGE))[:, None], 2, axis=1))
     with pytest.raises(InputError, match="saw mode 'idle' for 0 ticks only"):
         tune_detectors(NAMES, [inside], FLOOR)
-    for detector in tune_detectors(NAMES, [inside], FLOOR, [PARTIAL, PARTIAL, PARTIAL, EDGE]):
+    for detector in tune_detectors(NAMES, [inside], FLOOR, [EDGE, PARTIAL, PARTIAL, PARTIAL]):
         for values in (detector.offset, detector.scale):
             assert values[IDLE] == values[MAXIMUM] == values[PARTIAL] != values[EDGE]
 
@@ -187,14 +202,14 @@ def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
     blind = residuals._replace(usable=np.array([True, False]))
     ticks = [Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), IDLE, residuals) for k in range(LASTING_TICKS - 1)]
     with pytest.raises(InputError, match=f"cut-off: some test could tell for {LASTING_TICKS - 1} ticks only"):
-        seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)])
-    assert len(seen("whole", [*ticks, ticks[0]]).r) == LASTING_TICKS
+        seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)], MODES, TIME)
+    assert len(seen("whole", [*ticks, ticks[0]], MODES, TIME).r) == LASTING_TICKS
 
 
 def test_a_recording_without_a_usable_tick_is_refused() -> None:
     """Such as a log without the added sensors."""
     with pytest.raises(InputError, match="production: some test could tell for 0 ticks only"):
-        seen("production", [])
+        seen("production", [], MODES, TIME)
 
 
 def test_ticks_on_both_sides_of_a_gap_are_no_neighbours() -> None:

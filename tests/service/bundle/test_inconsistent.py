@@ -12,8 +12,10 @@ from faultline.service.bundle.load import load_bundle
 def spread(detector: dict[str, Any]) -> dict[str, Any]:
     """A test of the variance in the place of one of the level."""
     kept = {name: detector[name] for name in ("generator", "offset", "scale")}
-    return {**kept, "kind": "spread", "J": 1.0, "hold_ticks": 5, "memory_ticks": 50}
+    return {**kept, "kind": "spread", "J": 1.0, "hold_s": 1.0, "memory_s": 10.0}
 
+
+ABOVE = {"above": 1.0}
 
 SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m.update({"a\nb" * 1000: 1}), "top level: Object contains unknown field `a b"),
@@ -34,25 +36,25 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["inputs"][2].update(maximum_age_s=0), r"inputs\[2\]\.maximum_age_s: Expected `float` > 0"),
     (lambda m: m["inputs"][0].update(signal="y" * 99), r"inputs\[0\]\.signal: Expected `str` of length <= 80"),
     (lambda m: m.update(generators=[]), "generators: Expected `array` of length >= 1"),
-    (lambda m: m["generators"][2].update(warm_up_ticks="many"), r"generators\[2\]\.warm_up_ticks: Expected `int`"),
-    (lambda m: m["generators"][2].update(warm_up_ticks=-1), r"generators\[2\]\.warm_up_ticks: Expected `int` >= 0"),
-    (lambda m: m["generators"][2].update(warm_up_ticks=10**30), r"generators\[2\]\.warm_up_ticks: Expected `int` <="),
+    (lambda m: m["generators"][2].update(warm_up_s="many"), r"generators\[2\]\.warm_up_s: Expected `float`"),
+    (lambda m: m["generators"][2].update(warm_up_s=-1), r"generators\[2\]\.warm_up_s: Expected `float` >= 0"),
+    (lambda m: m["generators"][2].update(warm_up_s=1e30), r"generators\[2\]\.warm_up_s: Expected `float` <="),
     (lambda m: m["generators"][2].update(inputs=[]), r"generators\[2\]\.inputs: Expected `array` of length >= 1"),
     (lambda m: m["generators"][0]["states"][0]["gain"].update({"": 1}), r"key in generators\[0\]\.states\[0\]\.gain: "),
-    (lambda m: m["modes"].update(settle_ticks=-1), r"modes\.settle_ticks: Expected `int` >= 0"),
+    (lambda m: m["modes"].update(settle_s=-1), r"modes\.settle_s: Expected `float` >= 0"),
     (lambda m: m["modes"]["edges"].update(n_p=0), r"modes\.edges\[\.\.\.\]: Expected `float` > 0"),
     (lambda m: m["detectors"][3]["scale"].__setitem__(2, 0), r"detectors\[3\]\.scale\[2\]: Expected `float` > 0"),
-    (lambda m: m["detectors"][3]["scale"].pop(), r"detectors\[3\]\.scale: Expected `array` of length >= 4"),
-    (lambda m: m["detectors"][3]["offset"].append(0), r"detectors\[3\]\.offset: Expected `array` of length <= 4"),
+    (lambda m: m["detectors"][3]["scale"].pop(), r"detectors\[3\]\.scale: has length 3, but there are 4 modes"),
+    (lambda m: m["detectors"][3]["offset"].append(0), r"detectors\[3\]\.offset: has length 5, but there are 4 modes"),
     (lambda m: m["detectors"][3].update(nu=-0.1), r"detectors\[3\]\.nu: Expected `float` >= 0"),
     (lambda m: m["detectors"][3].pop("kind"), r"detectors\[3\]: Object missing required field `kind`"),
     (lambda m: m["detectors"][3].update(kind="glr"), r"detectors\[3\]\.kind: Invalid value 'glr'"),
     (lambda m: m["detectors"][3].update(J=0), r"detectors\[3\]\.J: Expected `float` > 0"),
     (lambda m: m["evidence"].update(generators=[]), r"evidence\.generators: Expected `array` of length >= 1"),
-    (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: Expected `array` of length >= 4"),
-    (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: has length 3, but there are 4 modes"),
+    (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: has length 3, but there are 4 modes"),
     (lambda m: m["evidence"]["spread"][1].__setitem__(2, 0), r"evidence\.spread\[1\]\[2\]: Expected `float` > 0"),
-    (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: Expected `array` of length >= 4"),
+    (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: has length 3, but there are 4 modes"),
     (lambda m: m["evidence"]["allowance"][1].__setitem__(2, -1), r"evidence\.allowance\[1\]\[2\]: Expected `float` >="),
 ]
 
@@ -101,9 +103,20 @@ TOGETHER: list[tuple[Change, str]] = [
         lambda m: m["detectors"].__setitem__(2, spread(m["detectors"][2])),
         r"detectors\[2\]\.kind: 'spread' does not test the level of 't08\.ode'",
     ),
-    (lambda m: m["modes"].update(signal="y_x"), r"modes\.signal: unknown signal 'y_x'"),
+    (
+        lambda m: m["modes"]["steady"][0]["where"].update(y_x=ABOVE),
+        r"modes\.steady\[0\]\.where: unknown signal 'y_x'",
+    ),
+    (
+        lambda m: m["modes"]["steady"][1].update(where={"n_p": ABOVE}),
+        r"modes\.steady: not exactly one mode without",
+    ),
+    (lambda m: m["modes"]["steady"][1].update(name="idle"), r"modes \(edge is the first\)\[2\]: 'idle' is there twice"),
+    (
+        lambda m: m["modes"]["steady"].append({"name": "more", "where": {"n_p": ABOVE}}),
+        r"evidence\.offset: has length 4, but there are 5 modes",
+    ),
     (lambda m: m["modes"]["edges"].update(y_x=1.0), r"modes\.edges: unknown signal 'y_x'"),
-    (lambda m: m["modes"].update(idle_below=0.99), r"modes\.idle_below: 0\.99 is not below maximum_above, 0\.98"),
     (lambda m: m["evidence"]["generators"].append("t99"), r"evidence\.generators: unknown generator 't99'"),
     (
         lambda m: m["evidence"]["generators"].append("t02.ode"),
@@ -169,13 +182,13 @@ def test_what_the_manifest_cannot_mean_is_named_by_its_path(bundle: Path, change
 @pytest.mark.parametrize("noise", [SINGULAR, SKEW, HUGE, NEGATIVE, NOTHING])
 def test_noise_that_ranking_could_not_divide_by_is_refused(bundle: Path, noise: list[list[float]]) -> None:
     edit(bundle, lambda m: m["evidence"]["noise"].__setitem__(2, noise))
-    refused(bundle, r"evidence\.noise\[2\]: mode maximum: not symmetric and positive definite")
+    refused(bundle, r"evidence\.noise\[2\]: mode partial: not symmetric and positive definite")
 
 
 @pytest.mark.parametrize("visit", [SKEW, HUGE, NEGATIVE, of_first_two(0.0, 1.0, 1.0, 0.0)])
 def test_a_spread_of_visits_that_is_none_is_refused(bundle: Path, visit: list[list[float]]) -> None:
     edit(bundle, lambda m: m["evidence"]["visit"].__setitem__(2, visit))
-    refused(bundle, r"evidence\.visit\[2\]: mode maximum: not symmetric and positive semidefinite")
+    refused(bundle, r"evidence\.visit\[2\]: mode partial: not symmetric and positive semidefinite")
 
 
 def test_visits_may_not_stray_at_all(bundle: Path) -> None:

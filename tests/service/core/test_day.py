@@ -6,16 +6,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from uds_time import (
+    FROZEN_TICKS,
+    GUARD_TICKS,
+    IDLE,
+    MAXIMUM,
+    PARTIAL,
+    RANKING_PERIOD,
+    REMEMBERED_TICKS,
+    TIME,
+)
 
-from faultline.service.core.decision.day import GUARD_TICKS, REMEMBERED_TICKS, TAU_TICKS, WANDER, WIDENED, Day
-from faultline.service.core.decision.decision import RANKING_PERIOD
+from faultline.service.core.decision.day import TAU, WANDER, WIDENED, Day
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.straying import Means, Straying
 from faultline.service.core.decision.unlike import Unlike
-from faultline.service.core.detectors.bank import FROZEN_TICKS
 from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +55,7 @@ def at(day: float, fault: float = 0.0, mode: int = IDLE) -> Array:
 
 
 def learnt(day: float, mode: int = IDLE, ticks: int = 10 * GUARD_TICKS) -> Day:
-    made = Day(evidence())
+    made = Day(evidence(), TIME)
     for _ in range(ticks):
         made.add(mode, at(day), BOTH)
     return made
@@ -59,18 +67,18 @@ def test_a_day_is_known_half_a_minute_late_and_moves_the_modes_that_were_not_vis
     level = learnt(80.0).level
     np.testing.assert_allclose(level.mean, 80.0, rtol=0.01)
     sd = np.sqrt(level.variance)
-    assert sd[IDLE] == pytest.approx(WANDER * np.hypot(STRAY, OWN), rel=0.1)
-    assert (sd[[PARTIAL, MAXIMUM]] > sd[IDLE]).all()
-    assert (sd[[PARTIAL, MAXIMUM]] < 0.2 * STRAY).all()
+    assert sd[IDLE - 1] == pytest.approx(WANDER * np.hypot(STRAY, OWN), rel=0.1)
+    assert (sd[[PARTIAL - 1, MAXIMUM - 1]] > sd[IDLE - 1]).all()
+    assert (sd[[PARTIAL - 1, MAXIMUM - 1]] < 0.2 * STRAY).all()
 
 
 def test_what_no_day_does_is_not_taken_for_one() -> None:
     """One generator up and the other down: but for each mean's own straying it stays."""
-    made = Day(evidence())
+    made = Day(evidence(), TIME)
     for _ in range(10 * GUARD_TICKS):
         made.add(IDLE, at(0.0, fault=1.0), BOTH)
     assert np.abs(made.level.mean).max() < 60.0
-    assert np.ptp(made.level.mean[PARTIAL]) < 1.0
+    assert np.ptp(made.level.mean[PARTIAL - 1]) < 1.0
 
 
 def test_what_was_seen_of_late_is_discarded_where_something_is_suspected() -> None:
@@ -87,26 +95,26 @@ def test_what_was_seen_of_late_is_discarded_where_something_is_suspected() -> No
 def test_a_day_of_which_nothing_is_learnt_comes_back_to_the_usual_one() -> None:
     made = learnt(80.0)
     known = made.level
-    for _ in range(round(TAU_TICKS)):
+    for _ in range(round(TIME.ticks(TAU))):
         made.wait()
     assert made.level.mean == pytest.approx(known.mean / math.e, rel=0.01)
     grown = made.level.variance / Straying(evidence()).unknown.variance
     assert grown == pytest.approx(1.0 - np.exp(-2.0), abs=0.03)
     for _ in range(4 * GUARD_TICKS):  # and what is learnt then is not outweighed by what was known hours ago
         made.add(IDLE, at(-80.0), BOTH)
-    assert made.level.mean[IDLE] == pytest.approx(-80.0, abs=2.0)
+    assert made.level.mean[IDLE - 1] == pytest.approx(-80.0, abs=2.0)
 
 
 def test_a_day_moves_on() -> None:
     made = learnt(0.0, ticks=3 * REMEMBERED_TICKS)
     for _ in range(3 * REMEMBERED_TICKS):
         made.add(IDLE, at(50.0), BOTH)
-    assert made.level.mean[IDLE] == pytest.approx(50.0, abs=8.0)
+    assert made.level.mean[IDLE - 1] == pytest.approx(50.0, abs=8.0)
 
 
 def test_detectors_see_the_day_as_far_as_it_is_unknown_as_their_own_spread() -> None:
     """A day of two of its standard deviations is below one spread before it is known, and gone after."""
-    fresh = Day(evidence())
+    fresh = Day(evidence(), TIME)
     seen = (fresh.taken_off(IDLE, at(2.0 * STRAY)) - at(0.0)) / NOISE
     assert (np.abs(seen) < 1.0).all()
     known = learnt(2.0 * STRAY)
@@ -118,7 +126,7 @@ def test_a_follower_has_the_day_that_the_evidence_shows_taken_off_too() -> None:
     """It moves three times as far as they do, the other way; it is told of only by them."""
     drifts = [[-3.0 * STRAY] * 4]
     follower = Follower(generator="tc", offset=[500.0] * 4, spread=[NOISE] * 4, drifts=drifts)
-    made, far = Day(evidence(followers=[follower])), np.append(at(80.0), 500.0 - 240.0)
+    made, far = Day(evidence(followers=[follower]), TIME), np.append(at(80.0), 500.0 - 240.0)
     deaf = made.taken_off(IDLE, far)
     assert abs(deaf[2] - 500.0) < NOISE  # nothing is known of the day: it is far, in parts of what days do
     for _ in range(10 * GUARD_TICKS):
@@ -131,7 +139,7 @@ def test_a_follower_has_the_day_that_the_evidence_shows_taken_off_too() -> None:
 
 
 def test_a_generator_that_cannot_tell_says_nothing_of_the_day() -> None:
-    made = Day(evidence())
+    made = Day(evidence(), TIME)
     for _ in range(10 * GUARD_TICKS):
         made.add(IDLE, np.array([np.nan, 2080.0]), np.array([False, True]))
     np.testing.assert_allclose(made.level.mean, 80.0, rtol=0.01)  # the other one says it
@@ -141,12 +149,12 @@ def test_the_expected_level_is_that_of_conditional_gaussians() -> None:
     """Against the textbook's formula for one seen mean of six."""
     straying = Straying(evidence())
     means = Means(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((0, 3, 2)))
-    means.ticks[PARTIAL, 1], means.squares[PARTIAL, 1], means.total[PARTIAL, 1] = 100.0, 1e4, 100 * 2040.0
+    means.ticks[PARTIAL - 1, 1], means.squares[PARTIAL - 1, 1], means.total[PARTIAL - 1, 1] = 100.0, 1e4, 100 * 2040.0
     level = straying.known(means, straying.unknown)
     S = STRAY**2 + OWN**2 + NOISE**2 / 100.0
-    assert level.mean[PARTIAL, 1] == pytest.approx(40.0 * (STRAY**2 + OWN**2) / S)
-    assert level.mean[IDLE, 0] == pytest.approx(40.0 * STRAY**2 / S)
-    assert level.variance[IDLE, 0] == pytest.approx(STRAY**2 + OWN**2 - STRAY**4 / S)
+    assert level.mean[PARTIAL - 1, 1] == pytest.approx(40.0 * (STRAY**2 + OWN**2) / S)
+    assert level.mean[IDLE - 1, 0] == pytest.approx(40.0 * STRAY**2 / S)
+    assert level.variance[IDLE - 1, 0] == pytest.approx(STRAY**2 + OWN**2 - STRAY**4 / S)
     assert straying.known(means._replace(ticks=np.zeros((3, 2))), straying.unknown) is straying.unknown
 
 
@@ -155,7 +163,7 @@ class Watch:
 
     def __init__(self) -> None:
         made = evidence()
-        self.unlike, self.tick = Unlike(made, NAMES, Hypotheses(made)), 0
+        self.unlike, self.tick = Unlike(made, NAMES, Hypotheses(made), TIME), 0
 
     def drive(
         self, ticks: int, day: float, fault: float = 0.0, *, suspected: bool = False, usable: bool = True

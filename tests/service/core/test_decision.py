@@ -5,21 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from faultline.service.bundle.load import load_bundle
-from faultline.service.core.decision.decision import (
+from uds_time import (
+    FROZEN_TICKS,
     HEALED_TICKS,
+    IDLE,
     LINGER_TICKS,
+    MAXIMUM,
+    PARTIAL,
     RANKING_PERIOD,
+    TIME,
     UNSEEN_TICKS,
     VAIN_TICKS,
-    Decision,
 )
+
+from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.explaining import SUREST
-from faultline.service.core.detectors.bank import FROZEN_TICKS
-from faultline.service.core.manifest import CusumDetector
+from faultline.service.core.manifest import CusumDetector, Span
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL
+from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
 
 MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
@@ -27,7 +31,7 @@ EVIDENCE = MANIFEST.evidence
 NAMES = [generator.name for generator in MANIFEST.generators]
 ROWS = [NAMES.index(name) for name in EVIDENCE.generators]
 OFFSET, SCALE = (np.array([getattr(d, part) for d in MANIFEST.detectors]) for part in ("offset", "scale"))
-SETTLED = max(generator.warm_up_ticks for generator in MANIFEST.generators) + 2 * RANKING_PERIOD
+SETTLED = TIME.ticks(Span(settlings=1)) + 2 * RANKING_PERIOD
 
 SPREAD = np.array(EVIDENCE.spread)
 
@@ -47,7 +51,7 @@ T08 = EVIDENCE.generators.index("t08.ode")
 def moved(fault: str, size: float, mode: int) -> FloatArray:
     """The shift (K,) of the evidence generators."""
     pattern = PATTERNS.get(fault, {})
-    spreads = np.array([pattern.get(name, STILL)[mode] for name in EVIDENCE.generators])
+    spreads = np.array([pattern.get(name, STILL)[mode - 1] for name in EVIDENCE.generators])
     return np.asarray(size * spreads * SPREAD[mode])
 
 
@@ -82,7 +86,7 @@ class Vehicle:
             h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h.fault) for h in EVIDENCE.hypotheses
         }
         sizes = [(h.fault, abs(h.size) / largest[h.fault]) for h in EVIDENCE.hypotheses]
-        shift = np.array([moved(fault, size, min(mode, MAXIMUM)) for fault, size in sizes])
+        shift = np.array([moved(fault, size, mode if mode != EDGE else MAXIMUM) for fault, size in sizes])
         usable = np.array([name not in mute for name in NAMES])
         for _ in range(ticks):
             self.decision.update(self.tick, mode, Residuals(r, r, SCALE[:, mode], usable, shift))

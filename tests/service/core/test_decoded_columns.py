@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from faultline.service.core.j1939.identifiers import PRIORITY_MASK, SOURCE_MASK
-from faultline.service.core.manifest import Input, Modes
+from faultline.service.core.manifest import Bounds, Input, Mode, Modes
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.columns import CanSignals
@@ -177,8 +177,9 @@ def observer(case: Case) -> tuple[DecodeTable, Sampler, Observer]:
     table, sampler = DecodeTable(case.layouts), Sampler(case.inputs)
     table.run_at(case.speed)
     first = case.inputs[0].signal
-    modes = Modes(signal=first, idle_below=0.1, maximum_above=0.9, edges={first: 0.1}, settle_ticks=2)
-    found = Observer(table, sampler, ModeTracker(modes, case.inputs), Blind(), 0.2, 1.0)
+    steady = [Mode(name="low", where={first: Bounds(below=0.1)}), Mode(name="rest")]
+    modes = Modes(steady=steady, edges={first: 0.1}, settle_s=0.4)
+    found = Observer(table, sampler, ModeTracker(modes, case.inputs, 0.2), Blind(), 0.2, 1.0)
     found.gives_ages = True
     return table, sampler, found
 

@@ -10,9 +10,10 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from uds_time import FROZEN_TICKS, TIME
 
 from faultline.service.core.detectors.adaptive import Adaptive
-from faultline.service.core.detectors.bank import FROZEN_TICKS, DetectorBank, detector
+from faultline.service.core.detectors.bank import DetectorBank, detector
 from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.low_pass import LowPass
 from faultline.service.core.detectors.protocol import Detector
@@ -20,7 +21,6 @@ from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.detectors.standard import Standard
 from faultline.service.core.detectors.threshold import Threshold
 from faultline.service.core.manifest import (
-    MODES,
     AdaptiveDetector,
     CusumDetector,
     LowPassDetector,
@@ -32,8 +32,9 @@ from faultline.service.core.residuals.generators import Residuals
 
 Array = npt.NDArray[np.float64]
 
-EVERY_MODE = [0.0] * len(MODES), [1.0] * len(MODES)
+EVERY_MODE = [0.0] * 4, [1.0] * 4
 HELD = 10
+HELD_S = HELD * TIME.period_s
 
 
 def kinds(generator: str = "ta.ode") -> dict[str, Settings]:
@@ -43,10 +44,10 @@ def kinds(generator: str = "ta.ode") -> dict[str, Settings]:
         "cusum": CusumDetector(**level, nu=0.5, J=12.0),
         "above": CusumDetector(**level, nu=0.5, J=12.0, side="above"),
         "below": CusumDetector(**level, nu=0.5, J=12.0, side="below"),
-        "threshold": ThresholdDetector(**level, J=6.0, hold_ticks=HELD),
-        "low-pass": LowPassDetector(**level, J=1.5, hold_ticks=HELD, time_ticks=25.0),
-        "adaptive": AdaptiveDetector(**level, J=6.0, hold_ticks=HELD, usual=one),
-        "spread": SpreadDetector(**level, J=1.0, hold_ticks=HELD, memory_ticks=75.0),
+        "threshold": ThresholdDetector(**level, J=6.0, hold_s=HELD_S),
+        "low-pass": LowPassDetector(**level, J=1.5, hold_s=HELD_S, time_s=5.0),
+        "adaptive": AdaptiveDetector(**level, J=6.0, hold_s=HELD_S, usual=one),
+        "spread": SpreadDetector(**level, J=1.0, hold_s=HELD_S, memory_s=15.0),
     }
 
 
@@ -75,7 +76,7 @@ def state(each: Detector) -> bytes:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_fresh_it_says_nothing_and_without_a_fault_neither(name: str) -> None:
-    each = detector(KINDS[name])
+    each = detector(KINDS[name], TIME.period_s)
     assert (each.alarm, each.since, each.value, each.sign) == (False, None, 0.0, 0)
     for tick, s in enumerate(QUIET):
         each.update(tick, float(s))
@@ -84,7 +85,7 @@ def test_fresh_it_says_nothing_and_without_a_fault_neither(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "sign"), SIDES)
 def test_it_alarms_on_what_it_is_for_with_sign_and_onset(name: str, sign: int) -> None:
-    each = fed(detector(KINDS[name]), QUIET[:1000])
+    each = fed(detector(KINDS[name], TIME.period_s), QUIET[:1000])
     for tick, s in enumerate(fault(name, sign, 300), 1000):
         each.update(tick, float(s))
         if each.alarm:
@@ -103,7 +104,7 @@ def test_it_alarms_on_what_it_is_for_with_sign_and_onset(name: str, sign: int) -
 @pytest.mark.parametrize(("name", "sign"), SIDES)
 def test_it_is_bounded_and_ends_in_bounded_time(name: str, sign: int) -> None:
     """However long and large the fault was."""
-    each = detector(KINDS[name])
+    each = detector(KINDS[name], TIME.period_s)
     samples = 1e9 * fault(name, sign, 20_000) if (name, sign) != ("spread", -1) else np.zeros(20_000)
     for tick, s in enumerate(samples):
         each.update(tick, float(s))
@@ -115,13 +116,13 @@ def test_it_is_bounded_and_ends_in_bounded_time(name: str, sign: int) -> None:
         alarmed.append(each.alarm)
     assert not alarmed[-1]
     assert sum(alarmed) < 300
-    assert fed(detector(KINDS[name]), QUIET[:1000]).alarm == each.alarm
+    assert fed(detector(KINDS[name], TIME.period_s), QUIET[:1000]).alarm == each.alarm
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_two_of_them_share_nothing_so_that_a_restart_is_fresh(name: str) -> None:
-    used = fed(detector(KINDS[name]), fault(name, -1 if name == "below" else 1, 200))
-    after, alone = detector(KINDS[name]), pickle.loads(state(detector(KINDS[name])))  # noqa: S301
+    used = fed(detector(KINDS[name], TIME.period_s), fault(name, -1 if name == "below" else 1, 200))
+    after, alone = detector(KINDS[name], TIME.period_s), pickle.loads(state(detector(KINDS[name], TIME.period_s)))  # noqa: S301
     assert state(after) == state(alone)
     for tick, s in enumerate(QUIET[:200]):
         used.update(200 + tick, 50.0)
@@ -132,7 +133,7 @@ def test_two_of_them_share_nothing_so_that_a_restart_is_fresh(name: str) -> None
 
 @pytest.mark.parametrize("name", KINDS)
 def test_its_memory_does_not_grow(name: str) -> None:
-    each = fed(detector(KINDS[name]), QUIET)
+    each = fed(detector(KINDS[name], TIME.period_s), QUIET)
     early = len(state(each))
     assert len(state(fed(each, np.tile(QUIET, 5), len(QUIET)))) <= early + 16  # larger numbers need more digits
 
@@ -140,7 +141,7 @@ def test_its_memory_does_not_grow(name: str) -> None:
 @pytest.mark.parametrize("name", KINDS)
 @given(samples=st.lists(st.floats(-1e12, 1e12), max_size=60))
 def test_whatever_finite_comes_what_it_says_is_consistent(name: str, samples: list[float]) -> None:
-    each = detector(KINDS[name])
+    each = detector(KINDS[name], TIME.period_s)
     for tick, s in enumerate(samples):
         each.update(tick, s)
         assert 0.0 <= each.value <= 2.0
@@ -157,7 +158,7 @@ def residuals(r: float, usable: bool, sigma: float = 1.0) -> Residuals:
 @pytest.mark.parametrize("name", KINDS)
 def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_that_is_none(name: str) -> None:
     settings = [KINDS[name], kinds("tb.ode")[name]]
-    bank, each = DetectorBank(settings, ["ta.ode", "tb.ode"]), detector(KINDS[name])
+    bank, each = DetectorBank(settings, ["ta.ode", "tb.ode"], TIME), detector(KINDS[name], TIME.period_s)
     sign = -1 if name == "below" else 1
     for tick, s in enumerate(fault(name, sign, 200)):
         each.update(tick, float(s))
@@ -174,7 +175,7 @@ def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_th
 
 def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
     """Its generator's row of the fault signature matrix is that of the level."""
-    bank = DetectorBank([KINDS["cusum"], KINDS["spread"]], ["ta.ode"])
+    bank = DetectorBank([KINDS["cusum"], KINDS["spread"]], ["ta.ode"], TIME)
     for tick, s in enumerate(0.2 * QUIET[:500]):
         bank.update(tick, 1, Residuals(np.array([s]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
     assert bank.suspicious
@@ -184,7 +185,7 @@ def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
 
 
 def test_a_generator_may_have_several() -> None:
-    bank = DetectorBank([KINDS["above"], KINDS["below"]], ["ta.ode"])
+    bank = DetectorBank([KINDS["above"], KINDS["below"]], ["ta.ode"], TIME)
     for tick in range(40):
         bank.update(tick, 1, Residuals(np.array([-2.0]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
     assert bank.alarmed == {0}
@@ -200,11 +201,11 @@ def test_the_adaptive_threshold_follows_mode_and_sigma(sigma: float) -> None:
         scale=[1.0, 1.0, 3.0, 1.0],
         usual=[1.0, 1.0, 2.0, 1.0],
         J=6.0,
-        hold_ticks=0,
+        hold_s=0.0,
     )
     at = 1.0 + 18.0 * sigma / 2.0
     for r, alarms in ((0.99 * at, False), (1.01 * at, True)):
-        bank = DetectorBank([settings], ["ta.rnn"])
+        bank = DetectorBank([settings], ["ta.rnn"], TIME)
         bank.update(0, 2, Residuals(np.array([r]), np.zeros(1), np.array([sigma]), np.ones(1, np.bool_)))
         assert bank.suspicious is alarms
 
@@ -282,6 +283,6 @@ def test_levels_are_seen_without_the_day_and_variances_with_it() -> None:
 
 def test_a_bank_may_have_no_detector() -> None:
     one = np.ones(2)
-    bank = DetectorBank([], ["ta.ode", "tb.ode"])
+    bank = DetectorBank([], ["ta.ode", "tb.ode"], TIME)
     bank.update(0, 0, Residuals(one, one, one, one > 0))
     assert not bank.suspicious

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from uds_time import IDLE, MAXIMUM, PARTIAL, TIME
 
 from faultline.service.core.detectors.bank import detector
 from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.threshold import Threshold
-from faultline.service.core.manifest import MODES as MODE_NAMES
-from faultline.service.core.manifest import CusumDetector, Input, Modes, Side
-from faultline.service.core.signals.modes import EDGE, IDLE, MAXIMUM, PARTIAL, ModeTracker
+from faultline.service.core.manifest import Bounds, CusumDetector, Input, Mode, Modes, Side
+from faultline.service.core.signals.modes import EDGE, ModeTracker
 
 
 @given(st.lists(st.floats(-5, 5), max_size=200), st.floats(0.1, 2), st.floats(1, 50))
@@ -59,8 +59,10 @@ def test_a_sum_that_is_exactly_the_threshold_alarms() -> None:
 def test_one_side_is_deaf_to_the_other(side: Side, heard: int) -> None:
     """As the manifest says, through the bank."""
     for direction in (1, -1):
-        level, one = [0.0] * len(MODE_NAMES), [1.0] * len(MODE_NAMES)
-        made = detector(CusumDetector(generator="t02.ode", offset=level, scale=one, nu=0.5, J=3.0, side=side))
+        level, one = [0.0] * 4, [1.0] * 4
+        made = detector(
+            CusumDetector(generator="t02.ode", offset=level, scale=one, nu=0.5, J=3.0, side=side), TIME.period_s
+        )
         for tick in range(20):
             made.update(tick, 2.0 * direction)
         assert made.alarm == (direction == heard)
@@ -81,19 +83,27 @@ def test_a_threshold_alarms_from_its_value_on_with_the_residuals_sign() -> None:
 
 
 INPUTS = [Input(signal=name, unit="1", maximum_age_s=1.0, lower=0.0, upper=100.0) for name in ("dc_dose", "n_p")]
-MODES = Modes(signal="dc_dose", idle_below=0.02, maximum_above=0.98, edges={"dc_dose": 0.03}, settle_ticks=3)
+MODES = Modes(
+    steady=[
+        Mode(name="idle", where={"dc_dose": Bounds(below=0.02)}),
+        Mode(name="partial"),
+        Mode(name="maximum", where={"dc_dose": Bounds(above=0.98)}),
+    ],
+    edges={"dc_dose": 0.03},
+    settle_s=0.6,
+)
 USABLE = np.ones(2, dtype=np.bool_)
 
 
 @pytest.mark.parametrize(("dose", "mode"), [(0.0, IDLE), (0.5, PARTIAL), (1.0, MAXIMUM)])
 def test_a_steady_dose_has_its_mode_after_the_edge(dose: float, mode: int) -> None:
-    tracker = ModeTracker(MODES, INPUTS)
+    tracker = ModeTracker(MODES, INPUTS, TIME.period_s)
     seen = [tracker.update(np.array([dose, 20.0]), USABLE) for _ in range(5)]
     assert seen == [EDGE, EDGE, mode, mode, mode]
 
 
 def test_a_step_is_an_edge_and_an_unwatched_input_is_not() -> None:
-    tracker = ModeTracker(MODES, INPUTS)
+    tracker = ModeTracker(MODES, INPUTS, TIME.period_s)
     for _ in range(5):
         tracker.update(np.array([0.0, 20.0]), USABLE)
     assert tracker.update(np.array([0.0, 90.0]), USABLE) == IDLE
@@ -101,7 +111,26 @@ def test_a_step_is_an_edge_and_an_unwatched_input_is_not() -> None:
 
 
 def test_without_the_mode_signal_nothing_is_steady() -> None:
-    tracker = ModeTracker(MODES, INPUTS)
+    tracker = ModeTracker(MODES, INPUTS, TIME.period_s)
     for _ in range(5):
         tracker.update(np.array([0.0, 20.0]), USABLE)
     assert tracker.update(np.array([0.0, 20.0]), np.array([False, True])) == EDGE
+
+
+def test_bounds_are_exclusive_and_the_first_mode_that_holds_counts() -> None:
+    """Of two signals, in the order of the list; the one without bounds is last wherever it stands."""
+    steady = [
+        Mode(name="rest"),
+        Mode(name="slow", where={"n_p": Bounds(below=10.0)}),
+        Mode(name="dosing", where={"dc_dose": Bounds(above=0.1, below=0.9), "n_p": Bounds(below=50.0)}),
+    ]
+    tracker = ModeTracker(Modes(steady=steady, edges={}, settle_s=0.0), INPUTS, TIME.period_s)
+    cases = {(0.5, 5.0): 2, (0.5, 10.0): 3, (0.1, 20.0): 1, (0.9, 20.0): 1, (0.5, 50.0): 1, (0.0, 9.9): 2}
+    assert [tracker.update(np.array(z), USABLE) for z in cases] == [*cases.values()]
+    assert tracker.update(np.array([0.5, 5.0]), np.array([True, False])) == EDGE
+    assert tracker.update(np.array([0.5, 5.0]), USABLE) == 2
+
+
+def test_a_system_without_modes_has_one_whatever_is_lost() -> None:
+    tracker = ModeTracker(Modes(steady=[Mode(name="operation")], edges={}, settle_s=0.0), INPUTS, TIME.period_s)
+    assert tracker.update(np.array([np.nan, np.nan]), np.zeros(2, dtype=np.bool_)) == 1

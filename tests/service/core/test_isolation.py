@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from uds_time import PART_TICKS, TIME
 
 from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.explaining import ranked
 from faultline.service.core.decision.hypotheses import Hypotheses, Look, confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
 from faultline.service.core.decision.straying import MINIMUM_TICKS, Means
-from faultline.service.core.decision.window import PART_TICKS, Window
+from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import Evidence, Hypothesis
 from faultline.service.core.signals.modes import EDGE
 
@@ -65,15 +66,20 @@ def _evidence(**changed: object) -> Evidence:
 
 
 def _window(evidence: Evidence) -> Window:
-    return Window(evidence, ["t1", "t2", "t3"])
+    return Window(evidence, ["t1", "t2", "t3"], TIME)
 
 
 def _add(
     window: Window, mode: int, r: tuple[float, float], *, ticks: int = 1, told: tuple[bool, bool] = (True, True)
 ) -> None:
-    """Ticks with these residuals of t1 and t3; t2 is no evidence."""
+    """Ticks with these residuals of t1 and t3 in a steady mode, from 0; t2 is no evidence."""
     for _ in range(ticks):
-        window.add(mode, np.array([r[0], 99.0, r[1]]), np.array([told[0], False, told[1]]), SHIFTS[:, mode])
+        window.add(1 + mode, np.array([r[0], 99.0, r[1]]), np.array([told[0], False, told[1]]), SHIFTS[:, mode])
+
+
+def _at_edge(window: Window, r: tuple[float, float], ticks: int = 1) -> None:
+    for _ in range(ticks):
+        window.add(EDGE, np.array([r[0], 99.0, r[1]]), np.array([True, False, True]), SHIFTS[:, 3])
 
 
 def _means(residuals: dict[int, tuple[float, float]], evidence: Evidence, visits: int = 1) -> Means:
@@ -81,7 +87,7 @@ def _means(residuals: dict[int, tuple[float, float]], evidence: Evidence, visits
     for mode, r in residuals.items():
         for _ in range(visits):
             _add(window, mode, r, ticks=MINIMUM_TICKS)
-            _add(window, EDGE, (0.0, 0.0))
+            _at_edge(window, (0.0, 0.0))
     return window.means
 
 
@@ -141,7 +147,7 @@ def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
         window = _window(evidence)
         for ticks in stays:
             _add(window, 0, (0.5, 0.5), ticks=ticks)
-            _add(window, EDGE, (0.0, 0.0))
+            _at_edge(window, (0.0, 0.0))
         look = Hypotheses(evidence).look(window.means)
         assert look is not None
         gains.append(look.gain)
@@ -150,7 +156,7 @@ def test_short_stays_beside_a_long_one_do_not_make_it_surer() -> None:
 
 def test_edges_and_few_ticks_are_no_evidence() -> None:
     window = _window(_evidence())
-    _add(window, EDGE, (1.0, 1.0), ticks=100)
+    _at_edge(window, (1.0, 1.0), ticks=100)
     _add(window, 0, (1.0, 1.0), ticks=MINIMUM_TICKS - 1)
     assert Hypotheses(_evidence()).look(window.means) is None
 
@@ -169,7 +175,7 @@ def test_without_hypotheses_there_is_no_gain() -> None:
     evidence = _evidence(hypotheses=[], graph=None)
     window = _window(evidence)
     for _ in range(MINIMUM_TICKS):
-        window.add(0, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_), np.zeros((0, 0)))
+        window.add(1, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_), np.zeros((0, 0)))
     look = Hypotheses(evidence).look(window.means)
     assert look is not None
     assert (look.faults, look.pairs, look.gain) == ({}, {}, 0.0)
@@ -223,7 +229,7 @@ def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
     assert total[0].tolist() == [0.0, 0.0]
     assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
     assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]
-    np.testing.assert_allclose(shift / np.maximum(ticks, 1.0), SHIFTS[:, :EDGE] * (ticks > 0))
+    np.testing.assert_allclose(shift / np.maximum(ticks, 1.0), SHIFTS[:, :3] * (ticks > 0))
 
 
 def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
@@ -235,7 +241,7 @@ def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
                 GROWING[mode],
                 np.where(np.array([name == "fB" for name, _ in SIZES])[:, None], SHIFTS[:, mode], 0.0),
             )
-            window.add(mode, np.array([r[0], 0.0, r[1]]), np.ones(3, dtype=np.bool_), shift)
+            window.add(1 + mode, np.array([r[0], 0.0, r[1]]), np.ones(3, dtype=np.bool_), shift)
     look = Hypotheses(evidence).look(window.means)
     assert look is not None
     assert look.pairs["fA", "fC"] == pytest.approx(look.nothing)
@@ -258,6 +264,6 @@ def test_a_size_fits_best_by_what_its_prediction_is_worth() -> None:
     look = _look({0: (0.5, 0.5), 1: (1.0, 1.0), 2: (2.6, 2.0)}, allowance=[[0.01, 0.01]] * 4)
     sizes = np.linspace(0.0, 1.0, 2001)
     d, S = look._d, look._S
-    shifts = sizes[:, None] * GROWING[:EDGE].ravel()
+    shifts = sizes[:, None] * GROWING[:3].ravel()
     by_hand = [(d - mu) @ np.linalg.solve(S + np.diag((0.1 * mu) ** 2), d - mu) for mu in shifts]
     assert look.faults["fB"] == pytest.approx(min(by_hand), rel=0.02)

@@ -5,18 +5,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from uds_time import IDLE, MAXIMUM, TIME
 
 from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import AMBIGUOUS, UNKNOWN, System
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition
 from faultline.service.core.records.fault import Dtc, Fault
-from faultline.service.core.signals.modes import IDLE, MAXIMUM
 
 SYSTEM = System(
     "uds",
     "b" * 64,
-    0.2,
+    TIME,
+    ("edge", "idle", "partial", "maximum"),
     ("t02", "t08", "t13"),
     {"fA_t": "tank filter", "fA_du": "dosing unit filter", "fq_pump": "pump"},
     {"fA_t": Dtc(spn=520193, fmi=7), "fA_du": Dtc(spn=3362, fmi=7)},
@@ -326,6 +327,15 @@ def test_after_a_restart_a_fault_is_there_until_it_was_seen_quiet() -> None:
     again.tell("started")
     assert told(again.drive(100.0, IDLE)) == []
     assert again.faults[0].status.test_failed
+    assert told(again.drive(70.0, MAXIMUM)) == [("passed", 1)]
+
+
+def test_a_fault_of_modes_that_the_bundle_has_no_more_passes_where_tests_can_tell() -> None:
+    truck = Vehicle()
+    truck.tell("occurred", one("fA_t"), modes=["ascending"])
+    again = Vehicle(FaultMemory(Rules(), truck.faults, truck.memory.remembered, cycle=1))
+    again.tell("started")
+    assert told(again.drive(100.0, IDLE, NONE)) == []
     assert told(again.drive(70.0, MAXIMUM)) == [("passed", 1)]
 
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 
 import pytest
+from uds_time import SETTLE_TICKS, TIME
 
-from faultline.service.core.decision.telling import SETTLE_TICKS, Teller
+from faultline.service.core.decision.telling import Teller
 from faultline.service.core.records.event import Diagnosis, Event, decode
 from faultline.service.core.records.line import encode
 
@@ -27,7 +28,7 @@ def _diagnosis(*faults: str, rank: int = 1) -> Diagnosis:
 
 
 def _tell(decisions: list[Decided]) -> list[Event]:
-    teller = Teller("truck", "b" * 64, 0.2)
+    teller = Teller("truck", "b" * 64, TIME)
     return [event for tick, decided in enumerate(decisions) for event in teller.update(tick, decided)]
 
 

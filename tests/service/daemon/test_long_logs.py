@@ -43,7 +43,7 @@ def peak_bytes(path: Path) -> tuple[int, int]:
     """The peak of what Python and numpy hold while a log is read and sampled, and its ticks."""
     bundle = load_bundle(GOLDEN / "bundle")
     manifest = bundle.manifest
-    modes = ModeTracker(manifest.modes, manifest.inputs)
+    modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
     observer = Observer(bundle.table, Sampler(manifest.inputs), modes, Quiet(), manifest.period_s, 5.0)
     tracemalloc.start()
     log = open_log(path)

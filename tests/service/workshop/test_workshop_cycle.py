@@ -28,7 +28,7 @@ QUIET = [msgspec.convert(each, LiveTick) for each in visits(WHOLE)]
 
 
 def followed(lines: Iterable[dict[str, Any]], patience_s: float = 600.0) -> Cycle:
-    cycle = Cycle(UDS, plan(), patience_s)
+    cycle = Cycle(UDS, plan(UDS.steady, 60.0), patience_s)
     for each in lines:
         cycle.take(msgspec.convert(each, LiveTick))
         if cycle.ended:
@@ -56,7 +56,7 @@ def test_a_whole_quiet_cycle_is_no_fault_found() -> None:
 @UNHURRIED
 @given(st.permutations(WHOLE).filter(lambda order: all(one != two for one, two in pairwise(order))))
 def test_the_order_of_the_steps_does_not_matter(order: list[str]) -> None:
-    progress = Progress(plan())
+    progress = Progress(plan(UDS.steady, 60.0))
     for mode in order:
         progress.add("edge", 8.0)
         for _ in range(61):
@@ -92,7 +92,7 @@ def test_no_fault_found_needs_every_mode_twice(walk: list[tuple[str, int]]) -> N
 )
 def test_never_no_fault_where_something_stands_at_the_end(fields: dict[str, Any], ticks: int) -> None:
     last = [line(len(QUIET) + k, "idle", **fields) for k in range(ticks + 1)]
-    cycle = Cycle(UDS, plan(), 600.0)
+    cycle = Cycle(UDS, plan(UDS.steady, 60.0), 600.0)
     for each in [*QUIET, *(msgspec.convert(each, LiveTick) for each in last)]:
         cycle.take(each)
     assert judge(cycle, "complete", NOTHING).kind == ("fault" if "diagnoses" in fields else "cannot-tell")
@@ -108,7 +108,7 @@ def test_a_mode_that_was_never_seen_is_named(mode: str) -> None:
 
 
 def test_one_long_visit_is_not_two() -> None:
-    progress = Progress(plan())
+    progress = Progress(plan(UDS.steady, 60.0))
     for _ in range(300):
         progress.add("idle", 1.0)
         progress.add("edge", 0.0)
@@ -117,7 +117,7 @@ def test_one_long_visit_is_not_two() -> None:
 
 
 def test_short_visits_add_up() -> None:
-    progress = Progress(plan())
+    progress = Progress(plan(UDS.steady, 60.0))
     for _ in range(9):
         for mode in ROUND:
             progress.add(mode, 15.0)
@@ -192,7 +192,7 @@ def test_patience_is_log_time_and_silence() -> None:
     cycle = followed((line(k, "edge") for k in range(10_000)), patience_s=30.0)
     assert cycle.ended == "patience"
     assert cycle.elapsed_s == pytest.approx(30.0, abs=0.3)
-    silent = Cycle(UDS, plan(), 5.0)
+    silent = Cycle(UDS, plan(UDS.steady, 60.0), 5.0)
     for _ in range(10):
         silent.silent(0.5)
     assert silent.ended == "patience"

@@ -5,10 +5,14 @@ from pathlib import Path
 
 import pytest
 
+from faultline.service.core.manifest import TimeScale
 from faultline.service.workshop.command import CODES
-from faultline.service.workshop.plan import HOLD_S, PATIENCE_S, REQUIRED, VISITS
+from faultline.service.workshop.plan import HOLD, PATIENCE, QUIET, STOOD, VISITS
 from faultline.service.workshop.result import SCHEMA, Result
 from faultline.service.workshop.verdict import ENDS, Verdict
+
+TIME = TimeScale(0.2, 20.0)
+"""Of the dosing system."""
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "workshop.md"
 
@@ -29,12 +33,12 @@ def test_every_field_verdict_and_end(page: str) -> None:
     fields = {*Result.__struct_fields__, *Verdict.__struct_fields__}
     told = {*re.findall(r"`([\w-]+)`", page)}
     assert fields - told == set()
-    assert {*CODES, *ENDS, *REQUIRED} - told == set()
+    assert {*CODES, *ENDS, "idle", "partial", "maximum"} - told == set()
     assert SCHEMA in page
 
 
 def test_the_times(page: str) -> None:
-    assert f"{HOLD_S:.0f} s" in page
-    assert f"{PATIENCE_S:.0f} s" in page
+    for span in (HOLD, PATIENCE, QUIET, STOOD):
+        assert f"{TIME.seconds(span):.0f} s" in page
     assert VISITS == 2
     assert "twice" in page

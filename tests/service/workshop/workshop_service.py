@@ -19,7 +19,9 @@ SYSTEM: dict[str, Any] = {
     "version": 3,
     "sensor_set": "instrumented",
     "period_s": 0.2,
-    "modes": ["idle", "partial", "maximum", "edge"],
+    "settling_s": 20.0,
+    "modes": ["edge", "idle", "partial", "maximum"],
+    "instructions": {"idle": "hold the pressure and do not dose", "partial": "dose some", "maximum": "dose at maximum"},
     "inputs": [
         {"signal": "y_p_du", "unit": "Pa", "lower": 5e5, "upper": 16e5},
         {"signal": "dc_dose", "unit": "1", "lower": 0.0, "upper": 1.0},
