@@ -16,16 +16,17 @@ from faultline.analysis.graph.independence import independent
 from faultline.analysis.model import Model
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import Evidence, Follower, Hypothesis
+from faultline.service.core.manifest import Evidence, Follower, Hypothesis, Span
 from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
-BLOCK, VISIT = 25, 50
-"""Ticks: noise is estimated from means over `BLOCK`, and no visit is surer than `VISIT` of it. What the pulses
+BLOCK, VISIT = Span(settlings=0.25, periods=25), Span(settlings=0.5, periods=50)
+"""Noise is estimated from means over `BLOCK`, and no visit is surer than `VISIT` of it. What the pulses
 of an actuator and the sampling make of each other may last as long as the visit does, at a level that tuning has not
 seen."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
+FEW = 4  # blocks in the longest visit, at least: where it has fewer, blocks are shorter
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
@@ -166,15 +167,18 @@ def visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[A
 
 def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
     """The long-run covariance per tick (rows, rows) around each visit's mean, from means over blocks."""
+    stays = list(visits(recordings, mode, rows))
+    longest = max((len(r) for r in stays), default=0)
+    block = max(round(BLOCK.periods), min(recordings[0].time.ticks(BLOCK), longest // FEW))
     total, freedom = np.zeros((len(rows), len(rows))), 0
-    for r in visits(recordings, mode, rows):
-        blocks = len(r) // BLOCK
+    for r in stays:
+        blocks = len(r) // block
         if blocks > 1:
-            means = r[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1)
+            means = r[: blocks * block].reshape(blocks, block, -1).mean(axis=1)
             away = means - means.mean(axis=0)
             total += away.T @ away
             freedom += blocks - 1
-    return BLOCK * total / max(freedom, 1)
+    return block * total / max(freedom, 1)
 
 
 def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
@@ -187,7 +191,7 @@ def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Arra
             away = means - means.mean(axis=0)
             total += away.T @ away - (len(stays) - 1) * noise * np.mean([1.0 / len(r) for r in stays])
             freedom += len(stays) - 1
-    least = noise / VISIT
+    least = noise / recordings[0].time.ticks(VISIT)
     return np.asarray(least + _positive(total / max(freedom, 1) - least))
 
 

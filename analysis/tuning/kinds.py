@@ -29,7 +29,7 @@ Kind = Literal["cusum", "one-sided", "threshold", "low-pass", "adaptive", "sprea
 
 LEVEL_KINDS: Final[tuple[Kind, ...]] = ("cusum", "one-sided", "threshold", "low-pass", "adaptive")
 
-LASTING = Span(periods=75)
+LASTING = Span(settlings=0.75, periods=75)
 ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
 HOLD = Span(settlings=0.5)  # as long as residuals take to calm down after a step
 TIME, MEMORY = Span(settlings=0.25), Span(settlings=1.5)
@@ -118,11 +118,12 @@ def closed(settings: Detector, J: float) -> Detector:
 
 
 def lasting(runs: Sequence[Run], ticks: int, side: Side = "both") -> float:
-    """The largest mean of any run over so many ticks in a row, to either side or to one."""
+    """The largest mean of any run over so many ticks in a row, or all of a shorter one, to either side or to one."""
     largest = 0.0
     for run in runs:
         sums = np.concatenate([[0.0], np.cumsum(run.s)])
-        means = (sums[ticks:] - sums[:-ticks]) / ticks
+        count = max(1, min(ticks, len(run.s)))
+        means = (sums[count:] - sums[:-count]) / count
         means = {"both": np.abs(means), "above": means, "below": -means}[side]
         largest = max(largest, float(means.max(initial=0.0)))
     return largest

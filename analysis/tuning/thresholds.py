@@ -1,7 +1,7 @@
 """Detectors from fault-free recordings that calibration has not seen.
 
 A residual is standardised by the median and the spread of its mode. The drift nu of its CUSUM covers what lasts: the
-largest mean over 75 ticks in a row that any recording shows, of either sign, plus an allowance, because
+largest mean over three quarters of a settling time that any recording shows, of either sign, plus an allowance, because
 a constant bias above nu crosses every threshold in the end. J is then a multiple of the largest sum reached, and never
 below a minimum. The thresholds of other kinds are set in the same way, from what they compare.
 """
@@ -13,7 +13,7 @@ from itertools import zip_longest
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.tuning.kinds import LASTING, LEAST, Described, Kind, Run, closed, opened, reached
+from faultline.analysis.tuning.kinds import LEAST, Described, Kind, Run, closed, opened, reached
 from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Detector, TimeScale, kind_of
@@ -22,6 +22,7 @@ from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
+TOLD_TICKS = 75  # in which a test of a recording can tell
 MINIMUM_TICKS = 50  # of a mode, over all recordings
 MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
 
@@ -79,10 +80,9 @@ def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeSca
     ticks = [tick for tick in ticks if tick.usable.all()]
     usable = np.array([tick.residuals.usable for tick in ticks])
     told = int(usable.sum(axis=0).min()) if ticks else 0
-    least = time.ticks(LASTING)
-    if told < least:
+    if told < TOLD_TICKS:
         raise InputError(
-            f"{name}: some test could tell for {told} ticks only, {least} are needed; "
+            f"{name}: some test could tell for {told} ticks only, {TOLD_TICKS} are needed; "
             "tune on minutes with all signals, within their operating ranges"
         )
     return Seen(

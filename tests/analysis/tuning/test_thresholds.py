@@ -10,7 +10,7 @@ import pytest
 
 from faultline.analysis.tuning.evidence import visits
 from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, described_by
-from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, Seen, seen, standard
+from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, TOLD_TICKS, Seen, seen, standard
 from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
 from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.spread import Spread
@@ -200,10 +200,10 @@ def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
     """Such as one cut off in its warm-up: what would last 15 s, it cannot show."""
     residuals = Residuals(np.zeros(2), np.zeros(2), np.ones(2), np.ones(2, np.bool_))
     blind = residuals._replace(usable=np.array([True, False]))
-    ticks = [Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), IDLE, residuals) for k in range(LASTING_TICKS - 1)]
-    with pytest.raises(InputError, match=f"cut-off: some test could tell for {LASTING_TICKS - 1} ticks only"):
+    ticks = [Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), IDLE, residuals) for k in range(TOLD_TICKS - 1)]
+    with pytest.raises(InputError, match=f"cut-off: some test could tell for {TOLD_TICKS - 1} ticks only"):
         seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)], MODES, TIME)
-    assert len(seen("whole", [*ticks, ticks[0]], MODES, TIME).r) == LASTING_TICKS
+    assert len(seen("whole", [*ticks, ticks[0]], MODES, TIME).r) == TOLD_TICKS
 
 
 def test_a_recording_without_a_usable_tick_is_refused() -> None:
