@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("model", help="the calibrated model file")
     parser.add_argument("--tuning", type=Path, required=True, help="the tuning file")
     parser.add_argument("--networks", type=Path, metavar="DIR", help="the networks that were tuned with the model")
-    parser.add_argument("--dbc", type=Path, required=True, help="the vehicle's DBC")
+    parser.add_argument("--dbc", type=Path, help="the vehicle's DBC; without one, signals come in tables of values")
     parser.add_argument("--out", type=Path, required=True, help="the bundle folder to write")
     parser.add_argument(
         "--version", type=int, default=0, metavar="N", help="counts up; a vehicle takes none older than one it had (0)"
@@ -61,11 +61,11 @@ def main(argv: list[str]) -> int:
         )
     _check_networks(tuning, runnable, options.tuning)
     senders, buses = senders_of(options.sender), buses_of(options.bus)
-    dbc = _dbc(options.dbc, bank, senders, buses)
+    dbc = None if options.dbc is None else (options.dbc.name, _dbc(options.dbc, bank, senders, buses))
     _check_golden(tuning, bank, options.tuning)
     try:
         chosen = options.version, senders, buses
-        files = bundle_files(runnable, tuning, options.dbc.name, dbc, str(options.out), *chosen)
+        files = bundle_files(runnable, tuning, dbc, str(options.out), *chosen)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     write_folder(options.out, files, _check_bundle)
@@ -78,25 +78,27 @@ def main(argv: list[str]) -> int:
 def bundle_files(
     runnable: Runnable,
     tuning: Tuning,
-    dbc_name: str,
-    dbc: bytes,
+    dbc: tuple[str, bytes] | None,
     where: str,
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,
 ) -> dict[str, bytes]:
-    """Return the files of the bundle by name; the same model, tuning, DBC, senders and buses of messages give the same.
+    """Return the files of the bundle by name; the same model, tuning, DBC, senders and buses give the same.
+
+    The DBC is its name and content.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
-    described = manifest_of(runnable, tuning, {}, dbc_name, version, senders, buses)
+    name_of_dbc = None if dbc is None else dbc[0]
+    described = manifest_of(runnable, tuning, {}, name_of_dbc, version, senders, buses)
     graphs = {
         name: with_metadata(raw, graph_metadata(described, name))
         for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
     }
-    files = {dbc_name: dbc, **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, dbc_name, version, senders, buses)
+    files = {**({} if dbc is None else dict([dbc])), **graphs, GOLDEN: _golden(runnable, tuning)}
+    manifest = manifest_of(runnable, tuning, files, name_of_dbc, version, senders, buses)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}

@@ -31,7 +31,7 @@ class Given(NamedTuple):
         """
         log = open_known(self.path, say)
         log.check_senders(bundle.table)
-        log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+        log.check_dbc(bundle.dbc_sha256)
         made_for = bundle.manifest.origin.vehicle
         if made_for not in (None, self.recording.vehicle):
             say(f"{self.path}: of vehicle {self.recording.vehicle!r}, the bundle was made for {made_for!r}")

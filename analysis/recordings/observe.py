@@ -68,11 +68,16 @@ def observe(bank: Bank, signals: Signals) -> list[Tick]:
     return ticks_of(bank.model, bank.inputs, signals, Runnable(bank).fresh())
 
 
+def start_within_s(model: Model) -> float:
+    """How long tick 0 waits for all signals of the model [s]."""
+    return max(START_WITHIN_S, START_PERIODS * model.period_s)
+
+
 def ticks_of(model: Model, inputs: Sequence[Input], signals: Signals, generators: Generators) -> list[Tick]:
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs, model.period_s)
-    start_within_s = max(START_WITHIN_S, START_PERIODS * model.period_s)
-    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, model.period_s, start_within_s), signals)
+    start_s = start_within_s(model)
+    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, model.period_s, start_s), signals)
 
 
 def samples_of(manifest: Manifest, signals: Signals) -> list[Tick]:

@@ -16,7 +16,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import dump_model
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.modes import modes_of, stand_ins
-from faultline.analysis.recordings.observe import START_WITHIN_S
+from faultline.analysis.recordings.observe import start_within_s
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.adapt import adapt, check_alike, golden
 from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds
@@ -213,7 +213,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
         calibrated=[sha256 for vehicle in vehicles for sha256 in recordings_of(vehicle.runnable.bank.model)],
         modes=modes_of(bank.model),
         period_s=bank.model.period_s,
-        start_within_s=START_WITHIN_S,
+        start_within_s=start_within_s(bank.model),
         detectors=found.detectors,
         evidence=found.evidence,
         drift_sizes=found.drift_sizes,
@@ -226,7 +226,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
 
 def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
     units = {g.name: unit for g, unit in zip(runnable.generators, runnable.units, strict=True)}
-    lines = [f"{'generator':<12}{'detector, nu, J':<26}   spread idle / partial / maximum / edge"]
+    lines = [f"{'generator':<12}{'detector, nu, J':<26}   spread {' / '.join(tuning.modes.names)}"]
     lines += [
         f"{d.generator:<12}{brief(d)}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {units[d.generator]}"
         for d in tuning.detectors

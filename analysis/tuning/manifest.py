@@ -16,7 +16,7 @@ def manifest_of(
     runnable: Runnable,
     tuning: Tuning,
     files: Mapping[str, bytes],
-    dbc_name: str,
+    dbc_name: str | None,
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,

@@ -51,6 +51,12 @@ class Bundle(NamedTuple):
     table: DecodeTable
     golden: Golden
 
+    @property
+    def dbc_sha256(self) -> str | None:
+        """The hash of the DBC that its signals are decoded with; None where they come in tables."""
+        dbc = self.manifest.dbc
+        return None if dbc is None else self.manifest.files[dbc].sha256
+
     def bank(self) -> GeneratorBank:
         """Return fresh generators."""
         return GeneratorBank(
@@ -99,7 +105,7 @@ def load_with_log(
             there = ", ".join(bundle.table.buses) or "no bus"
             raise InputError(f"--channel {bus}={buses[bus]}: the bundle {folder} names {there}")
     log.check_senders(bundle.table)
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    log.check_dbc(bundle.dbc_sha256)
     if log.recording is not None:
         log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
     return bundle, log
@@ -108,7 +114,8 @@ def load_with_log(
 def bundle_of(given: Whole, folder: Path, senders: Mapping[str, int] = NOBODY) -> Bundle:
     """Return the bundle of these files of a folder; raises as `load_bundle` does, and reads nothing more."""
     bundle_id, manifest, contents = given
-    table = _table(contents[manifest.dbc], manifest, {**manifest.senders, **senders}, str(folder / manifest.dbc))
+    dbc = None if manifest.dbc is None else contents[manifest.dbc]
+    table = _table(dbc, manifest, {**manifest.senders, **senders}, str(folder / (manifest.dbc or "")))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name in graphs:
         _check_graph(contents[name], manifest, name, None, str(folder / name))
@@ -183,8 +190,10 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -
         )
 
 
-def _table(raw: bytes, manifest: Manifest, senders: Mapping[str, int], where: str) -> DecodeTable:
+def _table(raw: bytes | None, manifest: Manifest, senders: Mapping[str, int], where: str) -> DecodeTable:
     units = {channel.signal: channel.unit for channel in manifest.inputs}
+    if raw is None:
+        return DecodeTable({}, units)
     try:
         return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses)
     except InputError as error:

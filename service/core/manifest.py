@@ -356,9 +356,9 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     After `settling_s` the slowest state of the system has forgotten where it started: how long things last is counted
     in that (`TimeScale`).
     `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
-    The first `detectors` are one for each generator, in the same order, and test its level; more may follow. `senders`
-    are the source addresses that were chosen for messages of the DBC, by their names; `buses` the names of the buses on
-    which messages come, where the vehicle has several.
+    The first `detectors` are one for each generator, in the same order, and test its level; more may follow. Without a
+    `dbc` signals come in tables. `senders` are the source addresses that were chosen for messages of the DBC, by their
+    names; `buses` the names of the buses on which messages come, where the vehicle has several.
     """
 
     schema: Literal["faultline.bundle/6"]
@@ -368,7 +368,6 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     period_s: Period
     settling_s: Positive
     start_within_s: NotNegative
-    dbc: Name
     graphs: NotEmpty[GraphFile]
     golden: Name
     files: dict[str, File]
@@ -382,6 +381,7 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     equations: list[Equation]
     evidence: Evidence
     claim: Claim | None = None
+    dbc: Name | None = None
     senders: dict[Name, Address] = {}
     buses: dict[Name, Name] = {}
 

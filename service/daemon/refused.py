@@ -8,7 +8,8 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from faultline.service.bundle.files import Trust, one_line
-from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
+from faultline.service.bundle.live import check_live
+from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.bundle.slots import spare
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.health import Condition
@@ -34,7 +35,7 @@ class Loader:
         """Return the bundle in the folder, which computes its golden vectors; raises one of `NOT_TAKEN`."""
         bundle = load_bundle(path, self.trust())
         check_buses(bundle, self._buses)
-        verify_golden(bundle)
+        check_live(bundle)
         return bundle
 
     def or_spare(self, path: Path) -> tuple[Bundle | None, str]:

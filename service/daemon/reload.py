@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from faultline.service.bundle.files import Trust, one_line
-from faultline.service.bundle.load import load_bundle, verify_golden
+from faultline.service.bundle.live import check_live
+from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
 from faultline.service.daemon.config import Config, load_config
 from faultline.service.daemon.pipeline import BusChannel, Pipeline, check_buses, connect
@@ -60,7 +61,7 @@ class Reload:
             if bundle.id == here.id:
                 self._say(f"bundle {here.manifest.name} {here.id[:12]} is the one that runs")
                 return
-            verify_golden(bundle)
+            check_live(bundle)
             alike = line.take_up(watched, bundle)
             connect(self._lines)
         except NOT_TAKEN as error:

@@ -189,12 +189,18 @@ class Log:
             how = "" if self.recording is None else ", or `senders` under [can] in recording.toml"
             raise LogError(f"{self.id}: {'; '.join(unclear)}{how}")
 
-    def check_dbc(self, sha256: str) -> None:
+    def check_dbc(self, sha256: str | None) -> None:
         """Refuse a recording made with another DBC than the bundle's, of hash `sha256`.
 
         Raises:
-            LogError: the recording names another DBC.
+            LogError: the recording names another DBC, or the bundle has none and there is no table of values.
         """
+        if sha256 is None:
+            if self.values is None:
+                raise LogError(
+                    f"{self.id}: the bundle has no DBC, so its signals come in a table: give one, or [table]"
+                )
+            return
         used = self.recording.can.dbc_sha256 if self.recording and self.recording.can else sha256
         if used != sha256:
             raise LogError(

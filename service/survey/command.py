@@ -83,7 +83,10 @@ def _asked(
     if bundle is None:
         return [] if dbc is None else describe_dbc(_read(dbc), str(dbc), senders=senders), None
     manifest = load_bundle(bundle).manifest
-    units, path = {each.signal: each.unit for each in manifest.inputs}, bundle / manifest.dbc
+    units = {each.signal: each.unit for each in manifest.inputs}
+    if manifest.dbc is None:
+        return [], units
+    path = bundle / manifest.dbc
     return describe_dbc(_read(path), str(path), [*units], {**manifest.senders, **senders}), units
 
 

@@ -88,7 +88,7 @@ def test_the_bundle_loads_computes_and_says_what_it_was_made_from(
     assert (bundle.manifest.modes, bundle.manifest.start_within_s) == (tuning.modes, tuning.start_within_s)
     assert {fault.name for fault in bundle.manifest.faults} == set(load_model("uds").faults)
     assert set(contents(out)) == {*bundle.manifest.files, "manifest.json", "manifest.sha256"}
-    assert (out / bundle.manifest.dbc).read_bytes() == DBC.read_bytes()
+    assert (out / str(bundle.manifest.dbc)).read_bytes() == DBC.read_bytes()
     assert len(bundle.golden.r) == 40
 
 

@@ -178,7 +178,7 @@ def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
         runnable = Runnable(build_bank(model))
         tuned, dbc = tune(runnable, [*recordings.tuning], progress), recordings.dbc
         bundle = _written(
-            bundle_files(runnable, tuned, dbc.name, dbc.read_bytes(), model.name, senders=recordings.senders)
+            bundle_files(runnable, tuned, (dbc.name, dbc.read_bytes()), model.name, senders=recordings.senders)
         )
     except InputError as error:
         return Bundled(reason=str(error))
@@ -208,7 +208,7 @@ def _written(files: Mapping[str, bytes]) -> Bundle:
 
 
 def _judged(bundle: Bundle, log: Log, truth: Truth | None) -> Judged:
-    log.check_dbc(bundle.manifest.files[bundle.manifest.dbc].sha256)
+    log.check_dbc(bundle.dbc_sha256)
     story = tell(bundle, log)
     known = truth or Truth(schema=1, recording=log.id)
     tests = [generator.test for generator in bundle.manifest.generators]

@@ -49,10 +49,12 @@ def _files(manifest: Manifest) -> Iterator[str]:
     for name in manifest.files:
         if FILE_NAME.fullmatch(name) is None:
             yield f"files: {name[:100]!r} is not a plain file name"
-    graphs = [(f"graphs[{row}].file", graph.file) for row, graph in enumerate(manifest.graphs)]
+    named = [(f"graphs[{row}].file", graph.file) for row, graph in enumerate(manifest.graphs)]
+    if manifest.dbc is not None:
+        named.append(("dbc", manifest.dbc))
     if manifest.evidence.graph is not None:
-        graphs.append(("evidence.graph", manifest.evidence.graph))
-    for field, name in (("dbc", manifest.dbc), *graphs, ("golden", manifest.golden)):
+        named.append(("evidence.graph", manifest.evidence.graph))
+    for field, name in (*named, ("golden", manifest.golden)):
         if name not in manifest.files:
             yield f"{field}: {name!r} is not in files"
     origin = manifest.origin

@@ -13,6 +13,7 @@ from made_bundle import GOLDEN, check_line, copied, edit, put, refused, write
 
 from faultline.service.bundle import command as bundles
 from faultline.service.bundle.files import BundleError, seal
+from faultline.service.bundle.live import check_live, tick_cost_s
 from faultline.service.bundle.load import load_bundle, verify_golden
 
 FILES = ["ode.onnx", "faults.onnx", "uds.dbc", "golden.json"]
@@ -304,3 +305,16 @@ def test_nothing_is_left_in_the_home_folder_and_nobody_is_called(tmp_path: Path)
     verify = [str(Path(sys.executable).with_name("faultline")), "bundle", "verify", str(GOLDEN)]
     subprocess.run(verify, check=True, env={**clean, "HOME": str(tmp_path)}, stdout=subprocess.DEVNULL)
     assert list(tmp_path.rglob("*")) == []
+
+
+def test_a_tick_that_costs_more_than_a_tenth_of_its_period_is_no_tick_for_the_vehicle(
+    bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check_live(load_bundle(bundle))
+    monkeypatch.setattr("faultline.service.bundle.live.tick_cost_s", lambda _: 0.021)
+    with pytest.raises(BundleError, match="a tick costs 21 ms on this machine, more than a tenth of its period"):
+        check_live(load_bundle(bundle))
+
+
+def test_the_cost_of_a_tick_is_measured(bundle: Path) -> None:
+    assert tick_cost_s(load_bundle(bundle)) > 0.0
