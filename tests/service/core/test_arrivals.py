@@ -1,11 +1,14 @@
 """Frames that come too early for one sender: any phase of a second one, and none of jitter, stalls and slow clocks."""
 
 from collections.abc import Iterable, Sequence
+from math import exp
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from faultline.service.core.signals.arrivals import EARLY, REPEATED, Arrival, Arrivals
+from faultline.service.core.signals.arrivals import EARLY, JITTER_S, LATE, REPEATED, Arrival, Arrivals, _after
 
 T = 0.2
 
@@ -137,3 +140,40 @@ def test_a_delay_is_forgotten_within_seconds_of_real_time(speed: float, quiet_s:
 @pytest.mark.parametrize(("speed", "early"), [(1.0, True), (5.0, False)])
 def test_a_queue_that_is_emptied_at_the_beginning_may_hold_ten_seconds_of_real_time(speed: float, early: bool) -> None:
     assert ("EARLY" in judged([0.001 * k for k in range(200)], speed=speed)) is early
+
+
+DELAYS = st.lists(st.sampled_from([0.0, 0.0, 0.0, -0.3, -0.05, -1e-9, 1e-9, 0.04, 0.6, 2.5]), max_size=60)
+
+
+@given(st.sampled_from([0.0, 1e-9, 0.5, 7.0]), DELAYS)
+def test_the_backlog_after_many_frames_is_that_after_each(backlog: float, delays: list[float]) -> None:
+    expected = backlog
+    for late in delays:
+        expected = max(0.0, expected) * exp(-0.2) + late
+    assert _after(backlog, np.full(len(delays), -0.2), np.array(delays)) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0])
+@pytest.mark.parametrize("seed", range(30))
+def test_frames_at_once_are_judged_as_one_by_one_also_at_the_limits(seed: int, speed: float) -> None:
+    """Intervals lie on every limit of the rule and a millionth to either side of it, and stalls are between them."""
+    rng = np.random.default_rng(seed)
+    jitter = JITTER_S * speed
+    near, early, late = max(REPEATED * T, jitter), max(EARLY * T, jitter), max(LATE * T, jitter)
+    limits = np.array([min(near, T / 2.0), T / 2.0, T - early, T + late, T, 2.0 * T, 1e-3, 3.0])
+    around = limits[:, None] + np.array([-1e-6, 0.0, 1e-6])
+    dt = np.concatenate([rng.choice(around.ravel(), 200), np.full(100, T), rng.uniform(0.0, 2.0 * T, 100)])
+    rng.shuffle(dt)
+    times = np.cumsum(dt)
+    own = rng.integers(0, 2, len(times))
+    one, all_at_once = Arrivals(T), Arrivals(T)
+    one.speed = all_at_once.speed = speed
+    expected = [one.judge(t, bytes([k])) for t, k in zip(times.tolist(), own.tolist(), strict=True)]
+    begin, found = 0, []
+    for end in (*sorted(rng.integers(1, len(times), 3).tolist()), len(times)):
+        part = slice(begin, end)
+        same = np.concatenate([[False], own[part][1:] == own[part][:-1]])
+        due, early_ones = all_at_once.judge_all(times[part], same, lambda k, b=begin: bytes([own[b + k]]))  # type: ignore[misc]
+        found += list(zip(due.tolist(), early_ones.tolist(), strict=True))
+        begin = end
+    assert found == [(came is Arrival.DUE, came is Arrival.EARLY) for came in expected], seed

@@ -286,3 +286,70 @@ def test_no_frames_break_it(frames: list[tuple[float, int, bytes]]) -> None:
         t += gap_s
         reassembler.take(t, identifier, data)
     assert len(reassembler) <= 3
+
+
+def test_a_time_before_the_last_loses_what_is_open_for_want_of_more() -> None:
+    sent, reassembler = broadcast(bytes(20)), fresh()
+    taken(reassembler, sent[:2], begin_s=-50.0)
+    assert reassembler.losses == {}
+    reassembler.take(-60.0, *sent[0])
+    assert reassembler.losses == {("wanted", "timeout"): 1}
+    assert (len(reassembler), reassembler.not_whole()) == (
+        1,
+        ["1 wanted in parts (timeout)", "1 wanted in parts (cut off by the end)"],
+    )
+
+
+def test_each_announcement_that_makes_no_sense_is_counted() -> None:
+    reassembler, payload = fresh(), bytes(20)
+    right = announced(0x20, GROUP, payload, 0x3D)
+    for size, count in ((20, 4), (20, 2), (8, 2), (0, 0), (LARGEST + 1, 256 & 0xFF)):
+        data = bytes([0x20]) + size.to_bytes(2, "little") + bytes([count]) + right.data[4:]
+        reassembler.take(0.0, right.identifier, data)
+    to_one = announced(0x20, GROUP, payload, 0x3D, 0xF9)
+    reassembler.take(0.0, *to_one)
+    assert (reassembler.losses, len(reassembler)) == ({("wanted", "malformed"): 6}, 0)
+
+
+def test_a_part_that_was_missed_is_lost_and_not_late() -> None:
+    """Of an addressed message: its receiver may ask again, and does not."""
+    payload, reassembler = bytes(range(30)), fresh()
+    taken(reassembler, [announced(0x10, GROUP, payload, 0x3D, 0xF9)])
+    first, _, third, *_ = parts(payload, 0x3D, 0xF9)
+    assert taken(reassembler, [first, third], begin_s=0.1) == []
+    assert reassembler.losses == {}
+    reassembler.take(0.2 + 2.0 * T2_S, *third)
+    assert reassembler.losses == {("wanted", "lost"): 1}
+    taken(reassembler, [announced(0x10, GROUP, payload, 0x3D, 0xF9), first], begin_s=20.0)
+    reassembler.take(21.0 + 2.0 * T2_S, *third)
+    assert reassembler.losses == {("wanted", "lost"): 1, ("wanted", "timeout"): 1}
+
+
+def test_the_one_that_is_due_first_is_crowded_out() -> None:
+    reassembler = fresh(most=2)
+    for k, source in enumerate((0x33, 0x22, 0x11)):
+        reassembler.take(0.1 * k, *announced(0x20, GROUP, bytes(20), source))
+    assert reassembler.losses == {("wanted", "crowded out"): 1}
+    for k, (source, whole) in enumerate([(0x33, 0), (0x22, 1), (0x11, 1)]):
+        assert len(taken(reassembler, parts(bytes(20), source), begin_s=0.3 + 0.05 * k, step_s=0.01)) == whole
+
+
+def test_an_empty_part_is_none_and_a_short_last_one_is_not_whole() -> None:
+    payload, reassembler = bytes(range(1, 17)), fresh()
+    [announcement, first, second, last] = broadcast(payload)
+    taken(reassembler, [announcement, first, second])
+    assert reassembler.take(0.3, last.identifier, last.data[:2]) is None
+    assert reassembler.losses == {("wanted", "malformed"): 1}
+    taken(reassembler, [announcement, first], begin_s=1.0)
+    reassembler.take(1.2, first.identifier, b"")
+    assert reassembler.losses == {("wanted", "malformed"): 1, ("wanted", "lost"): 1}
+
+
+def test_a_last_part_that_is_repeated_with_what_fills_it_is_a_repetition() -> None:
+    """Of two parts of 9 bytes: the second has 2 of the message, and whatever behind them."""
+    payload, reassembler = bytes(range(1, 24)), fresh()
+    sent = broadcast(payload)
+    taken(reassembler, sent[:3])
+    again = Sent(sent[2].identifier, sent[2].data)
+    assert taken(reassembler, [again, *sent[3:]], begin_s=0.2) == [Whole(identifier_of(GROUP, 0x3D), payload)]
+    assert reassembler.losses == {}

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from importlib import resources
 
+import numpy as np
 import pytest
 
 from faultline.service.core.errors import InputError
@@ -250,3 +251,68 @@ def test_parts_that_are_missing_are_a_condition() -> None:
         "of any sender, by the DBC: UDS_ECU from 0x3D (2 frames)",
         "messages that are not whole, and not used: 1 UDS_ECU in parts (lost)",
     ]
+
+
+def test_frames_counted_at_once_are_those_counted_one_by_one() -> None:
+    rng = np.random.default_rng(4)
+    for addresses in ([0x3D] * 5, [0x3D, 0x3D, 0x21, 0x3D], [0x21], rng.integers(0, 3, 40).tolist()):
+        one, many = any_sender().sources, any_sender().sources
+        [layout] = any_sender().layouts
+        expected = sum(one.is_sole(layout, address) for address in addresses)
+        assert many.count_sole(layout, np.array(addresses)) == expected
+        assert many.counts == one.counts
+        more = sum(one.is_sole(layout, address) for address in addresses)
+        assert (many.count_sole(layout, np.array(addresses)), many.counts) == (more, one.counts)
+
+
+def test_frames_of_others_at_once_are_those_one_by_one() -> None:
+    table, other = (compile_dbc(UDS, {"y_p_du": "Pa"}, "vendors.dbc") for _ in range(2))
+    identifiers = np.array([GROUP | 0x21, GROUP | 0x21, 0x18FEF500, GROUP | 0x07, GROUP | 0x21])
+    table.sources.take_others(identifiers)
+    for identifier in identifiers.tolist():
+        other.sources.take_other(identifier, b"")
+    assert (table.sources.others, table.sources.other) == (other.sources.others, other.sources.other)
+    assert table.sources.others == {"UDS_ECU": 4}
+
+
+TWO_BUSES = {"UDS_SENSORS": "body"}
+
+
+def two_buses(dbc: str = ANY) -> DecodeTable:
+    return compile_dbc(dbc, {"y_p_du": "Pa", "y_p_ap": "Pa"}, "vendors.dbc", {}, TWO_BUSES)
+
+
+def test_messages_of_another_bus_are_decoded_by_its_table_and_counted_with_the_others() -> None:
+    table = two_buses()
+    body = table.of_bus("body")
+    assert (table.of_bus(""), [*table.buses]) == (table, ["body"])
+    assert [layout.name for layout in table.all_layouts] == ["UDS_ECU", "UDS_SENSORS"]
+    assert names(body.decode(0x18FF20F9, True, bytes(8), 0.0)) == {"y_p_ap": "GOOD"}
+    assert table.decode(0x18FF20F9, True, bytes(8), 0.0) == []
+    assert names(table.decode(GROUP | 0x3D, True, bytes(8), 0.0)) == {"y_p_du": "GOOD"}
+    assert table.taken == body.taken == {"UDS_ECU": 1, "UDS_SENSORS": 1}
+    assert body.decode(0x18FF20F9, True, b"1", 0.2) == []
+    assert body.decode(0x18FF2007, True, bytes(8), 0.2) == []
+    assert (table.rejected.short, table.rejected.other_source) == ({"UDS_SENSORS": 1}, {"UDS_SENSORS": 1})
+    assert table.strangers() == []
+
+
+def test_what_is_worth_knowing_is_known_of_all_buses() -> None:
+    both = ANY.replace(str(0x98FF20F9), str(0x98FF20FE))
+    table = two_buses(both)
+    assert table.remarks() == []
+    table.decode(GROUP | 0x3D, True, bytes(8), 0.0)
+    table.of_bus("body").decode(0x18FF2007, True, bytes(8), 0.0)
+    assert table.remarks() == [
+        "of any sender, by the DBC: UDS_ECU from 0x3D (1 frames), UDS_SENSORS from 0x07 (1 frames)"
+    ]
+    table.of_bus("body").decode(0x18FF2008, True, bytes(8), 0.1)
+    assert len(table.strangers()) == 1
+
+
+def test_the_speed_of_a_replay_is_that_of_all_buses() -> None:
+    table = two_buses()
+    table.run_at(20.0)
+    assert {each.speed for one in (table, table.of_bus("body")) for each in one.arrivals.values()} == {20.0}
+    table.run_at(0.5)
+    assert {each.speed for one in (table, table.of_bus("body")) for each in one.arrivals.values()} == {1.0}
