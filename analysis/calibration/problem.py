@@ -24,9 +24,6 @@ Array = npt.NDArray[np.float64]
 DELAY = 1.5
 """Periods. Prior standard deviation of a command's delay."""
 
-LAG = 0.1
-"""Periods. Prior standard deviation of an output's lag: a sensor's filter, a controller's cycle, the bus."""
-
 
 class Nuisance(NamedTuple):
     """What is of a recording's sensors and clocks: `zero` errors, `lag` [s] of outputs, `delay` [s] of commands."""
@@ -49,7 +46,7 @@ class Unknowns(NamedTuple):
     zeros: dict[str, float]
     logs: int
     delays: tuple[str, ...]
-    lags: tuple[str, ...]
+    lags: dict[str, float]
     period_s: float
 
     @property
@@ -86,7 +83,7 @@ class Unknowns(NamedTuple):
 
     def lag(self, x: Array) -> dict[str, float]:
         """The outputs' lags [s]."""
-        part = LAG * self.period_s * x[self.size - len(self.lags) :]
+        part = np.array([*self.lags.values()]) * x[self.size - len(self.lags) :]
         return dict(zip(self.lags, part.tolist(), strict=True))
 
     def nuisance(self, x: Array) -> Nuisance:
@@ -106,7 +103,7 @@ def unknowns_of(system: System, commands: tuple[str, ...], logs: int, lags: tupl
         zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
         logs=logs,
         delays=commands,
-        lags=lags,
+        lags={name: model.lag_s(name) for name in lags},
         period_s=model.period_s,
     )
 
@@ -192,7 +189,7 @@ class Problem:
                 columns.append(stacked(section, trajectory.by_input(name, lost[:, None]), lag))
             rates = {name: np.gradient(y, section.drive.step_s) for name, y in trajectory.outputs().items()}
             rate = stacked(section, rates, lag)[:, None]
-            columns += [rate * _of_output(section, name, -LAG * unknowns.period_s) for name in unknowns.lags]
+            columns += [rate * _of_output(section, name, -lag_s) for name, lag_s in unknowns.lags.items()]
             found.append(-np.concatenate(columns, axis=1))
         return found
 

@@ -19,7 +19,7 @@ from faultline.analysis.discrepancy.add.structure_change import structure_change
 from faultline.analysis.discrepancy.data import Data, load
 from faultline.analysis.discrepancy.discover import Discovery, discover
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.effects.library import is_own, load_library
+from faultline.analysis.discrepancy.effects.library import beside, is_own, load_library
 from faultline.analysis.discrepancy.effects.rewrite import applicable
 from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.discrepancy.name.experiment import MANY, Plan, propose
@@ -68,7 +68,12 @@ def main(argv: list[str]) -> int:
     add("recording", type=Path, nargs="*", help="an instrumented, fault-free recording to fit")
     add("--held-out", type=Path, nargs="+", default=[], help="others, on which the evidence is checked")
     add("--out", type=Path, default=Path("discovery"), metavar="DIR", help="folder to write (default: discovery)")
-    add("--library", type=Path, metavar="FILE", help="effects of your own, besides the shipped ones")
+    add(
+        "--library",
+        type=Path,
+        metavar="FILE",
+        help="effects of your own, besides the shipped ones (effects.toml beside it)",
+    )
     add(
         "--without",
         nargs="+",
@@ -116,7 +121,7 @@ def _discover(options: argparse.Namespace) -> int:
     check_engine()
     _not_over(options.model, options.out)
     check_folder(options.out)
-    model, library = sound_model(options.model), _library(options.library, options.without)
+    model, library = sound_model(options.model), _library(options.library or beside(options.model), options.without)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():

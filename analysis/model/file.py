@@ -148,10 +148,12 @@ def _known(table: Table) -> Known:
         drift=table.optional_number("drift") or 0.0,
         added=table.flag("added"),
         maximum_age_s=table.optional_number("maximum_age_s"),
+        lag_s=table.optional_number("lag_s"),
     )
     table.done()
-    if known.maximum_age_s is not None and known.maximum_age_s <= 0:
-        raise table.fail("maximum_age_s", f"{known.maximum_age_s:g} s is no age; give a positive one")
+    for name in ("maximum_age_s", "lag_s"):
+        if (seconds := getattr(known, name)) is not None and seconds <= 0:
+            raise table.fail(name, f"{seconds:g} s; give a positive one")
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
     if known.noise <= 0:

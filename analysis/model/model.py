@@ -24,7 +24,9 @@ class Known:
 
     `zero` is the standard deviation of the zero error that a calibration of the sensor has left, `drift` that of its
     change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
-    sample that is older than `maximum_age_s` [s] is not used; None stands for five periods.
+    sample that is older than `maximum_age_s` [s] is not used; None stands for five periods. What it shows may be late,
+    by a standard deviation of `lag_s` [s]: the sensor's filter, the controller's cycle, the bus; None stands for a
+    tenth of a period.
     """
 
     unit: str
@@ -36,6 +38,7 @@ class Known:
     drift: float = 0.0
     added: bool = False
     maximum_age_s: float | None = None
+    lag_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +197,9 @@ WARM_UP_S = 20.0
 PERIODS = 100.0
 """In a warm-up, where a system states no period."""
 
+LAG = 0.1
+"""Periods that a signal may be late by, where a system does not say."""
+
 MISSED = 5.0
 """Periods after which a sample is too old, where a system does not say: a frame or two may be lost."""
 
@@ -252,6 +258,11 @@ class Model:
         """The age [s] from which a sample of this known signal is not used."""
         stated = self.known[signal].maximum_age_s
         return MISSED * self.period_s if stated is None else stated
+
+    def lag_s(self, signal: str) -> float:
+        """The standard deviation of this known signal's lag [s]."""
+        stated = self.known[signal].lag_s
+        return LAG * self.period_s if stated is None else stated
 
     @property
     def sensor_set(self) -> Literal["production", "instrumented"]:

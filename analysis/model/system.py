@@ -2,7 +2,8 @@
 
 schema = 1
 period_s = 0.2           ticks are so far apart [s]  (a hundredth of the warm-up if absent)
-[signal.y_p_tp]          maximum_age_s [s]: an older sample is not used  (five periods if absent)
+[signal.y_p_tp]          maximum_age_s: an older sample is not used [s]  (five periods if absent)
+      lag_s                  how late it may show, a standard deviation [s]  (a tenth of a period if absent)
 [[mode]]                 name, description, instruction, where = {dc_dose = {above = 0.0, below = 0.02}}
 (the first that holds counts; one has no `where` and holds where no other does; none: one mode)
 [edges]                  settle_s, steps = {n_p = 4.0}: how long a step counts, and how large it is

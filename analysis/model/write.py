@@ -26,7 +26,7 @@ def dump_model(model: Model) -> str:
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
-        fields |= {} if k.maximum_age_s is None else {"maximum_age_s": k.maximum_age_s}
+        fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from faultline.analysis.calibration.problem import DELAY, LAG
+from faultline.analysis.calibration.problem import DELAY
 from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.add.adopt import adopted
 from faultline.analysis.discrepancy.add.held_out import Shown
@@ -86,13 +86,14 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         if not inside:
             yield f"{name} has run into its bound"
     nuisance = chosen.unknowns.nuisance(chosen.x)
-    for what, values, usual in (
-        ("lag", nuisance.lag, LAG * found.study.model.period_s),
-        ("delay", nuisance.delay, DELAY * found.study.model.period_s),
+    model = found.study.model
+    for what, of_each in (
+        ("lag", {name: (s, model.lag_s(name)) for name, s in nuisance.lag.items()}),
+        ("delay", {name: (s, DELAY * model.period_s) for name, s in nuisance.delay.items()}),
     ):
-        for name, seconds in values.items():
+        for name, (seconds, usual) in of_each.items():
             if abs(seconds) > UNLIKELY * usual:
-                yield f"the {what} of {name} has gone to {seconds:.2f} s, {usual:g} s is usual"
+                yield f"the {what} of {name} has gone to {seconds:.2g} s, {usual:g} s is usual"
 
 
 def _digits(value: float) -> str:

@@ -12,6 +12,8 @@
     [[effect.change]]        where = ["q_dos", "A_dos"], replace = "A_dos -> A_dos*(1 + g)"
     [[effect.equation]]      name, description, expr = "..."  (= 0): a new equation
     [[effect.differential]]  name, state, derivative
+    [[use]]                  effect of general.toml, component, roles = {force = "F"}, name, statement, signature
+      parameter.F_c, unknown.z   what the general entry leaves to a system: unit, spread, value, min, max, initial
 
 A change replaces a name in every equation that has all names of `where` in it, as `enters` of a fault does. Formulas
 know the effect's own names, its roles and the names of the model; in the model, `z` of `lag_p_du` is `lag_p_du_z`.
@@ -26,13 +28,14 @@ from faultline.analysis.discrepancy.effects.effect import Change, Effect, Effect
 from faultline.analysis.model import Differential, ModelError
 from faultline.analysis.model.check import check_name
 from faultline.analysis.model.expression import FUNCTIONS, parse_expression
-from faultline.analysis.model.file import SYSTEMS
+from faultline.analysis.model.file import SYSTEMS, shipped_models
 from faultline.analysis.model.model import check_bounds
 from faultline.analysis.model.tables import Table, first_repeated
 
 SCHEMA = 1
 
 SHIPPED = SYSTEMS / "uds" / "effects.toml"
+GENERAL = Path(__file__).with_name("general.toml")
 
 EXPERIMENTS = {
     "pressure_ladder": "steps of pressure from 6 to 12.5 bar without dosing",
@@ -72,6 +75,13 @@ def load_library(path: Path | None = None) -> dict[str, Effect]:
     return found
 
 
+def beside(model: str) -> Path | None:
+    """The effects file of the system that a model file, a folder or a shipped model belongs to, if it has one."""
+    folder = Path(model) if Path(model).is_dir() else shipped_models().get(model, Path(model)).parent
+    file = folder / SHIPPED.name
+    return file if file.is_file() and not file.samefile(SHIPPED) else None
+
+
 def is_own(effect: Effect) -> bool:
     """True if an effect is of a user's file, and not of the shipped library."""
     return not effect.place.startswith(str(SHIPPED))
@@ -93,15 +103,39 @@ def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
     schema = top.number("schema")
     if schema != SCHEMA:
         raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that it was written for")
-    tables = top.tables("effect")
+    tables, uses = top.tables("effect"), top.tables("use")
     top.done()
-    if not tables:
-        raise top.fail("effect", "there is none; add [[effect]] entries, or give no file")
-    read = [_entry(table, path) for table in tables]
+    if not tables and not uses:
+        raise top.fail("effect", "there is none; add [[effect]] or [[use]] entries, or give no file")
+    read = [_entry(table, path) for table in (*tables, *map(_used, uses))]
     twice = first_repeated([effect.name for effect, _ in read])
     if twice is not None:
         raise ModelError(f"{path}: two effects are named {twice}; rename one")
     return {effect.name: (effect, replaces) for effect, replaces in read}
+
+
+def _used(use: Table) -> Table:
+    """An entry of the general library with the names, units and sizes of a system."""
+    general = tomllib.loads(GENERAL.read_text())["effect"]
+    name = use.text("effect")
+    entry = next((each for each in general if each["name"] == name), None)
+    if entry is None:
+        raise use.fail("effect", f"{name} is none of {', '.join(each['name'] for each in general)}")
+    written: dict[str, object] = {"name": name, **use.rest()}
+    for kind in ("parameter", "unknown"):
+        bound = Table(written, use.place).table(kind)
+        for part, given in ({} if bound is None else bound.rest()).items():
+            if part not in entry.get(kind, {}) or not isinstance(given, dict):
+                raise use.fail(
+                    f"{kind}.{part}", f"is none of {', '.join(entry.get(kind, {})) or name + ', which has none'}"
+                )
+            entry[kind][part] |= given
+        written.pop(kind, None)
+    roles = Table(written, use.place).table("roles")
+    named = {
+        role: [one] if isinstance(one, str) else one for role, one in ({} if roles is None else roles.rest()).items()
+    }
+    return Table({**entry, **written, "roles": named}, use.place)
 
 
 def _entry(table: Table, path: Path) -> tuple[Effect, bool]:

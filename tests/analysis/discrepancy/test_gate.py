@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from made_study import study
 
-from faultline.analysis.calibration.problem import LAG
 from faultline.analysis.calibration.validate import STEADY, Agreement
 from faultline.analysis.discrepancy.add.gate import UNLIKELY, WORSE, adoption
 from faultline.analysis.discrepancy.add.held_out import Shown, shown
@@ -18,6 +17,7 @@ from faultline.analysis.discrepancy.discover import Discovery, Kind, Verdict
 from faultline.analysis.discrepancy.find.locate import Location
 from faultline.analysis.discrepancy.name.attempt import Judge, baseline_of
 from faultline.analysis.discrepancy.name.contest import Outcome, Place
+from faultline.analysis.model.model import LAG
 from faultline.analysis.simulation import system_of
 
 NOWHERE = Location((), (), (), (), (), {}, (), np.zeros(0))
@@ -140,7 +140,7 @@ def test_a_sensors_lag_that_does_anothers_work_is_refused(
     x = found.outcome.chosen.x.copy()
     x[-1] = many
     [reason] = adoption(data, changed(found, x=x), runs).reasons
-    assert reason == f"the lag of y_p_du has gone to {many * LAG * 0.2:.2f} s, {LAG * 0.2:g} s is usual"
+    assert reason == f"the lag of y_p_du has gone to {many * LAG * 0.2:.2g} s, {LAG * 0.2:g} s is usual"
 
 
 def test_several_reasons_are_all_given(data: Data, found: Discovery, runs: Shown) -> None:

@@ -342,7 +342,7 @@ WRONG = [
     (
         "age no age",
         change("noise = 0.01", "noise = 0.01\nmaximum_age_s = 0"),
-        "m.toml: known.y.maximum_age_s: 0 s is no",
+        "m.toml: known.y.maximum_age_s: 0 s; give",
     ),
     ("start over a signal", change('"h0"]', '"1/y"]'), "m.toml: unknown.h.initial[1]: `1/y` is not affine in known"),
 ]

@@ -17,8 +17,8 @@ from faultline.service.core.residuals.generators import Graph
 UDS1, UDS4, RC = load_model("uds/production"), load_model("uds"), load_model("rc")
 
 
-def test_the_four_systems_are_shipped() -> None:
-    assert list(shipped_models()) == ["rc", "three-tank", "uds", "uds/production"]
+def test_the_systems_are_shipped() -> None:
+    assert list(shipped_models()) == ["emps", "rc", "three-tank", "uds", "uds/production"]
 
 
 @pytest.mark.parametrize("name", shipped_models())
