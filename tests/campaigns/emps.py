@@ -75,7 +75,8 @@ def page(found: Mapping[str, Any], fitted: Sequence[Model], seconds: float, comm
         provenance(commit, seconds),
         "",
         f"Verdict: **{found['verdict']['sentence']}**, {found['verdict']['gain']:.0f} nats where "
-        f"{found['verdict']['threshold']:.0f} are asked for; {found['verdict']['remainder']:.0f} nats are left unexplained.",
+        f"{found['verdict']['threshold']:.0f} are asked for; {found['verdict']['remainder']:.0f} "
+        "nats are left unexplained.",
         "",
         "| effect of the general library, bound to the drive | evidence [nats] |",
         "|---|---:|",
@@ -85,8 +86,8 @@ def page(found: Mapping[str, Any], fitted: Sequence[Model], seconds: float, comm
         "|---|---:|---:|---:|",
         *rows,
         "",
-        "The files have positions from -1 to 1, so masses and viscous friction are in units of the stroke: only F_c and F_0 [N]",
-        "and the ratio Fv/M [1/s] compare: published "
+        "The files have positions from -1 to 1, so masses and viscous friction are in units of the stroke: only F_c",
+        "and F_0 [N] and the ratio Fv/M [1/s] compare: published "
         f"{PUBLISHED['Fv'] / PUBLISHED['M']:.3g}, found {after['Fv'] / after['M']:.3g}.",
         "",
         "| held-out free run | mode | RMS error before [m/s] | after |",

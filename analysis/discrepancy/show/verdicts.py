@@ -15,7 +15,7 @@ HARDLY = 0.1
 
 TUNE_AND_EXPORT = (
     "`faultline tune {model} RECORDING... --out tuning.json` with other fault-free recordings, then "
-    "`faultline export {model} --tuning tuning.json --dbc RECORDING/uds.dbc --out bundle`"
+    "`faultline export {model} --tuning tuning.json --dbc DBC --out bundle`"
 )
 
 FAR = 3.0
