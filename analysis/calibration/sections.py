@@ -124,10 +124,23 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
     if not found:
         raise InputError(
             f"{where}: in no {shortest_s:g} s on end (the model's warm_up_s of {model.warm_up_s:g} s and "
-            f"{SHORTEST * model.period_s:g} s more) do all inputs tell and all signals keep within their ranges; "
-            "record longer undisturbed operation"
+            f"{SHORTEST * model.period_s:g} s more) do all inputs tell and all signals keep within their ranges"
+            f"{_beyond(model, tracks)}; record longer undisturbed operation"
         )
     return [_section(model, system, tracks, k, low, high, step * model.period_s) for k, (low, high) in enumerate(found)]
+
+
+def _beyond(model: Model, tracks: Mapping[str, Track]) -> str:
+    """Which signals leave the ranges of the model, and how far, in words."""
+    told = []
+    for name, known in model.known.items():
+        value = tracks[name].value
+        low, high = float(value.min()), float(value.max())
+        if low < known.min or high > known.max:
+            told.append(
+                f"{name} goes from {low:.4g} to {high:.4g} {known.unit}, its range is {known.min:g} to {known.max:g}"
+            )
+    return f" ({'; '.join(told)})" if told else ""
 
 
 def _tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:

@@ -3,6 +3,8 @@
 Where residuals have not settled, conflicts alone name candidates (`core.decision.isolation`). Later a fault has to fit
 what is seen as well: a single one, else the best two at once, else the fault is unknown. It is unknown too where a
 disturbance fits, which is no component's fault, and near the equation that this enters.
+
+A bundle of a single test tells no faults apart: what it shows is one of those that it is sensitive to.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,6 +36,7 @@ class Explainer:
         self._equations = [frozenset(generator.equations) for generator in manifest.generators]
         self._disturbed = {each.name: each.equation for each in manifest.disturbances}
         self._faults = frozenset(fault.name for fault in manifest.faults)
+        self._has_one_test = len({generator.test for generator in manifest.generators}) == 1
 
     def by_conflicts(self, rows: Sequence[int]) -> list[Diagnosis]:
         """The explanations that these generators allow, all of one rank."""
@@ -41,6 +44,8 @@ class Explainer:
 
     def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
         """Those of them that fit what is seen."""
+        if self._has_one_test:
+            return self.by_conflicts(rows)
         conflicts = [self._sensitive[row] | self._disturbing(row) for row in rows]
         misfits = fitting(conflicts, look)
         return self._ranked([*misfits] or [UNKNOWN], misfits, rows)
