@@ -28,6 +28,7 @@ from faultline import systems
 from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.fill_in import unfilled
 from faultline.analysis.model.model import (
     PERIODS,
     WARM_UP_S,
@@ -44,6 +45,8 @@ from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
 
 SCHEMA = 1
+LISTED = 6
+"""Places to fill in that a message lists."""
 SHORTEST_S, LONGEST_S = 1e-3, 60.0
 """Of sampling periods."""
 
@@ -93,6 +96,9 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ModelError(f"{where}: not TOML: {error}") from error
+    if marked := list(unfilled(written)):
+        more = f" and {len(marked) - LISTED} more" if len(marked) > LISTED else ""
+        raise ModelError(f"{where}: still to be filled in: {', '.join(marked[:LISTED])}{more}")
     top = Table(written if system is None else with_system(written, where, system, whole=whole), where, top=True)
     schema = top.number("schema")
     if schema != SCHEMA:

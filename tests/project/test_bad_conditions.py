@@ -106,6 +106,9 @@ ROWS = {
     "j1939": Row("--help", interrupted=0),
     "log": Row(f"{LOG} --json"),
     "mqtt": Row("--help", interrupted=0),
+    "new": Row(
+        "--help", (Writes(f"system n --from {LOG} --dbc {LOG}/uds.dbc --out {{out}}/n --force", "n/model.toml"),)
+    ),
     "replay": Row(f"{LOG} --bus {{bus}} --speed 1000 --json"),
     "rig": Row(
         "list",

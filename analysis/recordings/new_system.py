@@ -1,0 +1,190 @@
+"""Begin the folder of a system from a log: its signals with units, ranges, noise and periods; the rest is marked.
+
+`model.toml` has the signals, and places for the equations; `system.toml` has the period and the maximum ages. What is
+marked FILL IN is checked by name when the model is loaded.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from faultline.analysis.model.fill_in import MARK
+from faultline.analysis.recordings.track import Track, tracks_of
+from faultline.options import Parser
+from faultline.service.core.errors import InputError
+from faultline.service.core.signals.dbc import compile_dbc, load
+from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.units import UNITS, plain_unit
+from faultline.service.logs import Log
+from faultline.service.logs.opening import open_any
+from faultline.writing import check_folder, write_files
+
+EXAMPLE = """examples:
+  faultline new system house --from logs/week.csv
+  faultline new system pump --from drive.blf --dbc truck.dbc --signals speed pressure --out systems/pump
+"""
+PERIODS = 5.0
+"""Of a signal, after which a sample is too old."""
+DIGITS = 2
+"""Of ranges and noise: they are proposals."""
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: the log cannot be read or has none of the signals, or the folder is there already.
+    """
+    parser = Parser(
+        "faultline new", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=["system"], help="what to begin")
+    parser.add_argument("name", help="of the system, as in formulas: letters, digits, _")
+    parser.add_argument("--from", dest="log", type=Path, required=True, help="a log, or a recording's folder")
+    parser.add_argument("--dbc", type=Path, help="the DBC of a CAN log")
+    parser.add_argument("--signals", nargs="+", metavar="NAME", help="these alone (all that the log has)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the folder to write (NAME)")
+    parser.add_argument("--force", action="store_true", help="write over the files of a folder that is there")
+    options = parser.parse_args(argv)
+    out: Path = options.out or Path(options.name)
+    if out.exists() and not options.force:
+        raise InputError(f"{out}: is there already; give another folder with --out, or --force")
+    check_folder(out.parent)
+    log = open_any(options.log)
+    units = _units(log, options.dbc, options.signals)
+    tracks = {name: track for name, track in _tracks(log, options.dbc, units).items() if len(track.t) > 2}
+    if not tracks:
+        raise InputError(f"{options.log}: none of its signals has values: {', '.join(units) or 'give its --dbc'}")
+    files = {"model.toml": model_text(options.name, log.id, tracks, units), "system.toml": system_text(tracks)}
+    write_files({out / name: text for name, text in files.items()})
+    silent = [name for name in units if name not in tracks]
+    if silent:
+        print(f"without values in the log, and left away: {', '.join(silent)}")
+    written = ", ".join(str(out / name) for name in files)
+    print(f"wrote {written}: fill in what is marked, then `faultline structure {out}`")
+    return 0
+
+
+def _units(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, str]:
+    """The signals that may be there, with the units of a model."""
+    written: dict[str, str] = {}
+    if dbc is not None:
+        messages, _ = load(dbc_text(_read(dbc)))
+        written |= {signal.name: signal.unit or "" for message in messages for signal in message.signals}
+    if log.values is not None:
+        written |= log.values.file.units
+    if wanted is not None and (unknown := [name for name in wanted if name not in written]):
+        raise InputError(f"--signals {' '.join(unknown)}: no such signals; there are {', '.join(written) or 'none'}")
+    return {name: _in_si(unit) for name, unit in written.items() if wanted is None or name in wanted}
+
+
+def _in_si(unit: str) -> str:
+    plain = plain_unit(unit)
+    return UNITS[plain][0] if plain in UNITS else plain or "1"
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _tracks(log: Log, dbc: Path | None, units: Mapping[str, str]) -> dict[str, Track]:
+    table = log.table(units, log.id) if dbc is None else compile_dbc(dbc_text(_read(dbc)), units, str(dbc))
+    return tracks_of(log.signals(table), units)
+
+
+def model_text(name: str, log: str, tracks: Mapping[str, Track], units: Mapping[str, str]) -> str:
+    """The model file: signals as the log has them, and places for the equations."""
+    head = [
+        "schema = 1",
+        f"name = {json.dumps(name)}",
+        f'description = "{MARK}: what the system is"',
+        f'source = "{MARK}: where the equations are from"',
+        f'warm_up_s = "{MARK}: seconds until the slowest state has forgotten its start"',
+        "",
+        f"# Signals, as they were in {log}: ranges and noise are proposals.",
+    ]
+    signals = [_known(signal, track, units[signal]) for signal, track in tracks.items()]
+    rest = f"""
+# Everything else is unknown: flows, pressures, temperatures inside. A state has initial values and a derivative.
+
+[unknown.x]
+unit = "{MARK}"
+description = "{MARK}"
+initial = ["{MARK}: signals or parameters that give it at the start"]
+
+[unknown.dx]
+unit = "{MARK}"
+
+[parameter.k]
+unit = "{MARK}"
+description = "{MARK}"
+value = "{MARK}"
+source = "{MARK}: datasheet, drawing, guess"
+
+# Equations, each expr = 0 (docs/models.md), and what may fail in them.
+
+[[equation]]
+name = "e1"
+description = "{MARK}"
+expr = "{MARK}"
+
+[equation.fault]
+name = "f_1"
+component = "{MARK}: what a technician would replace"
+description = "{MARK}: how it fails"
+enters = "{MARK}: as k -> k + f_1"
+sizes = []
+
+[[differential]]
+name = "e2"
+state = "x"
+derivative = "dx"
+"""
+    return "\n".join(head) + "\n" + "".join(signals) + rest
+
+
+def _known(name: str, track: Track, unit: str) -> str:
+    low, high = float(track.value.min()), float(track.value.max())
+    margin = 0.1 * (high - low) or 0.1 * abs(high) or 1.0
+    bent = track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:]
+    noise = 1.4826 * float(np.median(np.abs(bent))) / math.sqrt(6.0) or 1e-3 * margin
+    return (
+        f"\n[known.{name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
+        f'unit = {json.dumps(unit)}\ndescription = "{MARK}"\n'
+        f"min = {_rounded(low - margin, math.floor)}\nmax = {_rounded(high + margin, math.ceil)}\n"
+        f"noise = {_rounded(noise, round)}\n"
+    )
+
+
+def _rounded(value: float, how: Callable[[float], int]) -> str:
+    """To two digits of its size, down, up or to the nearest, as a number of TOML."""
+    if value == 0.0:
+        return "0.0"
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
+    return repr(float(f"{how(value / unit) * unit:.{DIGITS + 1}g}"))
+
+
+def system_text(tracks: Mapping[str, Track]) -> str:
+    """The system file: the period of the fastest signal, and ages of the others by their own."""
+    periods = {name: float(f"{track.period_s:.3g}") for name, track in tracks.items()}
+    fastest = min(max(min(periods.values()), 1e-3), 60.0)
+    ages = "".join(f"{name}.maximum_age_s = {PERIODS * max(period, fastest):g}\n" for name, period in periods.items())
+    return f"""schema = 1
+period_s = {fastest:g}  # that of the fastest signal
+
+# The age from which a sample is not used: five periods of each signal.
+
+[signal]
+{ages}
+# Operating modes, if residuals look different in them (docs/models.md): a mode for each, one of them without `where`.
+# [[mode]]
+# name = "idle"
+# where = {{ {next(iter(periods))} = {{ below = 0.0 }} }}
+"""
