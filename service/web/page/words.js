@@ -93,7 +93,8 @@ export function separation(system, one) {
   const [a, b] = one.between.map((names) => names.map((name) => component(system, name)).join(" and "));
   const pair = `${a} or ${b}`;
   if (!one.telling.length && !one.waiting.length) {
-    return `${pair}: no test is sensitive to one of them alone. Size and sign of the residuals tell, so drive at idle, at partial and at maximum dose.`;
+    const modes = system.modes.filter((mode) => mode !== "edge").join(", ");
+    return `${pair}: no test is sensitive to one of them alone. Size and sign of the residuals tell: operate it in each mode (${modes}).`;
   }
   const now = one.telling.length ? `${one.telling.join(", ")}, which can tell now` : "";
   const later = one.waiting.length ? `${one.waiting.join(", ")}, which cannot tell now` : "";
