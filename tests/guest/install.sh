@@ -3,10 +3,10 @@
 # systemd, udev and can-utils, which the guest takes from here. Nothing is done where all of it is there. Fails, with one
 # line that says what to do, where it cannot be had: the tests in this folder are skipped then.
 set -euo pipefail
-packages=(user-mode-linux kmod iproute2 can-utils systemd systemd-sysv udev dbus e2fsprogs)
+packages=(user-mode-linux kmod iproute2 can-utils systemd systemd-sysv udev dbus e2fsprogs gcc libc6-dev)
 missing() {
 	local name
-	for name in linux.uml canplayer ip systemctl udevadm mkfs.ext4 kmod dbus-daemon; do
+	for name in linux.uml canplayer ip systemctl udevadm mkfs.ext4 kmod dbus-daemon cc; do
 		command -v "$name" >/dev/null || return 0
 	done
 	ls /usr/lib/uml/modules/*/kernel/drivers/net/can/vcan.ko >/dev/null 2>&1 || return 0

@@ -27,8 +27,7 @@ PYTHON = Path("/opt/python")
 """Where the guest sees this Python: a service that sees no home could not run one that is in a home."""
 PREFIX = Path("/opt/faultline")
 """Where the guest sees the vehicle's environment."""
-PACKAGES = ("src", "service", "analysis", "training", "testbench", "dbc")
-
+PACKAGES = ("src", "service", "analysis", "training", "testbench", "dbc", "systems")
 
 GOLDEN = ROOT / "tests" / "golden"
 FROM_S, UNTIL_S = 48.0, 95.0
@@ -42,11 +41,15 @@ class NoGuestError(Exception):
 
 @dataclass(frozen=True)
 class Guest:
-    """`share` is /vm in the guest, `environment` the vehicle's; `disk` lasts: its bundles and the service's state."""
+    """`share` is /vm in the guest, `environment` the vehicle's; `disk` lasts: its bundles and the service's state.
+
+    `preloaded` is a library that its kernel needs on this processor, if it needs one.
+    """
 
     share: Path
     environment: Path
     disk: Path
+    preloaded: Path | None = None
 
     def run(self, script: Path, *arguments: str, limit_s: float = 1200.0) -> int:
         """Boots, runs the script with the guest's Python, and powers off; the script's exit code, -1 where it hangs."""
@@ -83,8 +86,10 @@ class Guest:
         command = ["linux.uml", "mem=1G", f"ubd0={self.disk}", "root=none", "rootfstype=hostfs", "rootflags=/", "ro"]
         command += [f"init={self.share / 'init.sh'}", f"share={self.share}", f"bind={binds}"]
         command += ["con=null", "con0=null,fd:2", "ssl=null"]
+        around = {**os.environ, "LD_PRELOAD": str(self.preloaded)} if self.preloaded else None
+        nothing = subprocess.DEVNULL
         with (self.share / "console.txt").open("wb") as console:
-            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=console)
+            return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=console, env=around)
 
 
 def cut_power(process: "subprocess.Popen[bytes]") -> None:
@@ -141,7 +146,20 @@ def prepared(folder: Path) -> Guest:
     first = float(lines[0].split()[0].strip("()"))
     inside = [line for line in lines if FROM_S <= float(line.split()[0].strip("()")) - first <= UNTIL_S]
     (share / "can.log").write_text("\n".join(inside) + "\n")
-    return Guest(share, environment(ROOT / "out" / "vehicle-environment"), folder / "disk.ext4")
+    made = environment(ROOT / "out" / "vehicle-environment")
+    return Guest(share, made, folder / "disk.ext4", _preloaded(folder))
+
+
+def _preloaded(folder: Path) -> Path | None:
+    """What makes room for the registers of AMX, where this processor has them; raises NoGuestError."""
+    if " amx_tile" not in Path("/proc/cpuinfo").read_text():
+        return None
+    library = folder / "xstate.so"
+    try:
+        _must(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(HERE / "xstate.c"), "-ldl"])
+    except FileNotFoundError as error:
+        raise NoGuestError("on this processor the guest needs a C compiler: apt-get install gcc libc6-dev") from error
+    return library
 
 
 def environment(folder: Path) -> Path:
