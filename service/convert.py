@@ -74,6 +74,8 @@ def main(argv: list[str]) -> int:
 
 def _converted(options: argparse.Namespace, say: Say) -> Converted:
     target = TARGETS[options.to]
+    if str(options.out) == "-":
+        raise LogError("--out -: a converted log is read back before it gets its name; give a file")
     say(f"reading {options.log}")
     log = open_any(options.log, options.channel)
     out = options.out or Path(log.id).with_suffix(target.ending)

@@ -44,6 +44,7 @@ _SCREEN = re.compile(
 """Time, channel, direction, identifier, length (or its code), data, what else it is, the data as characters."""
 _SHORT, _PADDED = 3, 10  # digits of an identifier of 11 bits; from a channel's name to the end of one of 29 bits
 _COMMENT = re.compile(rb"\t[a-z][ -~]*", re.IGNORECASE)  # what an error frame means, below it
+_REMARK = re.compile(rb"\s*#")  # as people write it into a log
 _DROPPED = re.compile(rb"DROPCOUNT: dropped \d+ CAN frames? on '.*' socket.*")
 _COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
 
@@ -70,7 +71,7 @@ class CandumpLog:
         """Read a line: see `Dialect`."""
         match = _LOG.fullmatch(line)
         if match is None:
-            if not line.strip():
+            if not line.strip() or _REMARK.match(line):
                 return None
             place = "no frame after the time in" if _STAMP.match(line) else "no candump line:"
             raise ValueError(f"{place} {shown(line)}")
@@ -153,7 +154,7 @@ def _data(raw: bytes) -> bytes:
 def _check_no_frame(line: bytes) -> None:
     if _DROPPED.fullmatch(line):
         raise ValueError(f"candump says: {line.decode(errors='replace')}")
-    if line.strip() and not _COMMENT.fullmatch(line):
+    if line.strip() and not (_COMMENT.fullmatch(line) or _REMARK.match(line)):
         raise ValueError(f"no candump line: {shown(line)}")
 
 

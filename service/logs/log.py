@@ -86,9 +86,13 @@ class Log:
             return frames
         return MergedSignals([*(MergedPart(signals, without) for signals in (frames, *others)), *beside])
 
+    def on_bus(self, bus: str) -> Iterator[Batch]:
+        """Return the data frames of another bus, with times after the log's first one [s], in a pass of its own."""
+        return map(self._relative, Pass(self.source, self.format, self.buses[bus]).batches())
+
     def by_bus(self, table: DecodeTable) -> Iterator[tuple[str, Frame]]:
         """Yield the data frames of all buses that `table` takes messages from, with the bus's name, as they came."""
-        streams = [zip(repeat(bus), _frames(self._of_bus(bus)), strict=False) for bus in table.buses]
+        streams = [zip(repeat(bus), _frames(self.on_bus(bus)), strict=False) for bus in table.buses]
         own = zip(repeat(""), _frames(self._relative_batches()), strict=False)
         yield from heapq.merge(own, *streams, key=lambda each: each[1].t) if streams else own
 
@@ -96,11 +100,7 @@ class Log:
         return map(self._relative, self.batches())
 
     def _passed(self, bus: str, passing: Callable[[Iterable[Batch]], Iterator[Batch]]) -> Iterator[Batch]:
-        return passing(self._of_bus(bus))
-
-    def _of_bus(self, bus: str) -> Iterator[Batch]:
-        """Yield the data frames of another bus, in a pass of its own."""
-        return map(self._relative, Pass(self.source, self.format, self.buses[bus]).batches())
+        return passing(self.on_bus(bus))
 
     def _relative(self, batch: Batch) -> Batch:
         return replace(batch, time=batch.time - self.start_s).with_data

@@ -80,7 +80,7 @@ class _Reader:
             except Exception as error:  # noqa: BLE001 asammdf raises anything where a block is damaged
                 failures += 1
                 if end - begin == 1 or failures > _FAILURES:
-                    self.bad.append((begin, f"{type(error).__name__}: {error}"[:200], end - begin))
+                    self.bad.append((begin, failed(error), end - begin))
                 else:
                     middle = (begin + end) // 2
                     waiting += [(middle, end), (begin, middle)]
@@ -127,6 +127,11 @@ def main(path: Path) -> None:
         write(Part(time, channel, identifier, flags, length, data, first))
         first += len(batch)
     write(Ended(cut, reader.bad))
+
+
+def failed(error: Exception) -> str:
+    """Return why asammdf could not read a part."""
+    return f"asammdf cannot read it ({type(error).__name__}: {error})"[:200]
 
 
 def write(message: msgspec.Struct) -> None:

@@ -1,10 +1,12 @@
 """A log's bytes in pieces, unpacked where they are compressed by gzip: no file is held in memory as a whole."""
 
+import codecs
 import os
 import shutil
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile
 from typing import IO
@@ -82,11 +84,25 @@ class Source:
 
     def _pieces(self, report: LogReport, size: int) -> Iterator[bytes]:
         with self._open() as file:
-            if self.is_compressed:
-                yield from _Unpacking(file, report, size).pieces()
-            else:
-                while piece := file.read(size):
-                    yield piece
+            is_packed = self.is_compressed
+            yield from _as_utf8(_Unpacking(file, report, size).pieces() if is_packed else _read(file, size))
+
+
+def _read(file: IO[bytes], size: int) -> Iterator[bytes]:
+    while piece := file.read(size):
+        yield piece
+
+
+def _as_utf8(pieces: Iterator[bytes]) -> Iterator[bytes]:
+    """Yield the same; text in UTF-16, as Windows' shell and spreadsheets write it behind a mark, in UTF-8."""
+    first = next(pieces, b"")
+    if not first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        yield from chain([first] if first else [], pieces)
+        return
+    decoder = codecs.getincrementaldecoder("utf-16")("replace")
+    for piece in chain([first], pieces):
+        yield decoder.decode(piece).encode()
+    yield decoder.decode(b"", final=True).encode()
 
 
 def _copied(path: Path) -> IO[bytes]:

@@ -7,7 +7,7 @@ import numpy as np
 from faultline.service.logs.batch import ERROR, NO_DATA, REMOTE, Batch
 from faultline.service.logs.channels import Channels
 from faultline.service.logs.formats import Format
-from faultline.service.logs.order import Ordering
+from faultline.service.logs.order import Ordering, without_outliers
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogError, LogReport
 from faultline.service.logs.seen import Seen
@@ -29,12 +29,16 @@ class Pass:
     def batches(self) -> Iterator[Batch]:
         """The frames of the channel in order of time."""
         try:
-            for batch in self._format.read(self._source, self.report, self.channels):
+            for batch in self._read():
                 self._seen.add(batch.with_data)
                 chosen = batch if self._channel is None else batch[batch.channel == self._chosen()]
                 yield self._ordering.ordered(chosen) if self._format.has_times else chosen
         except LogError as error:
             raise LogError(f"{self._source.path}: {error}") from error
+
+    def _read(self) -> Iterator[Batch]:
+        batches = self._format.read(self._source, self.report, self.channels)
+        return without_outliers(batches, self.report) if self._format.has_times else batches
 
     def all(self) -> tuple[Batch, ...] | None:
         """Read all, for the report; return the batches, None where they are too many to be kept."""

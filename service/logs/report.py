@@ -40,7 +40,8 @@ class LogReport:
     not used, as a frame cut short may look whole. `missing` says how the file itself shows that its end is missing,
     `packing` how its compression is damaged; empty where they are not. `frames` have data; `remote`, `errors` are
     frames without, and `others` objects that are no frames. `clock_steps`: times of the log that the reader moved,
-    because the clock was set while it was recorded. `length_s` [s] was read, of `said_s` [s] by the file's own header
+    because the clock was set while it was recorded; `outliers` are times far from those around them, which were
+    replaced. `length_s` [s] was read, of `said_s` [s] by the file's own header
     if that says so. `channels` are the (identifier, has 29 bits) of data frames that came on each channel of the file.
     Of a table, `frames` are its rows; `beside` is the report of a table that belongs to the log.
     """
@@ -58,6 +59,7 @@ class LogReport:
     errors: int = 0
     others: int = 0
     clock_steps: int = 0
+    outliers: int = 0
     length_s: float = 0.0
     said_s: float | None = None
     channels: dict[str, set[tuple[int, bool]]] = field(default_factory=dict)
@@ -71,7 +73,8 @@ class LogReport:
     @property
     def lost(self) -> bool:
         """True if anything of the log could not be used as it stands."""
-        return bool(self.damaged or self.truncated or self.clock_steps or (self.beside and self.beside.lost))
+        moved = self.clock_steps or self.outliers
+        return bool(self.damaged or self.truncated or moved or (self.beside and self.beside.lost))
 
     @property
     def span(self) -> str:
@@ -97,6 +100,8 @@ class LogReport:
             parts.append(f"the end is missing: {self.missing}")
         if self.truncated:
             parts.append("the last line is cut off and was not used")
+        if self.outliers:
+            parts.append(f"{self.outliers} times are far from those around them and were replaced")
         if self.clock_steps:
             parts.append(f"the clock was set {self.clock_steps} times, later times were moved")
         if self.beside and self.beside.lost:

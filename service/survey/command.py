@@ -1,22 +1,25 @@
 """Say what is in a log: channels, messages, senders, gaps, damage, and which signals of a DBC or a bundle."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
-from faultline.options import Parser
+from faultline.options import Parser, add_channels, channels_of
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import NOBODY
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY
 from faultline.service.core.signals.dbc_messages import Described, describe_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.logs import Log, open_any
+from faultline.service.logs.batch import Batch
 from faultline.service.logs.recording import load_recording
 from faultline.service.survey.columns import columns_of, signals_of
 from faultline.service.survey.document import Survey, survey_of
-from faultline.service.survey.signals import Contents, find_signals, parts_of
+from faultline.service.survey.signals import Contents, absent, find_signals, on_unknown_bus, parts_of
 from faultline.service.survey.text import text_of
 from faultline.service.survey.traffic import LogTraffic
 
@@ -24,8 +27,20 @@ EXAMPLE = """example:
   faultline log drive.blf --dbc truck.dbc
   faultline log drive.mf4 --bundle out/demo/bundle --json
 
+To write a log in another format: faultline convert.
 With --bundle it exits with 1 where a signal that the bundle needs is not in the log. Fields of the JSON: docs/logs.md.
 """
+
+
+class Asked(NamedTuple):
+    """What is asked of a log: messages of a DBC, signals by name with their units (None: all), buses of messages."""
+
+    messages: Sequence[Described] = ()
+    units: Mapping[str, str] | None = None
+    buses: Mapping[str, str] = NO_BUSES
+
+
+ALL = Asked()
 
 
 def main(argv: list[str]) -> int:
@@ -41,33 +56,59 @@ def main(argv: list[str]) -> int:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--dbc", type=Path, help="which of this DBC's signals are there, and why not")
     which.add_argument("--bundle", type=Path, help="which of the signals that this bundle needs")
-    parser.add_argument("--channel", help="the bus to take, of a log of several")
+    add_channels(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(argv)
-    described, units = _asked(options.dbc, options.bundle, _senders(options.log))
-    log = open_any(options.log, options.channel)
-    survey = survey_log(log, described, units)
+    channel, buses = channels_of(options.channel)
+    asked = _asked(options.dbc, options.bundle, _senders(options.log))
+    if unknown := [bus for bus in buses if bus not in asked.buses.values()]:
+        names = f"the bundle {options.bundle} names" if options.bundle else "without --bundle there is"
+        raise InputError(f"--channel {unknown[0]}={buses[unknown[0]]}: {names} no such bus")
+    log = open_any(options.log, channel)
+    survey = survey_log(replace(log, buses={**log.buses, **buses}), asked)
     print(msgspec.json.encode(survey).decode() if options.json else text_of(survey))
     return int(options.bundle is not None and not all(each.is_there for each in survey.signals))
 
 
-def survey_log(log: Log, described: Sequence[Described] = (), units: Mapping[str, str] | None = None) -> Survey:
-    """Return what is in the log, and which signals of these messages are, or those in `units` (name to unit)."""
+def survey_log(log: Log, asked: Asked = ALL) -> Survey:
+    """Return what is in the log, and which of the signals that were asked for."""
+    units, described = asked.units, asked.messages
     columns = [] if log.values is None else columns_of(log.values)
     given = [] if log.values is None or units is None else signals_of(log.values, units, columns)
     if not log.format.has_frames:
         return survey_of(log, [], {}, [], columns, given)
-    traffic, parts = LogTraffic(log.start_s, has_times=log.format.has_times), parts_of(described)
-    for batch in log.batches():
+    names = [name or "the only one" for name in log.channels]
+    elsewhere = {} if log.channel is None else {k: v for k, v in log.report.channels.items() if k != log.channel}
+    own = [each for each in described if each.name not in asked.buses]
+    traffic, contents = _contents(log.batches(), LogTraffic(log.start_s, has_times=log.format.has_times), own)
+    found = find_signals(own, contents._replace(elsewhere=elsewhere, names=names))
+    messages = {**traffic.messages}
+    for bus in dict.fromkeys(asked.buses.values()):
+        of = [each for each in described if asked.buses.get(each.name) == bus]
+        if bus in log.buses:
+            there, contents = _contents(log.on_bus(bus), LogTraffic(0.0, has_times=log.format.has_times), of)
+            found += find_signals(of, contents._replace(names=names))
+            messages = {**there.messages, **messages}
+        else:
+            found += on_unknown_bus(of, bus)
+    beside = {each.signal: each for each in given if each.is_there}
+    signals = [*beside.values(), *(each for each in found if each.signal not in beside)]
+    if units is not None:
+        signals += absent(set(units) - {each.signal for each in signals})
+    ordered = sorted(messages.values(), key=lambda each: (each.channel, each.is_extended, each.identifier))
+    return survey_of(log, ordered, traffic.without_data, names, columns, signals)
+
+
+def _contents(
+    batches: Iterable[Batch], traffic: LogTraffic, described: Sequence[Described]
+) -> tuple[LogTraffic, Contents]:
+    """Return the messages of batches, with those of several frames among the ones described."""
+    parts = parts_of(described)
+    for batch in batches:
         traffic.add(batch)
         parts.add(batch)
     messages = sorted(traffic.messages.values(), key=lambda each: (each.channel, each.is_extended, each.identifier))
-    names = [name or "the only one" for name in log.channels]
-    elsewhere = {} if log.channel is None else {k: v for k, v in log.report.channels.items() if k != log.channel}
-    beside = {each.signal: each for each in given if each.is_there}
-    wanted = None if units is None else [name for name in units if name not in beside]
-    signals = [*beside.values(), *find_signals(described, Contents(messages, parts, elsewhere, names), wanted)]
-    return survey_of(log, messages, traffic.without_data, names, columns, signals)
+    return traffic, Contents(messages, parts, {}, [])
 
 
 def _senders(log: Path) -> Mapping[str, int]:
@@ -76,18 +117,17 @@ def _senders(log: Path) -> Mapping[str, int]:
     return NOBODY if can is None else can.senders
 
 
-def _asked(
-    dbc: Path | None, bundle: Path | None, senders: Mapping[str, int]
-) -> tuple[list[Described], Mapping[str, str] | None]:
-    """Return the messages of the DBC, and the signals that are wanted with their units, None for all."""
+def _asked(dbc: Path | None, bundle: Path | None, senders: Mapping[str, int]) -> Asked:
+    """Return what of a log is asked for: the signals of the DBC, or those that the bundle needs."""
     if bundle is None:
-        return [] if dbc is None else describe_dbc(_read(dbc), str(dbc), senders=senders), None
+        return ALL if dbc is None else Asked(describe_dbc(_read(dbc), str(dbc), senders=senders))
     manifest = load_bundle(bundle).manifest
     units = {each.signal: each.unit for each in manifest.inputs}
     if manifest.dbc is None:
-        return [], units
+        return Asked(units=units)
     path = bundle / manifest.dbc
-    return describe_dbc(_read(path), str(path), [*units], {**manifest.senders, **senders}), units
+    described = describe_dbc(_read(path), str(path), [*units], {**manifest.senders, **senders})
+    return Asked(described, units, manifest.buses)
 
 
 def _read(path: Path) -> str:

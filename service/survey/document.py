@@ -35,6 +35,7 @@ class Damage(msgspec.Struct):
     missing: str
     compression: str
     clock_steps: int
+    outliers: int
     sentences: list[str]
 
 
@@ -137,7 +138,7 @@ def survey_of(
         channels=[
             ChannelRow(name, sum(each.count for each in messages if each.channel == k), without_data.get(k, 0))
             for k, name in enumerate(names)
-            if log.channel in (None, name)
+            if log.channel is None or any(each.channel == k for each in messages) or k in without_data
         ],
         messages=[_row(each, names, report.length_s, log.format.has_times) for each in messages],
         senders=_senders(messages, names),
@@ -157,6 +158,7 @@ def _damage(log: Log) -> Damage:
         missing=report.missing,
         compression=report.packing,
         clock_steps=report.clock_steps,
+        outliers=report.outliers,
         sentences=report.losses(),
     )
 

@@ -46,17 +46,28 @@ def parts_of(described: Collection[Described]) -> WholeMessages:
     return WholeMessages(name_of)
 
 
-def find_signals(
-    described: Collection[Described], contents: Contents, wanted: Collection[str] | None = None
-) -> list[SignalRow]:
-    """Return each signal of the messages; and those that are wanted and that no message has."""
-    found = [row for each in described for row in _of_message(each, contents)]
-    absent = sorted(set(wanted or ()) - {each.signal for each in found})
-    return found + [SignalRow(name, "", "", False, [], [], "the DBC has no such signal") for name in absent]
+def find_signals(described: Collection[Described], contents: Contents) -> list[SignalRow]:
+    """Return each signal of the messages."""
+    return [row for each in described for row in _of_message(each, contents)]
+
+
+def absent(signals: Collection[str]) -> list[SignalRow]:
+    """Return signals that no message of the DBC has."""
+    return [SignalRow(name, "", "", False, [], [], "the DBC has no such signal") for name in sorted(signals)]
+
+
+def on_unknown_bus(described: Collection[Described], bus: str) -> list[SignalRow]:
+    """Return the signals of messages on a bus of which it is not known which channel of the log it is."""
+    why = f"it comes on bus {bus}: say which channel that is with --channel {bus}=CHANNEL"
+    return [SignalRow(name, each.name, _shown(each), False, [], [], why) for each in described for name in each.signals]
+
+
+def _shown(message: Described) -> str:
+    return f"{message.identifier:08X}" if message.is_extended else f"{message.identifier:03X}"
 
 
 def _of_message(message: Described, contents: Contents) -> Iterator[SignalRow]:
-    identifier = f"{message.identifier:08X}" if message.is_extended else f"{message.identifier:03X}"
+    identifier = _shown(message)
     if message.layout is None:
         yield from (SignalRow(name, message.name, identifier, False, [], [], message.why) for name in message.signals)
         return

@@ -4,7 +4,7 @@ import argparse
 import difflib
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 
@@ -102,22 +102,32 @@ def add_channels(parser: argparse.ArgumentParser) -> None:
     """Add `--channel`, of which `channels_of` makes the channel of all messages, and those of buses with names."""
     parser.add_argument(
         "--channel",
-        action="append",
-        default=[],
+        action=_AddChannel,
+        default={},
         metavar="[BUS=]CHANNEL",
         help="the bus to take, of a log of several; BUS=CHANNEL says which is the bus that the bundle calls so",
     )
 
 
-def channels_of(given: Iterable[str]) -> tuple[str | None, dict[str, str]]:
+class _AddChannel(argparse.Action):
+    """Takes one channel for each bus."""
+
+    def __call__(self, _parser: object, namespace: argparse.Namespace, values: Any, _option: str | None = None) -> None:
+        """Add it to the mapping of buses to channels."""
+        bus, _, channel = values.rpartition("=")
+        found = {**getattr(namespace, self.dest)}
+        if not channel or found.setdefault(bus, channel) != channel:
+            raise argparse.ArgumentError(self, f"{values}: give each bus one channel, as can0 or {bus or 'BUS'}=can1")
+        setattr(namespace, self.dest, found)
+
+
+def channels_of(given: Mapping[str, str]) -> tuple[str | None, dict[str, str]]:
     """Return the channel of messages whose bus has no name, and channels by the buses' names.
 
-    >>> channels_of(["can0", "trailer=can1"])
+    >>> channels_of({"": "can0", "trailer": "can1"})
     ('can0', {'trailer': 'can1'})
     """
-    pairs = [each.rpartition("=") for each in given]
-    plain = [channel for bus, _, channel in pairs if not bus]
-    return (plain[-1] if plain else None), {bus: channel for bus, _, channel in pairs if bus}
+    return given.get(""), {bus: channel for bus, channel in given.items() if bus}
 
 
 def add_buses(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from pyarrow import parquet
 
 from faultline.service.core.signals.values import Quality
 from faultline.service.diagnose import main
-from faultline.service.logs import Log, open_log
+from faultline.service.logs import Log, LogError, open_log
 from faultline.service.survey.command import survey_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
@@ -64,3 +64,7 @@ def test_what_diagnose_writes_is_read_again(tmp_path: Path) -> None:
     found = came(open_log(out), "y_p_du", "Pa")
     expected = [each for each in ticks.column("y_p_du").to_pylist() if each is not None]
     assert [value for _, value, _ in found] == expected
+    twice = [str(GOLDEN / "log"), str(GOLDEN / "log"), "--bundle", str(GOLDEN / "bundle"), "--out", str(out)]
+    assert main(twice) == 1
+    with pytest.raises(LogError, match=r"ticks\.parquet: holds the ticks of 2 recordings"):
+        open_log(out)

@@ -5,7 +5,7 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from faultline.options import Parser
+from faultline.options import Parser, add_channels, channels_of
 from faultline.service.cli import GROUP, dispatch
 
 COMMANDS = {entry.name: entry for entry in entry_points(group=GROUP)}
@@ -49,3 +49,14 @@ def test_it_is_used_as_argparse_is() -> None:
     assert _parser().parse_args(["--bund", "b", "record", "--cycle", "c"]) == argparse.Namespace(
         bundle="b", kind="record", cycle="c"
     )
+
+
+def test_each_bus_has_one_channel(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser("x")
+    add_channels(parser)
+    given = parser.parse_args(["--channel", "can0", "--channel", "trailer=can1", "--channel", "can0"]).channel
+    assert channels_of(given) == ("can0", {"trailer": "can1"})
+    for words in (["--channel", "can0", "--channel", "can1"], ["--channel", "a=can0", "--channel", "a=can1"]):
+        with pytest.raises(SystemExit):
+            parser.parse_args(words)
+        assert "give each bus one channel" in capsys.readouterr().err

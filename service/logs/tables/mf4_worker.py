@@ -16,7 +16,7 @@ import numpy as np
 
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.mf4_tree import missing
-from faultline.service.logs.mf4_worker import MEMORY, Ended, write
+from faultline.service.logs.mf4_worker import MEMORY, Ended, failed, write
 
 _ROWS = 1 << 14
 _MASTER = 2  # type of a channel that is the times of its group
@@ -93,7 +93,7 @@ class _Reader:
             try:
                 time, values = self._read(group, names, begin, count)
             except Exception as error:  # noqa: BLE001 asammdf raises anything where a block is damaged
-                self.bad.append((begin, f"{type(error).__name__}: {error}"[:200], count))
+                self.bad.append((begin, failed(error), count))
                 continue
             if len(time):
                 raw = {name: each.tobytes() for name, each in values.items()}

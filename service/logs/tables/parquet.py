@@ -8,13 +8,14 @@ import numpy as np
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.parquet import COLUMNS
 from faultline.service.logs.pieces import Source
-from faultline.service.logs.report import LogReport
-from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, is_time, title
+from faultline.service.logs.report import LogError, LogReport
+from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, distinct, is_time, title
 
 if TYPE_CHECKING:
     import pyarrow
 
 _ROWS = 1 << 16
+_WRITTEN = b"faultline.ticks"
 
 
 class ParquetTable:
@@ -87,6 +88,7 @@ def parquet_table(source: Source, time: str | None = None) -> ParquetTable | Non
 
     Raises:
         ModuleNotFoundError: pyarrow is not installed.
+        LogError: it holds what a diagnosis saw of several recordings.
     """
     from pyarrow import ArrowException, parquet
 
@@ -97,11 +99,26 @@ def parquet_table(source: Source, time: str | None = None) -> ParquetTable | Non
             return None
     if set(COLUMNS) <= set(schema.names):
         return None
-    columns = {title(name)[0]: name for name in schema.names}
+    _check_one_recording(source, schema)
+    names = distinct([title(name)[0] for name in schema.names])
+    columns = dict(zip(names, schema.names, strict=True))
     at = next((name for name in columns if (name == time if time else is_time(name))), None)
     if at is None:
         return None
-    return ParquetTable(source, {name: _unit(schema.field(each)) for name, each in columns.items()}, columns, at)
+    return ParquetTable(source, {name: _unit(schema.field(k)) for k, name in enumerate(names)}, columns, at)
+
+
+def _check_one_recording(source: Source, schema: "pyarrow.Schema") -> None:
+    if _WRITTEN not in (schema.metadata or {}).get(b"schema", b""):
+        return
+    from pyarrow import compute, parquet
+
+    with source.plain(LogReport()) as path:
+        recordings = compute.unique(parquet.read_table(path, columns=["recording"])["recording"]).to_pylist()
+    if len(recordings) > 1:
+        raise LogError(
+            f"{source.path}: holds the ticks of {len(recordings)} recordings, one after the other; write one to a file"
+        )
 
 
 def _unit(field: "pyarrow.Field") -> str:

@@ -1,6 +1,7 @@
 """Rows of a table: times, and what its columns had then."""
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
@@ -51,6 +52,16 @@ def title(text: str) -> tuple[str, str]:
     """
     match = _TITLE.fullmatch(text.strip())
     return (match[1].strip(), match[2] or "") if match else (text.strip(), "")
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """Return names of which each is one column's: those that several columns have get its number, from 1.
+
+    >>> distinct(["t", "p", "q", "p"])
+    ['t', 'p (column 2)', 'q', 'p (column 4)']
+    """
+    counts = Counter(names)
+    return [f"{name} (column {k})" if counts[name] > 1 and name else name for k, name in enumerate(names, 1)]
 
 
 def is_time(name: str) -> bool:

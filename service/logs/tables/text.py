@@ -7,6 +7,7 @@ numbers may have a decimal comma. Times are seconds, or in the header's unit, or
 import csv
 from collections.abc import Collection, Iterator, Sequence
 from datetime import UTC, datetime
+from datetime import time as day_time
 from io import StringIO
 from math import inf, nan
 from typing import NamedTuple
@@ -16,8 +17,8 @@ import numpy as np
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.delimited import find_table
 from faultline.service.logs.pieces import Source
-from faultline.service.logs.report import LogReport, shown
-from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, is_time, title
+from faultline.service.logs.report import LogError, LogReport, shown
+from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, distinct, is_time, title
 
 _HEAD_LINES = 20
 _LONGEST_LINE = 1 << 20
@@ -40,9 +41,13 @@ def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
     """Return the header of a table in the first bytes of a file; None where it is none, or one of CAN frames.
 
     `time` names the column of the times, which is else known by its name.
+
+    Raises:
+        LogError: there is such a column, and what it holds is no time; the message does not name the file.
     """
     first = b"\n".join(head.removeprefix(b"\xef\xbb\xbf").split(b"\n", _HEAD_LINES + 2)[: _HEAD_LINES + 2])
     lines = first.decode("latin-1" if b"\xff" in first else "utf-8", "replace").splitlines()
+    unread = ""
     for number, line in enumerate(lines[:_HEAD_LINES]):
         for delimiter in (each for each in _DELIMITERS if each in line):
             cells = _cells(line, delimiter)
@@ -53,6 +58,10 @@ def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
             for skipped, row in enumerate(rows):
                 if len(row) == len(cells) and _time_s(row[at[0]], delimiter) is not None:
                     return _header(number + 1, delimiter, cells, rows[0] if skipped else None, at[0])
+            if not unread and rows and len(rows[-1]) == len(cells):
+                unread = f"line {number + len(rows) + 1}: {rows[-1][at[0]]!r} in column {title(cells[at[0]])[0]!r}"
+    if unread:
+        raise LogError(f"{unread} is no time; give seconds, or dates as 2026-01-31T12:00:00")
     return None
 
 
@@ -62,7 +71,7 @@ def _header(line: int, delimiter: str, cells: list[str], below: list[str] | None
     if below is not None and len(below) == len(cells):
         units = [each.strip("[]() ") or unit for each, unit in zip(below, units, strict=True)]
     return TableHeader(
-        line, delimiter, [name for name, _ in found], units, time, line + (2 if below is not None else 1)
+        line, delimiter, distinct([name for name, _ in found]), units, time, line + (2 if below is not None else 1)
     )
 
 
@@ -141,7 +150,7 @@ class _Parser:
         found = []
         for number, line in enumerate(lines, begin):
             cells = _cells(line, header.delimiter)
-            if not line.strip("\0 \r") or [title(cell)[0] for cell in cells] == header.names:
+            if not line.strip("\0 \r") or distinct([title(cell)[0] for cell in cells]) == header.names:
                 continue
             raw = line.encode()
             if len(cells) != len(header.names):
@@ -174,14 +183,22 @@ def _time_s(cell: str, delimiter: str, unit: float = 1.0) -> float | None:
     try:
         t = float(cell.replace(",", ".") if delimiter != "," else cell)
     except ValueError:
-        try:
-            date = datetime.fromisoformat(cell)
-        except ValueError:
-            return None
-        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+        return _date_s(cell)
     if not -inf < t < inf:
         return None
     return t / (unit if unit != 1.0 else unit_of_dates(t))
+
+
+def _date_s(cell: str) -> float | None:
+    """Return a date, or the time of a day, in seconds; None where it is neither."""
+    try:
+        date = datetime.fromisoformat(cell)
+    except ValueError:
+        try:
+            date = datetime.combine(datetime.fromtimestamp(0, UTC), day_time.fromisoformat(cell))
+        except ValueError:
+            return None
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def _value(cell: str, delimiter: str) -> float:
@@ -193,8 +210,15 @@ def _value(cell: str, delimiter: str) -> float:
 
 
 def text_table(source: Source, time: str | None = None) -> TextTable | None:
-    """Return the table that a text file holds; None where it holds none, or CAN frames."""
+    """Return the table that a text file holds; None where it holds none, or CAN frames.
+
+    Raises:
+        LogError: it is a table whose times are not understood.
+    """
     if find_table(source.head) is not None:
         return None
-    header = find_header(source.head, time)
+    try:
+        header = find_header(source.head, time)
+    except LogError as error:
+        raise LogError(f"{source.path}: {error}") from error
     return None if header is None else TextTable(source, header)

@@ -19,6 +19,7 @@ from faultline.service.daemon.pipeline import BusChannel, check_buses, connect, 
 from faultline.service.logs import Frame, LogError, open_log
 from faultline.service.recorded.bus import LogBus
 from faultline.service.recorded.service import Recording
+from faultline.service.survey import command as survey
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 SENSORS, ECU = "18FF20F9", "18FF103D"
@@ -70,6 +71,27 @@ def test_diagnose_takes_each_message_from_its_bus(
     assert diagnose.main([str(log), *given]) == 1
     found = [decode(line) for line in capfdbinary.readouterr().out.splitlines()]
     assert told(found) == told(events)
+
+
+def test_log_looks_for_each_message_on_its_bus(
+    bundle: Path, log: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    def signals(*channels: str, code: int) -> dict[str, tuple[list[str], str]]:
+        words = [word for each in channels for word in ("--channel", each)]
+        assert survey.main([str(log), "--bundle", str(bundle), *words, "--json"]) == code
+        rows = json.loads(capfdbinary.readouterr().out)["signals"]
+        return {each["signal"]: (each["channels"], each["why"]) for each in rows}
+
+    found = signals("can0", f"{OWN}=can1", code=0)
+    assert found["y_p_tp"] == (["can1"], "")
+    assert found["n_p"] == (["can0"], "")
+    assert signals("can0", code=1)["y_p_tp"] == (
+        [],
+        f"it comes on bus {OWN}: say which channel that is with --channel {OWN}=CHANNEL",
+    )
+    assert not signals(f"{OWN}=can0", code=0)["y_p_tp"][1]  # a message of its identifier comes there too
+    with pytest.raises(InputError, match=r"--channel other=can1: the bundle .* names no such bus"):
+        survey.main([str(log), "--bundle", str(bundle), "--channel", "other=can1"])
 
 
 def test_a_device_of_one_bus_is_not_that_of_the_other(

@@ -1,5 +1,6 @@
 """The candump reader gives every frame that can be read and says what it could not."""
 
+import gzip
 from pathlib import Path
 
 import pytest
@@ -129,7 +130,25 @@ def test_no_content_breaks_the_reader(lines: list[bytes]) -> None:
     frames, report = parse_log(content, X)
     used = report.frames + report.bad + report.remote + report.errors
     assert frames[0].can_id == 0x18FF103D
-    assert used + sum(not line.strip() for line in lines) == len(lines) + 1
+    assert used + sum(not line.strip() or line.strip().startswith(b"#") for line in lines) == len(lines) + 1
+
+
+def test_a_remark_is_no_damage() -> None:
+    frames, report = parse_log(b"# Tuesday, second gear\n" + LINE + b"  # stopped\n" + LINE, X)
+    assert len(frames) == 2
+    assert not report.lost
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("ending", ["", ".gz"])
+def test_text_of_windows_shell_is_read(tmp_path: Path, encoding: str, ending: str) -> None:
+    text = "" if encoding == "utf-16" else "\ufeff"
+    raw = (text + "".join(f"({k}.0) can0 123#{k % 256:02X}\n" for k in range(30_000))).encode(encoding)
+    path = tmp_path / f"x.log{ending}"
+    path.write_bytes(gzip.compress(raw) if ending else raw)
+    frames, report = read_log(path)
+    assert [frame.t for frame in frames] == [float(k) for k in range(30_000)]
+    assert not report.lost
 
 
 @given(

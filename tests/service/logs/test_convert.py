@@ -128,3 +128,8 @@ def test_what_is_not_read_back_is_not_kept(log: Path, monkeypatch: pytest.Monkey
     ):
         convert.main([str(log), "--to", "candump", "--out", str(out)])
     assert not out.exists()
+
+
+def test_it_needs_a_file(log: Path) -> None:
+    with pytest.raises(InputError, match="--out -: a converted log is read back"):
+        convert.main([str(log), "--to", "asc", "--out", "-"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from faultline.service.logs import LogError, open_any, open_log, reading
 from faultline.service.logs.batch import ERROR, batch_of, joined
-from faultline.service.logs.order import STEP_AHEAD_S, STEP_BACK_S, Ordering
+from faultline.service.logs.order import STEP_AHEAD_S, STEP_BACK_S, Ordering, without_outliers
 from faultline.service.logs.report import Frame, LogReport
 
 
@@ -121,3 +121,46 @@ def test_error_frames_never_move_the_clock() -> None:
     assert ordered.time[[2, 3, 5]].tolist() == [6.0, 7.0, 8.0]
     assert ordered.time[4] == 7.0
     assert bool((np.diff(ordered.time[1:]) >= 0).all())
+
+
+def without(times: list[float], size: int) -> tuple[list[float], int]:
+    report = LogReport()
+    batch = batch_of([Frame(t, 1, False, b"") for t in times])
+    parts = without_outliers([batch[slice(k, k + size)] for k in range(0, len(times), size)], report)
+    return joined(list(parts)).time.tolist(), report.outliers
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 100])
+@pytest.mark.parametrize(
+    ("times", "found", "count"),
+    [
+        ([1, 2, 900, 3, 4], [1, 2, 2, 3, 4], 1),
+        ([100, 101, 7, 102], [100, 101, 101, 102], 1),
+        ([1, 2, 900, 900, 901, 3], [1, 2, 2, 2, 2, 3], 3),
+        ([1, 60, 120, 7000, 180, 240], [1, 60, 120, 120, 180, 240], 1),
+        ([1, 2, 900, 901, 902], [1, 2, 900, 901, 902], 0),
+        ([10, 11, 2000000, 2000001, 5, 6], [10, 11, 2000000, 2000001, 5, 6], 0),
+        ([1, 2, *[900] * 9, 3], [1, 2, *[900] * 9, 3], 0),
+        ([1, 2, 900, 3, 4, 901, 5], [1, 2, 2, 3, 4, 4, 5], 2),
+    ],
+    ids=["ahead", "back", "three", "slow", "a pause", "a clock that was set", "too many", "two"],
+)
+def test_times_far_from_those_around_them_are_replaced(
+    times: list[float], found: list[float], count: int, size: int
+) -> None:
+    assert without(times, size) == (found, count)
+
+
+@given(TIMES, st.integers(1, 50))
+def test_outliers_are_the_same_in_pieces_of_any_size(times: list[float], size: int) -> None:
+    assert without(times, size) == without(times, len(times))
+
+
+def test_a_damaged_digit_of_a_time_moves_nothing_behind_it(tmp_path: Path) -> None:
+    (tmp_path / "x.log").write_text("".join(f"({t}.0) can0 123#00\n" for t in (100, 101, 902, 103, 104)))
+    found = open_log(tmp_path / "x.log")
+    assert [frame.t for frame in found.frames()] == [100.0, 101.0, 101.0, 103.0, 104.0]
+    assert found.report.losses() == ["1 times are far from those around them and were replaced"]
+    assert found.report.lost
+    (tmp_path / "x.csv").write_text("time,p\n100,1\n101,2\n902,3\n103,4\n")
+    assert open_log(tmp_path / "x.csv").report.outliers == 1

@@ -61,13 +61,31 @@ EXPECTED = [(0.0, 1000.0, "GOOD"), (0.5, 1500.0, "GOOD"), (1.0, 2000.0, "GOOD")]
         "time,p\n2026-11-25T00:00:10Z,1000\n2026-11-25T00:00:10.500,1500\n2026-11-25T01:00:11+01:00,2000\n",
         "time,p\n1700000000000,1000\n1700000000500,1500\n1700000001000,2000\n",
         "time,p\n10,1000\n10.5,1500\ntime,p\n\n11,2000\n",
+        "time,p\n12:00:10,1000\n12:00:10.500,1500\n12:00:11,2000\n",
     ],
-    ids=["plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again"],
+    ids=["plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again", "clock"],
 )
 @pytest.mark.parametrize("name", ["x.csv", "x.log", "x.csv.gz"])
 def test_a_table_is_known_by_its_header(tmp_path: Path, text: str, name: str) -> None:
     assert values(tmp_path, text, name) == EXPECTED
     assert not open_log(tmp_path / name).report.lost
+
+
+def test_a_table_in_utf_16(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_bytes("time;p\n10;1000\n10,5;1500\n11;2000\n".encode("utf-16"))
+    log = open_log(tmp_path / "x.csv")
+    assert received(log.signals(log.table(PRESSURE, "x")), "p") == EXPECTED
+
+
+def test_of_two_columns_of_one_name_none_is_taken(tmp_path: Path) -> None:
+    log = opened(tmp_path, "time,p,q,p\n0,1,2,3\n1,1,2,3\n")
+    with pytest.raises(LogError, match=r"no column is p; its columns are p \(column 2\), q, p \(column 4\): say which"):
+        log.table(PRESSURE, "x")
+
+
+def test_times_that_are_none_are_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"x\.csv: line 3: '31.12.2026' in column 'time' is no time; give seconds, or"):
+        opened(tmp_path, "time,p\n30.12.2026,1\n31.12.2026,2\n")
 
 
 def test_an_empty_cell_is_silence_and_a_word_is_no_number(tmp_path: Path) -> None:
