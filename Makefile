@@ -6,7 +6,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients power screenshots emps)
+	endurance mutation compose alarms clients power screenshots emps logs)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -82,6 +82,9 @@ campaign-power: .venv/.test  ## 20 power cuts of a guest while alarms are told, 
 
 campaign-emps: .venv/.test  ## a real linear drive at 200 Hz, EMPS=the folder of its two files; writes docs/results
 	@$(BIN)/python tests/campaigns/emps.py $(EMPS)
+
+campaign-logs: .venv/.test  ## formats, damage, cost and memory of reading logs; writes docs/results
+	@$(BIN)/python tests/campaigns/logs.py
 
 campaign-screenshots: .venv/.test  ## pictures of the page in a real browser; writes docs
 	@bash tests/browser.sh

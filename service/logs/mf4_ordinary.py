@@ -46,7 +46,7 @@ class OrdinaryMf4:
                 yield frames_of(group.kind, columns, group.time.read(some) + self._start_s)
             there = max(there, first + len(whole))
         if there < count:
-            self.bad.append((there, "it is not there", count - there))
+            self.bad.append((there, "its block is damaged, or not there", count - there))
 
     def _records(self, group: Group) -> Iterator[tuple[int, Bytes]]:
         """The number of a record, and those from it on (N, size), without those of damaged pieces."""

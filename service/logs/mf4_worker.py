@@ -118,7 +118,11 @@ def main(path: Path) -> None:
     from asammdf import MDF
 
     cut = missing(path)
-    reader = _Reader(MDF(path, use_display_names=False))
+    try:
+        reader = _Reader(MDF(path, use_display_names=False))
+    except Exception as error:  # noqa: BLE001 asammdf raises anything where a block is damaged
+        write(Ended(cut or failed(error), []))
+        return
     first = 0
     for batch in reader.parts():
         time, channel, identifier, flags, length, data = (

@@ -135,7 +135,11 @@ def main(path: Path, names: Collection[str]) -> None:
     from asammdf import MDF
 
     cut = missing(path)
-    reader = _Reader(MDF(path, use_display_names=False))
+    try:
+        reader = _Reader(MDF(path, use_display_names=False))
+    except Exception as error:  # noqa: BLE001 asammdf raises anything where a block is damaged
+        write(Ended(cut or failed(error), []))
+        return
     write(DataChannels(reader.channels))
     for part in reader.parts(names):
         write(part)
