@@ -133,7 +133,8 @@ Made by `make campaign-logs` of the golden log (simulated), which python-can wro
 ## Damage
 
 {TRIES} files of each, damaged at random by a seed: cut, a flipped bit, zeros, or 1 to 5,000 bytes put in, removed or
-overwritten. *said*: the report counts a loss. *refused*: one line says why it is no log. *silent*: frames are missing or others, and nothing is said.
+overwritten. *said*: the report counts a loss. *refused*: one line says why it is no log. *silent*: frames are missing
+or others, and nothing is said.
 
 | format | said | refused | no frame is lost | silent | right frames, median | slowest, CPU s |
 |---|---:|---:|---:|---:|---:|---:|
