@@ -58,6 +58,19 @@ FUNCTIONS = {
         ),
         "pow(a, n)",
     ),
+    "exponential": Helper(
+        "the exponential, infinite where it is too large",
+        ("a",),
+        ("return inf if a > 709.7 else exp(a)",),
+        "a > 709.7 ? INFINITY : exp(a)",
+    ),
+    "logarithm": Helper(
+        "the natural logarithm, NaN of a negative number",
+        ("a",),
+        ("if a > 0.0:", "    return log(a)", "return -inf if a == 0.0 else nan"),
+        "log(a)",
+    ),
+    "signum": Helper("the sign", ("a",), ("return float((a > 0.0) - (a < 0.0))",), "(a > 0.0) - (a < 0.0)"),
     "kept": Helper(
         "a state, or where it starts if it is not known",
         ("x", "start"),
@@ -87,7 +100,7 @@ FUNCTIONS = {
 }
 """In an order in which each uses only those before it."""
 
-LIBRARY = ("copysign", "fabs", "isfinite", "pow", "sqrt")
+LIBRARY = ("copysign", "exp", "fabs", "isfinite", "log", "pow", "sqrt", "tanh")
 """What `math` has in Python and `math.h` in C."""
 
 

@@ -19,7 +19,9 @@ abs labs llabs index signgam drem significand pow10 scalb finite
 
 _OURS = "self u s r step init math period inf"
 
-_HELPERS = "sgsqrt sgsquare unrooted loaded divide root square power kept low_pass velocity at_least"
+_HELPERS = """
+sgsqrt sgsquare unrooted loaded divide root square power exponential logarithm signum kept low_pass velocity at_least
+"""
 
 HELPERS = frozenset(_HELPERS.split())
 """Functions of the generated code."""

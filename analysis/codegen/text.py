@@ -8,8 +8,12 @@ from typing import ClassVar
 
 import sympy as sp
 
+from faultline.analysis.codegen.helpers import LIBRARY
 from faultline.analysis.codegen.identifiers import HELPERS
+from faultline.analysis.model.functions import exp, log, sign
 from faultline.service.core.errors import InputError
+
+_NAMES = {sp.Abs: "fabs", exp: "exponential", log: "logarithm", sign: "signum"}
 
 
 class Writer:
@@ -46,9 +50,11 @@ class Writer:
             return self._product(e)
         if e.is_Pow:
             return self._power(e), self._ATOM
-        name = "fabs" if isinstance(e, sp.Abs) else type(e).__name__
-        if name != "fabs" and name not in HELPERS:
-            raise InputError(f"{self._place}: {name} cannot be written as code; use + - * / **, sgsqrt and abs")
+        name = _NAMES.get(type(e), type(e).__name__)
+        if name not in LIBRARY and name not in HELPERS:
+            raise InputError(
+                f"{self._place}: {name} cannot be written as code; use + - * / ** and the model's functions"
+            )
         return f"{name}({', '.join(self(argument) for argument in e.args)})", self._ATOM
 
     def _sum(self, e: sp.Expr) -> str:

@@ -142,11 +142,6 @@ def build_bank(model: Model) -> Bank:
             f"{model.name}: no test can be run ({reasons[0]}); "
             "add a sensor or write the equation in another form (`faultline structure --tests` has all reasons)"
         )
-    if not any(test.states for test in tests):
-        raise InputError(
-            f"{model.name}: no test that can be run has a state; a bank is for dynamic models, add a differential "
-            "constraint to one (`faultline code` writes static tests)"
-        )
     return bank_of(model, tests)
 
 

@@ -1,4 +1,4 @@
-"""Formulas of a model as nodes of a graph: sums, products, powers of halves and quarters, sizes and roots."""
+"""Formulas of a model as nodes of a graph: sums, products, powers of halves and quarters, and its functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,11 +6,14 @@ from dataclasses import dataclass
 import sympy as sp
 
 from faultline.analysis.graph.writer import Array, Writer
-from faultline.analysis.model import sgsqrt
+from faultline.analysis.model.functions import exp, log, sgsqrt, sign, tanh
 from faultline.service.core.errors import InputError
 
 SMALLEST = 1e-300
 """Keeps the root of zero from being divided by."""
+
+
+_OPERATORS = {sp.Abs: "Abs", exp: "Exp", log: "Log", tanh: "Tanh"}
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,11 @@ def _written(w: Writer, e: sp.Expr, values: Mapping[str, str]) -> str:
     if e.is_Mul or e.is_Pow:
         return _product(w, e, values)
     [argument] = (_written(w, argument, values) for argument in e.args)
-    size = w("Abs", argument)
-    if isinstance(e, sgsqrt):
-        return w("Div", argument, w("Sqrt", w("Max", size, w.constant(SMALLEST))))
-    assert isinstance(e, sp.Abs), e
-    return size
+    if type(e) in _OPERATORS:
+        return w(_OPERATORS[type(e)], argument)
+    size = w("Max", w("Abs", argument), w.constant(SMALLEST))
+    assert isinstance(e, sgsqrt | sign), e
+    return w("Div", argument, w("Sqrt", size) if isinstance(e, sgsqrt) else size)
 
 
 def _sum(w: Writer, e: sp.Expr, values: Mapping[str, str]) -> str:

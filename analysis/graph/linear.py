@@ -226,7 +226,7 @@ class _Form:
 
 
 def expanded(expression: sp.Expr) -> sp.Expr:
-    """The expression as a sum of products, in which sums below fraction bars and roots, and sizes, stay whole.
+    """The expression as a sum of products, in which sums below fraction bars and in functions stay whole.
 
     So what is above and below a fraction bar cancels: a pump's efficiency divides by its speed, its flow does not.
 
@@ -237,7 +237,7 @@ def expanded(expression: sp.Expr) -> sp.Expr:
     whole: dict[sp.Expr, sp.Symbol] = {}
     for e in sp.postorder_traversal(expression):
         below = e.is_Pow and not e.base.is_Symbol and not (e.exp.is_Integer and e.exp.is_positive)
-        if (below or isinstance(e, sp.Abs | Sign | sgsqrt)) and not e.is_number:
+        if (below or isinstance(e, sp.Function)) and not e.is_number:
             whole.setdefault(e, sp.Symbol(f"whole {len(whole)}"))
     back = {symbol: e for e, symbol in whole.items()}
     return sp.expand(expression.xreplace(whole)).xreplace(back)

@@ -73,7 +73,7 @@ def stack(tests: Sequence[Values], period: float) -> Stacked:
     scalar of the graph onnxruntime folds it into the matrix product beside it, as float32.
     """
     batch = len(tests[0].A)
-    N = max(len(test.states) for test in tests)
+    N = max(1, *(len(test.states) for test in tests))  # of static tests one that stays at zero
     S = sum(test.alpha.shape[1] for test in tests)
     F = sum(test.J.shape[1] for test in tests)
     T, L, nz = len(tests), len(tests) * N, tests[0].beta.shape[2] - tests[0].J.shape[1]  # nz with the 1
@@ -134,10 +134,11 @@ def step_graph(
     N = L // T
     z3 = w.reshape(z, [-1, 1, nz])
     u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
-    x3 = w.reshape(x, [-1, 1, nx])
+    nothing = w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0))  # of the batch's size
+    x3 = w.reshape(x, [-1, 1, nx]) if nx else nothing
     if formulas.expressions:
         u = w.concat([u, formulas.write(w, z3, x3, parametric=parametric)], axis=2)
-    old = w("MatMul", x3, w.constant(stacked.into))
+    old = w("MatMul", x3, w.constant(stacked.into if nx else np.zeros((1, L))))
     beta = w("MatMul", u, matrix["beta"])
     opening = w("MatMul", u, matrix["mu"])
     held, M0 = old, matrix["M0"]
@@ -162,7 +163,7 @@ def step_graph(
     w.output("y_hat", y_hat, ["B", T])
     w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", y_hat)), ["B", T])
     w.output("novelty", _novelty(w, z, region), ["B", T])
-    w.output("x_next", w.reshape(w("MatMul", new, w.constant(stacked.into.T)), [-1, nx]), ["B", nx])
+    w.output("x_next", w.reshape(w("MatMul", new, w.constant(stacked.into.T)), [-1, nx]) if nx else x, ["B", nx])
     return w.model("faultline-ode")
 
 

@@ -1,8 +1,8 @@
 """A system's model: equations, signals, parameters and faults in one frozen object, and its file format."""
 
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.model.expression import sgsqrt
 from faultline.analysis.model.file import load_model, parse_model
+from faultline.analysis.model.functions import sgsqrt
 from faultline.analysis.model.model import (
     Differential,
     Equation,

@@ -14,25 +14,29 @@ from faultline.analysis.model.tables import first_repeated
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def check_names(known: Sequence[str], unknown: Sequence[str], parameters: Sequence[str], where: str) -> list[str]:
+def check_names(
+    known: Sequence[str], unknown: Sequence[str], parameters: Sequence[str], curves: Sequence[str], where: str
+) -> list[str]:
     """All names of variables and parameters.
 
     Raises:
         ModelError: one is declared twice or cannot be written in a formula.
     """
     names = [*known, *unknown, *parameters]
-    for name in names:
+    for name in (*names, *curves):
         check_name(name, f"{where}: {name!r}")
-    twice = first_repeated(names)
+    twice = first_repeated([*names, *curves])
     if twice is not None:
-        raise ModelError(f"{where}: {twice} is declared twice among known, unknown and parameter; rename one")
+        raise ModelError(f"{where}: {twice} is declared twice among known, unknown, parameter and curve; rename one")
     return names
 
 
 def check_name(name: str, place: str) -> None:
     """Raises ModelError unless the name can stand in a formula and in generated code."""
     if not _NAME.fullmatch(name) or keyword.iskeyword(name) or name in FUNCTIONS:
-        raise ModelError(f"{place}: is no name; use letters, digits and _ as in p_tp, no keyword, not sgsqrt or abs")
+        raise ModelError(
+            f"{place}: is no name; use letters, digits and _ as in p_tp, no keyword, and no name of a function"
+        )
 
 
 def check_model(model: Model, equation_names: Sequence[str], where: str) -> None:

@@ -1,7 +1,8 @@
 """Formulas of a model file: text to sympy through a whitelist of syntax; nothing of the text is ever evaluated.
 
-Allowed are numbers, declared names, + - * / **, unary minus and plus, parentheses, and the calls `sgsqrt(d)` and
-`abs(x)`. An exponent is a constant whole or rational number of at most 16 in numerator and denominator.
+Allowed are numbers, declared names, + - * / **, unary minus and plus, parentheses, and calls of the functions of
+`analysis.model.functions` and of the model's own curves. An exponent is a constant whole or rational number of at most
+16 in numerator and denominator.
 """
 
 import ast
@@ -11,7 +12,9 @@ from collections.abc import Collection
 
 import sympy as sp
 
+from faultline.analysis.model.curves import NO_CURVES, Curves
 from faultline.analysis.model.errors import ModelError
+from faultline.analysis.model.functions import SEVERAL, SINGLE, called
 
 MAXIMUM_LENGTH = 1000
 MAXIMUM_DEPTH = 60
@@ -21,28 +24,12 @@ MAXIMUM_NUMBER = 1e100
 _CHARACTERS = re.compile(r"[A-Za-z0-9_+\-*/()., \t\r\n]*")
 
 
-class sgsqrt(sp.Function):  # type: ignore[misc]  # noqa: N801  (sympy is untyped; this is its name in formulas)
-    """sgsqrt(d) = sign(d) sqrt(|d|): the orifice equation (4.2) for both directions of flow.
-
-    It is opaque to sympy, whose own rules turn sign(d)*sqrt(Abs(d)) into piecewise forms that lose a direction.
-    """
-
-    nargs = 1
-
-    @classmethod
-    def eval(cls, d: sp.Expr) -> sp.Expr | None:
-        """A number has its value; None leaves everything else as it is."""
-        return sp.sign(d) * sp.sqrt(abs(d)) if d.is_number else None
-
-
-_CALLS = {"sgsqrt": sgsqrt, "abs": sp.Abs}
-
-FUNCTIONS = frozenset(_CALLS)
+FUNCTIONS = frozenset({*SINGLE, *SEVERAL})
 """Names that no variable may have."""
 
 
-def parse_expression(text: str, names: Collection[str], place: str) -> sp.Expr:
-    """The formula in `text` over the declared `names`, as plain sympy symbols.
+def parse_expression(text: str, names: Collection[str], place: str, curves: Curves = NO_CURVES) -> sp.Expr:
+    """The formula in `text` over the declared `names`, as plain sympy symbols; `curves` are further functions.
 
     Raises:
         ModelError: anything outside the whitelist above; the message begins with `place`.
@@ -58,15 +45,16 @@ def parse_expression(text: str, names: Collection[str], place: str) -> sp.Expr:
             tree = ast.parse(" ".join(text.split()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ModelError(f"{place}: not a formula: {_short(text)}; write it like `a*(b - c)/d**2`") from error
-    return _Reader(names, place).read(tree, 0)
+    return _Reader(names, place, curves).read(tree, 0)
 
 
 class _Reader:
     """Walks a syntax tree, building the sympy expression from the allowed kinds of node."""
 
-    def __init__(self, names: Collection[str], place: str) -> None:
+    def __init__(self, names: Collection[str], place: str, curves: Curves) -> None:
         self._names = names
         self._place = place
+        self._curves = curves
 
     def read(self, node: ast.expr, depth: int) -> sp.Expr:
         """The expression of a node `depth` levels below the top."""
@@ -117,12 +105,17 @@ class _Reader:
         return power
 
     def _call(self, node: ast.Call, depth: int) -> sp.Expr:
-        name = node.func.id if isinstance(node.func, ast.Name) else None
-        if name not in _CALLS or len(node.args) != 1 or node.keywords:
-            raise ModelError(
-                f"{self._place}: {_short(ast.unparse(node))} is no call of sgsqrt(d) or abs(x), the only functions"
-            )
-        return _CALLS[name](self.read(node.args[0], depth + 1))
+        name = node.func.id if isinstance(node.func, ast.Name) and not node.keywords else ""
+        arguments = [self.read(each, depth + 1) for each in node.args]
+        curve = self._curves.get(name)
+        fits = curve is not None and curve.count == len(arguments)
+        value = curve(*arguments) if curve is not None and fits else called(name, arguments)
+        if value is None:
+            known = ", ".join(f"{each}(x)" for each in SINGLE)
+            several = "".join(f", {each}(x, y)" for each in SEVERAL)
+            own = "".join(f", {each}({'x, y'[: 3 * of.count - 2]})" for each, of in self._curves.items())
+            raise ModelError(f"{self._place}: {_short(ast.unparse(node))} is no call of {known}{several}{own}")
+        return value
 
     def _name(self, name: str) -> sp.Expr:
         if name not in self._names:
@@ -134,7 +127,7 @@ class _Reader:
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise ModelError(
                 f"{self._place}: {_short(ast.unparse(node))} is not allowed; a formula has numbers, names, "
-                "+ - * / **, sgsqrt(d) and abs(x)"
+                "+ - * / ** and calls as abs(x)"
             )
         if not abs(value) < MAXIMUM_NUMBER:
             raise ModelError(f"{self._place}: the number {_short(ast.unparse(node))} is too large")

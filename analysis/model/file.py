@@ -6,6 +6,7 @@
     [known.y_p_tp]           unit, description, min, max, noise, zero, drift, added  (the last three may be absent)
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
+    [curve.k_valve]          description, source, x = [...], y = [...]; a map has z = [[...], ...], a row for each x
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
       disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
@@ -26,6 +27,7 @@ import sympy as sp
 
 from faultline import systems
 from faultline.analysis.model.check import check_model, check_name, check_names
+from faultline.analysis.model.curves import Curve, Curves, trouble
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.model.fill_in import unfilled
@@ -107,16 +109,18 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
     unknown = top.named_tables("unknown")
     parameters = {name: _parameter(table) for name, table in top.named_tables("parameter").items()}
     equations = top.tables("equation")
-    names = check_names([*known], [*unknown], [*parameters], where)
-    read = [_equation(table, names) for table in equations]
+    curves = {name: _curve(table) for name, table in top.named_tables("curve").items()}
+    names = check_names([*known], [*unknown], [*parameters], [*curves], where)
+    read = [_equation(table, names, curves) for table in equations]
     warm_up_s = _warm_up(top)
     model = Model(
         name=top.text("name"),
         description=top.text("description", ""),
         source=top.text("source", ""),
         known=known,
-        unknown={name: _unknown(table, [*known, *parameters]) for name, table in unknown.items()},
+        unknown={name: _unknown(table, [*known, *parameters], curves) for name, table in unknown.items()},
         parameters=parameters,
+        curves=curves,
         equations={equation.name: equation for equation in read},
         differentials=tuple(_differential(table) for table in top.tables("differential")),
         provenance=tuple(table.rest() for table in top.tables("provenance")),
@@ -174,12 +178,12 @@ def _check_deviation(table: Table, name: str, value: float) -> None:
         raise table.fail(name, f"{value:g} is no standard deviation; give a positive one, or none")
 
 
-def _unknown(table: Table, names: Sequence[str]) -> Unknown:
+def _unknown(table: Table, names: Sequence[str], curves: Curves) -> Unknown:
     texts = table.texts("initial")
     unknown = Unknown(
         unit=table.text("unit"),
         description=table.text("description", ""),
-        initial=tuple(parse_expression(t, names, table.at(f"initial[{k}]")) for k, t in enumerate(texts)),
+        initial=tuple(parse_expression(t, names, table.at(f"initial[{k}]"), curves) for k, t in enumerate(texts)),
         initial_text=texts,
     )
     table.done()
@@ -206,14 +210,29 @@ def _parameter(table: Table) -> Parameter:
     return parameter
 
 
-def _equation(table: Table, names: Sequence[str]) -> Equation:
+def _curve(table: Table) -> Curve:
+    rows = table.rows("z")
+    curve = Curve(
+        x=table.numbers("x"),
+        y=table.numbers("y"),
+        z=rows,
+        description=table.text("description", ""),
+        source=table.text("source", ""),
+    )
+    table.done()
+    if why := trouble(curve):
+        raise ModelError(f"{table.place}: {why}")
+    return curve
+
+
+def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
     text = table.text("expr")
     fault, disturbance = table.table("fault"), table.table("disturbance")
     equation = Equation(
         name=table.text("name"),
         description=table.text("description", ""),
         text=text,
-        expression=parse_expression(text, names, table.at("expr")),
+        expression=parse_expression(text, names, table.at("expr"), curves),
         fault=None if fault is None else _fault(fault, names, fault.text("component"), *_code(fault)),
         disturbance=None if disturbance is None else _fault(disturbance, names, ""),
     )

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
+from faultline.analysis.model.curves import Curves
 from faultline.analysis.model.errors import ModelError
 
 
@@ -230,6 +231,7 @@ class Model:
     equations: Mapping[str, Equation]
     differentials: tuple[Differential, ...]
     provenance: tuple[Mapping[str, object], ...]
+    curves: Curves = dataclasses.field(default_factory=dict)
     modes: OperatingModes = ONE_MODE
     warm_up_s: float = WARM_UP_S
     period_s: float = WARM_UP_S / PERIODS

@@ -61,6 +61,18 @@ class Table:
         """A list of finite numbers."""
         return tuple(self._finite(f"{key}[{k}]", v) for k, v in enumerate(self._take(key, list, "a list", None)))
 
+    def rows(self, key: str) -> tuple[tuple[float, ...], ...]:
+        """A list of lists of finite numbers, empty if absent."""
+        rows: list[object] = self._take(key, list, "a list of lists", [])
+        for k, row in enumerate(rows):
+            if not isinstance(row, list):
+                raise self.fail(f"{key}[{k}]", f"must be a list, not {row!r}")
+        return tuple(
+            tuple(self._finite(f"{key}[{k}][{n}]", v) for n, v in enumerate(row))
+            for k, row in enumerate(rows)
+            if isinstance(row, list)
+        )
+
     def texts(self, key: str) -> tuple[str, ...]:
         """A list of strings, empty if absent."""
         values: list[object] = self._take(key, list, "a list", [])

@@ -11,7 +11,9 @@ from fractions import Fraction
 import sympy as sp
 
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.model.expression import parse_expression, sgsqrt
+from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.functions import PLAIN, sgsqrt
+from faultline.analysis.model.functions import sign as sign_of
 
 Dimension = tuple[Fraction, ...]
 """Exponents of the seven base units."""
@@ -63,6 +65,14 @@ class Dimensions:
             known = [dimension for dimension in factors if dimension is not None]
             return _product(known) if len(known) == len(factors) else None
         inner = self.of(expression.args[0])
+        if isinstance(expression, PLAIN):
+            if inner not in (None, _PLAIN):
+                raise MismatchError(
+                    f"`{expression.args[0]}` in `{expression}` is in {self._text(inner)}, and must be a plain number"
+                )
+            return _PLAIN
+        if isinstance(expression, sign_of):
+            return _PLAIN
         exponent = _exponent(expression)
         return None if inner is None or exponent is None else _power(inner, exponent)
 

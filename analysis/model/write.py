@@ -35,6 +35,15 @@ def dump_model(model: Model) -> str:
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
         fields |= {"prior": p.prior, "spread": p.spread, "drift": p.drift or None, "source": p.source}
         blocks.append(f"[parameter.{name}]\n" + _pairs(fields))
+    for name, c in model.curves.items():
+        fields = {
+            "description": c.description or None,
+            "source": c.source or None,
+            "x": c.x,
+            "y": c.y,
+            "z": c.z or None,
+        }
+        blocks.append(f"[curve.{name}]\n" + _pairs(fields))
     blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
     if model.modes.edges:
         blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import sympy as sp
 
 from faultline.analysis.model import Model
-from faultline.analysis.model.expression import sgsqrt
+from faultline.analysis.model.functions import sgsqrt
 from faultline.analysis.model.slope import Sign, slope
 from faultline.service.core.errors import InputError
 

@@ -133,7 +133,7 @@ def _moved(fault: Fault, name: str) -> Fault:
 
 
 def _parsed(text: str, model: Model, place: str) -> sp.Expr:
-    return parse_expression(text, [*model.known, *model.unknown, *model.parameters], place)
+    return parse_expression(text, [*model.known, *model.unknown, *model.parameters], place, model.curves)
 
 
 def substituted(text: str, replacements: Mapping[str, str]) -> str:

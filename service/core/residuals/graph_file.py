@@ -12,8 +12,8 @@ from math import prod
 from faultline.service.core.errors import InputError
 
 OPERATORS = frozenset(
-    {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "MatMul", "Max", "Mul", "Reciprocal"}
-    | {"ReduceMean", "ReduceMin", "ReduceSum", "Relu", "Reshape", "Shape", "Slice", "Sqrt", "Sub"}
+    {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "Log", "MatMul", "Max", "Mul"}
+    | {"Reciprocal", "ReduceMean", "ReduceMin", "ReduceSum", "Relu", "Reshape", "Shape", "Slice", "Sqrt", "Sub", "Tanh"}
 )
 OPSETS = (21,)
 IR_VERSIONS = (10,)

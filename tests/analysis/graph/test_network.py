@@ -124,12 +124,18 @@ def test_what_the_form_cannot_hold_is_refused_with_model_test_and_reason(refused
     assert "\n" not in message
 
 
-def test_a_model_without_a_state_is_refused() -> None:
-    """A bank integrates; `y - u` alone is a static test."""
+def test_a_model_without_a_state_predicts_from_the_samples_alone() -> None:
+    """`y - u` is a static test: its graph has states of width zero and one residual, y - u."""
     text = MODEL.replace("p -> p + fy", "u -> u + fy")
     static = text.format(flow="q - A*sgsqrt(p)", rate="k*u - q", sensor="y - u", enters="A -> A + fA", initial='["y"]')
-    with pytest.raises(InputError, match=r"tank: no test that can be run has a state"):
-        build_bank(parse_model(static, "tank"))
+    bank = build_bank(parse_model(static, "tank"))
+    assert [(test.predicts, test.states) for test in bank.tests] == [("y", ())]
+    assert [channel.signal for channel in bank.inputs] == ["y", "u"]
+    z = np.array([[7.0, 3.0], [2.0, 5.0]])
+    r, y_hat, *_, x = Graph(bank.graph())(z=z, x=np.empty((2, 0)))
+    assert y_hat.tolist() == [[3.0], [5.0]]
+    assert r.tolist() == [[4.0], [-3.0]]
+    assert x.shape == (2, 0)
 
 
 def test_a_model_that_no_sensor_watches_is_refused() -> None:

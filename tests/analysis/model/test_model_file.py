@@ -202,7 +202,7 @@ WRONG = [
     (
         "name in two sections",
         add('[parameter.y]\nunit = "m"\nvalue = 1\n'),
-        "m.toml: y is declared twice among known, unknown and parameter; rename one",
+        "m.toml: y is declared twice among known, unknown, parameter and curve; rename one",
     ),
     ("no name", change("[unknown.dh]", '[unknown."d h"]'), "m.toml: 'd h': is no name; use letters"),
     ("keyword as a name", change("[parameter.h0]", "[parameter.lambda]"), "m.toml: 'lambda': is no name; "),
