@@ -70,6 +70,8 @@ def main(argv: list[str]) -> int:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     write_folder(options.out, files, _check_bundle)
     bundle = load_bundle(options.out)
+    for line in bank.notes():
+        print(line)
     size = sum(file.size for file in bundle.manifest.files.values())
     print(f"wrote {options.out}: {len(runnable.generators)} generators, {size / 1024:.0f} KiB, id {bundle.id[:12]}")
     return 0

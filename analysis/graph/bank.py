@@ -1,7 +1,7 @@
 """The bank: all residual generators of a model as one graph, with what the manifest says of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -24,10 +24,16 @@ FAULTS = "faults.onnx"
 Array = npt.NDArray[np.float64]
 Trial = Mapping[str, float]
 
+MOST_REASONS, MOST_NAMES = 5, 12
+"""Of tests that are left out: so many are named."""
+
 
 @dataclass(frozen=True)
 class Bank:
-    """The generators of a model; `sigma` (T,) is the spread [unit of y] the sensors alone give each residual."""
+    """The generators of a model; `sigma` (T,) is the spread [unit of y] the sensors alone give each residual.
+
+    `left_out` are the tests that cannot be run, with the reason of each.
+    """
 
     model: Model
     tests: tuple[Test, ...]
@@ -35,6 +41,16 @@ class Bank:
     generators: tuple[Generator, ...]
     networks: tuple[Network, ...]
     sigma: Array
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    def notes(self) -> list[str]:
+        """Lines about the tests that are left out, by reason."""
+        reasons: dict[str, list[str]] = {}
+        for name, reason in self.left_out.items():
+            reasons.setdefault(reason, []).append(name)
+        lines = [f"left out: {_some(names)}: {reason}" for reason, names in reasons.items()]
+        rest = f"left out for {len(lines) - MOST_REASONS} more reasons; `faultline structure --tests` lists all tests"
+        return [*lines[:MOST_REASONS], rest] if len(lines) > MOST_REASONS else lines
 
     @cached_property
     def evaluator(self) -> Evaluator:
@@ -59,14 +75,15 @@ class Bank:
     def formulas(self, trials: Sequence[Trial]) -> Formulas:
         """The formulas of all networks, with the parameters and faults of each trial."""
         expressions = tuple(formula for network in self.networks for formula in network.formulas.values())
-        used = {symbol.name for expression in expressions for symbol in expression.free_symbols}
+        readings = {row: network.reading for row, network in enumerate(self.networks) if network.reading != 0}
+        used = {symbol.name for formula in (*expressions, *readings.values()) for symbol in formula.free_symbols}
         model = self.model
         parameters = tuple(name for name in (*model.parameters, *model.assumable) if name in used)
         nominal = {name: p.value for name, p in model.parameters.items()} | dict.fromkeys(model.assumable, 0.0)
         theta = np.array([[[trial.get(name, nominal[name]) for name in parameters]] for trial in trials])
         states = tuple(last(network.test, state).name for network in self.networks for state in network.states)
         signals = tuple(channel.signal for channel in self.inputs)
-        return Formulas(expressions, signals, states, parameters, theta, model.name)
+        return Formulas(expressions, readings, signals, states, parameters, theta, model.name)
 
     def graph(self) -> bytes:
         """The ONNX graph of the model's own parameters, faults at zero.
@@ -128,21 +145,37 @@ class Bank:
         return np.array([s.offset + sum(gain * value[name] for name, gain in s.gain.items()) for s in states])
 
 
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return " ".join(names[:MOST_NAMES]) + more
+
+
 def build_bank(model: Model) -> Bank:
-    """The bank of every test of the model that has integral causality.
+    """The bank of every test of the model that has integral causality and that the implicit step can solve.
 
     Raises:
-        InputError: the model has no such test, or one that the implicit step cannot solve.
+        InputError: there is no such test.
     """
     found = find_tests(model)
-    tests = tuple(test for test in found if isinstance(test, Test))
-    if not tests:
-        reasons = list(dict.fromkeys(f"{test.name}: {test.obstacle}" for test in found)) or ["there is no redundancy"]
+    left_out = {test.name: test.obstacle or "" for test in found if not isinstance(test, Test)}
+    if len(left_out) == len(found):
+        reasons = [f"{name}: {obstacle}" for name, obstacle in left_out.items()] or ["there is no redundancy"]
         raise InputError(
             f"{model.name}: no test can be run ({reasons[0]}); "
             "add a sensor or write the equation in another form (`faultline structure --tests` has all reasons)"
         )
-    return bank_of(model, tests)
+    parts: list[_Part] = []
+    refused: list[InputError] = []
+    for test in found:
+        if isinstance(test, Test):
+            try:
+                parts.append(_part(model, test))
+            except InputError as error:
+                refused.append(error)
+                left_out[test.name] = str(error).removeprefix(f"{model.name}: ").removeprefix(f"{test.name}: ")
+    if not parts:
+        raise refused[0]
+    return _bank(model, parts, left_out)
 
 
 def bank_of(model: Model, tests: Sequence[Test]) -> Bank:
@@ -151,10 +184,20 @@ def bank_of(model: Model, tests: Sequence[Test]) -> Bank:
     Raises:
         InputError: the implicit step cannot solve one of them.
     """
-    networks = tuple(flow_network(model, test, list(model.known)) for test in tests)
+    return _bank(model, [_part(model, test) for test in tests], {})
+
+
+_Part = tuple[Test, Generator, Network]
+
+
+def _part(model: Model, test: Test) -> _Part:
+    return test, _generator(model, test), flow_network(model, test, list(model.known))
+
+
+def _bank(model: Model, parts: Sequence[_Part], left_out: Mapping[str, str]) -> Bank:
+    tests, generators, networks = zip(*parts, strict=True)
     sigma = np.array([model.known[test.predicts].noise for test in tests])
-    generators = tuple(_generator(model, test) for test in tests)
-    return Bank(model, tuple(tests), inputs_of(model), generators, networks, sigma)
+    return Bank(model, tests, inputs_of(model), generators, networks, sigma, left_out)
 
 
 def inputs_of(model: Model) -> tuple[Input, ...]:

@@ -18,29 +18,36 @@ _OPERATORS = {sp.Abs: "Abs", exp: "Exp", log: "Log", tanh: "Tanh"}
 
 @dataclass(frozen=True)
 class Formulas:
-    """Formulas of signals, states and parameters: the names in the order of their columns, `theta` (B, 1, P)."""
+    """Formulas of signals, states and parameters: the names in the order of their columns, `theta` (B, 1, P).
+
+    The `expressions` are known before the step; `readings`, by the row of their test, are of the states after it.
+    """
 
     expressions: tuple[sp.Expr, ...]
+    readings: dict[int, sp.Expr]
     signals: tuple[str, ...]
     states: tuple[str, ...]
     parameters: tuple[str, ...]
     theta: Array
     place: str
 
-    def write(self, w: Writer, z: str, x: str, *, parametric: bool) -> str:
-        """Their values (B, 1, F) from z (B, 1, nz) and x (B, 1, nx).
+    def write_theta(self, w: Writer, *, parametric: bool) -> str:
+        """The parameters: an input `theta` of `parametric` ones, constants of several sets; "" of a single one."""
+        if not self.parameters:
+            return ""
+        if parametric:
+            return w.input("theta", ["B", 1, len(self.parameters)])
+        return w.constant(self.theta) if len(self.theta) > 1 else ""
 
-        The parameters are an input `theta` of `parametric` ones, constants of several sets, numbers of a single one.
+    def write(self, w: Writer, expressions: Sequence[sp.Expr], z: str, x: str, theta: str) -> str:
+        """The values (B, 1, F) of some of them from z (B, 1, nz), x (B, 1, nx) and `theta`, "" for numbers.
 
         Raises:
             InputError: a formula divides by zero with the parameters of the first set.
         """
-        expressions = self.expressions
         columns = [(z, self.signals), (x, self.states)]
-        if parametric and self.parameters:
-            columns.append((w.input("theta", ["B", 1, len(self.parameters)]), self.parameters))
-        elif len(self.theta) > 1 and self.parameters:
-            columns.append((w.constant(self.theta), self.parameters))
+        if theta:
+            columns.append((theta, self.parameters))
         else:
             values = zip(self.parameters, self.theta[0, 0].tolist(), strict=True)
             numbers = {sp.Symbol(name): sp.Float(value) for name, value in values}

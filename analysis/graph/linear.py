@@ -13,6 +13,7 @@ which is the idea of the chord conductance for what is not a root. Where a choic
     sgsqrt(d + g(x, z))              g at x^-
 
 Coefficients that are no constants are *formulas*: they act as further signals whose value is known before the step.
+What a sensor shows other than in proportion is its *reading*, a formula of the new states: known after the step, exact.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,13 +37,15 @@ SMALL = 0.1
 class Linear:
     """Rates and output of a test, linear in the states but for roots; `formulas` by the symbols that stand for them.
 
-    A rate is (1 + capacity) x'; a capacity is zero or a symbol.
+    A rate is (1 + capacity) x'; a capacity is zero or a symbol. The whole output is `output` + `reading`; the reading
+    has the symbols of the states at the `last` tick, of the tick after its step.
     """
 
     rates: list[sp.Expr]
     capacities: list[sp.Expr]
     output: sp.Expr
     formulas: dict[sp.Symbol, sp.Expr]
+    reading: sp.Expr
 
 
 def last(test: str, state: str) -> sp.Symbol:
@@ -64,12 +67,13 @@ def linear_form(
     `middle` are the signals in the middle of their ranges, `numbers` the values of parameters and faults.
 
     Raises:
-        InputError: a root is in a root or in the output, flows are multiplied, the output is not affine in the states.
+        InputError: a root of a state is in a root, or flows are multiplied.
     """
     found = _Form(test, states, list(middle), {**middle, **numbers}, place)
     rows = [found.rate(rate) for rate in rates]
     balances, capacities = [sp.expand(row[0]) for row in rows], [row[1] for row in rows]
-    return Linear(balances, capacities, sp.expand(found.output(output)), found.formulas)
+    affine, reading = found.output(output)
+    return Linear(balances, capacities, sp.expand(affine), found.formulas, reading)
 
 
 @dataclass
@@ -104,14 +108,14 @@ class _Form:
         capacity = expanded(1 / factor - 1)
         return total + self._given(given), self._formula(capacity, gain=False) if capacity != 0 else capacity
 
-    def output(self, output: sp.Expr) -> sp.Expr:
-        """The output, affine in the states."""
-        if output.has(sgsqrt):
-            raise self._refused("a sensor shows a flow", output, "give the flow a state or another sensor")
-        slopes, given = self._tangent(output)
-        if any(gain.free_symbols & set(self.varying) for gain in slopes.values()):
-            raise self._refused("a sensor shows what is not affine in states", output, "use a gain and an offset")
-        return sum(gain * state for state, gain in slopes.items()) + self._given(given)
+    def output(self, output: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """What of the output is affine in the states, and the reading."""
+        kept, moved = self._split(expanded(output))
+        if not moved.free_symbols & set(self.states):
+            return kept + self._coefficient(moved), sp.Integer(0)
+        reading = self._held(moved)
+        self._check_written(reading)
+        return kept, reading
 
     def _held(self, expression: sp.Expr) -> sp.Expr:
         """The expression at the last states."""
@@ -210,14 +214,17 @@ class _Form:
         """The coefficient as a symbol for what varies, times parameters if it may have a gain."""
         factor, varying = coefficient.as_independent(*self.varying, as_Add=False) if gain else (sp.S.One, coefficient)
         varying = varying.replace(Sign, lambda x: x / (sp.Abs(x) + sp.Float(TINY)))
-        reason = obstacle(varying)
-        if reason is not None:
-            raise self._refused(reason, varying, "write it in another form")
+        self._check_written(varying)
         symbol = next((symbol for symbol, other in self.formulas.items() if other == varying), None)
         if symbol is None:
             symbol = sp.Symbol(f"{self.test} formula {len(self.formulas) + 1}")
             self.formulas[symbol] = varying
         return factor * symbol
+
+    def _check_written(self, formula: sp.Expr) -> None:
+        reason = obstacle(formula)
+        if reason is not None:
+            raise self._refused(reason, formula, "write it in another form")
 
     def _refused(self, reason: str, where: sp.Expr, remedy: str) -> InputError:
         text = str(where)

@@ -10,7 +10,7 @@ signals z (nz,), with u = [1; z]:
 
 alpha, beta, mu, C, A, B, H and E depend on the parameters alone. What does not fit this form is made to by formulas f
 of signals and last states (see `linear`): z has them as further signals, and the balance terms sum_i f_i J_i x and
-volumes that depend on pressure, (1 + V f) x', in addition.
+volumes that depend on pressure, (1 + V f) x', in addition. A sensor that shows what is not affine adds its reading.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -49,6 +49,7 @@ class Network:
     J: sp.Matrix  # (nf, n n)
     V: sp.Matrix  # (nf, n)
     formulas: dict[sp.Symbol, sp.Expr]  # (nf,) of signals, parameters and the states at the `last` tick
+    reading: sp.Expr  # of the output, beside H and E; zero where these are all
 
 
 def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
@@ -61,7 +62,7 @@ def flow_network(model: Model, test: Test, inputs: Sequence[str]) -> Network:
     signals = [sp.Symbol(name) for name in inputs]
     rates, output = _rates(model, test, place, sp.expand)
     try:
-        return _network(test, signals, Linear(rates, [sp.Integer(0)] * len(rates), output, {}), place)
+        return _network(test, signals, Linear(rates, [sp.Integer(0)] * len(rates), output, {}, sp.Integer(0)), place)
     except InputError:
         rates, output = _rates(model, test, place, lambda grouped: grouped)
         middle = {sp.Symbol(name): sp.Float((model.known[name].min + model.known[name].max) / 2) for name in inputs}
@@ -121,6 +122,7 @@ def _network(test: Test, known: Sequence[sp.Symbol], linear: Linear, place: str)
         J=J,
         V=sp.Matrix(len(formulas), len(states), [sp.Integer(c == f) for f in formulas for c in linear.capacities]),
         formulas=dict(formulas),
+        reading=linear.reading,
     )
     _check_rebuilt(network, rates, flows, states, signals, place)
     return network

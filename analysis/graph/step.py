@@ -136,8 +136,9 @@ def step_graph(
     u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
     nothing = w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0))  # of the batch's size
     x3 = w.reshape(x, [-1, 1, nx]) if nx else nothing
+    theta = formulas.write_theta(w, parametric=parametric)
     if formulas.expressions:
-        u = w.concat([u, formulas.write(w, z3, x3, parametric=parametric)], axis=2)
+        u = w.concat([u, formulas.write(w, formulas.expressions, z3, x3, theta)], axis=2)
     old = w("MatMul", x3, w.constant(stacked.into if nx else np.zeros((1, L))))
     beta = w("MatMul", u, matrix["beta"])
     opening = w("MatMul", u, matrix["mu"])
@@ -158,12 +159,16 @@ def step_graph(
         rhs = w("Add", driven, w("MatMul", w("Mul", q, beta), matrix["C"]))
         new = w.reshape(w("MatMul", inverse, w.reshape(rhs, [-1, T, N, 1])), [-1, 1, L])
     y_hat = w("Add", w("MatMul", new, matrix["H"]), w("MatMul", u, matrix["E"]))
+    x_next = w("MatMul", new, w.constant(stacked.into.T)) if nx else nothing
+    if formulas.readings:
+        readings = formulas.write(w, list(formulas.readings.values()), z3, x_next, theta)
+        y_hat = w("Add", y_hat, w("MatMul", readings, w.constant(np.eye(T)[list(formulas.readings)])))
     y_hat = w.reshape(y_hat, [-1, T])
     w.output("r", w("Sub", w("MatMul", z, w.constant(measured)), y_hat), ["B", T])
     w.output("y_hat", y_hat, ["B", T])
     w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", y_hat)), ["B", T])
     w.output("novelty", _novelty(w, z, region), ["B", T])
-    w.output("x_next", w.reshape(w("MatMul", new, w.constant(stacked.into.T)), [-1, nx]) if nx else x, ["B", nx])
+    w.output("x_next", w.reshape(x_next, [-1, nx]) if nx else x, ["B", nx])
     return w.model("faultline-ode")
 
 

@@ -231,6 +231,7 @@ def _table(runnable: Runnable, tuning: Tuning, out: Path) -> str:
         f"{d.generator:<12}{brief(d)}   " + " / ".join(f"{s:.3g}" for s in d.scale) + f" {units[d.generator]}"
         for d in tuning.detectors
     ]
+    lines += runnable.bank.notes()
     lines.append(f"ranking looks at {', '.join(tuning.evidence.generators)}: numerically independent")
     if tuning.claim is not None:
         lines.append(tuning.claim.said)

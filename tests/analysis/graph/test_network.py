@@ -1,5 +1,7 @@
 """What the canonical form cannot hold is refused by name; what it can hold steps as the exact solution says."""
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -104,8 +106,6 @@ def stepped(bank: Bank, u: Array, p0: float) -> Array:
             model(flow="q - A*sgsqrt(p + sgsqrt(p))"),
             "a flow is in a root, sgsqrt(p); the implicit step cannot solve it",
         ),
-        (model(sensor="y - p**2"), "a sensor shows what is not affine in states, "),
-        (model(sensor="y - sgsqrt(p)"), "a sensor shows a flow, "),
         (model(flow="q - A*p*sgsqrt(p)"), "a flow is multiplied by its own pressure, -p*(A + fA); the implicit"),
         (model(rate="k*u - q - q*q"), "multiplies flows, "),
         (model(flow="q - A*u**(1/3)*sgsqrt(p)"), "a graph has roots of second, fourth, eighth order only, u**(1/3)"),
@@ -136,6 +136,52 @@ def test_a_model_without_a_state_predicts_from_the_samples_alone() -> None:
     assert y_hat.tolist() == [[3.0], [5.0]]
     assert r.tolist() == [[4.0], [-3.0]]
     assert x.shape == (2, 0)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "shows"),
+    [
+        ("y - p**2", lambda p: p**2),
+        ("y - A*sgsqrt(p)", lambda p: 2.0 * np.sqrt(p)),
+        ("y - p - k*tanh(p/k)", lambda p: p + 50.0 * np.tanh(p / 50.0)),
+        ("y - max(p, k)", lambda p: np.maximum(p, 50.0)),
+    ],
+)
+def test_a_sensor_that_is_not_affine_shows_the_state_after_the_step(
+    sensor: str, shows: Callable[[Array], Array]
+) -> None:
+    u = np.concatenate([np.full(20, 0.1), np.full(20, 7.0)])
+    flow = "q - A*sgsqrt(p)"
+    p = stepped(build_bank(model(flow=flow)), u, 30.0)
+    bank = build_bank(model(flow=flow, sensor=sensor))
+    np.testing.assert_allclose(stepped(bank, u, 30.0), shows(p), rtol=1e-12)
+    zero_and_u = np.column_stack([np.zeros_like(u), u])
+    y_hat = -bank.simulate([{}, {"fA": 0.0}, {"fy": 10.0}], zero_and_u, np.array([30.0]))[:, :, 0]
+    np.testing.assert_allclose(y_hat[:, :2], np.stack([shows(p)] * 2, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(y_hat[:, 2], shows(p + 10.0), rtol=1e-12)
+
+
+def test_a_test_that_cannot_be_run_is_named_and_left_out() -> None:
+    second = """
+[known.u2]
+unit = "Pa"
+min = 0.0
+max = 1e5
+noise = 5.0
+
+[[equation]]
+name = "e5"
+expr = "u2 - k*u"
+fault = {name = "fu", component = "second sensor", description = "", enters = "k -> k + fu", sizes = [10.0]}
+"""
+    unsolvable = model(flow="q - A*p*sgsqrt(p)")
+    text = MODEL.format(flow="q - A*p*sgsqrt(p)", rate="k*u - q", sensor="y - p", enters="A -> A + fA", initial='["y"]')
+    with pytest.raises(InputError, match=r"t01: a flow is multiplied by its own pressure"):
+        build_bank(unsolvable)
+    bank = build_bank(parse_model(text + second, "tank"))
+    assert [(test.name, test.predicts) for test in bank.tests] == [("t01", "u2")]
+    [note] = bank.notes()
+    assert note.startswith("left out: t02: a flow is multiplied by its own pressure, ")
 
 
 def test_a_model_that_no_sensor_watches_is_refused() -> None:
