@@ -37,6 +37,9 @@ SAME = 5.0
 BLOCK = 1.0
 """Settling times. Longer than anything here remembers."""
 
+SHORT_BLOCKS = 10
+"""In recordings that are shorter than two blocks: one has no scatter."""
+
 AT_BOUND = 1e-3
 """So near to a bound in standard deviations of the prior, a parameter has run into it."""
 
@@ -99,13 +102,15 @@ def fit(system: System, sections: Sequence[Section], say: Callable[[str], None],
 def _result(problem: Problem, x: Array, levels: Levels, starts: tuple[int, int]) -> Fit:
     """The fit at `x`."""
     information, scores = np.zeros((len(x), len(x))), []
+    whole = sum(float(section.t[-1]) for section in problem.sections)
     parts = zip(problem.sections, problem.weights(x, levels), problem.slopes(x), problem.left(x), strict=True)
     for section, whitening, J, e in parts:
         J, e = whitening(J), whitening(e)
         information += J.T @ J
-        block = (np.concatenate([s.t for s in section.samples.values()]) / (BLOCK * section.time.settling_s)).astype(
-            int
-        )
+        length = BLOCK * section.time.settling_s
+        if whole < 2 * length:
+            length = whole / SHORT_BLOCKS
+        block = (np.concatenate([s.t for s in section.samples.values()]) / length).astype(int)
         scores += [J[block == k].T @ e[block == k] for k in np.unique(block)]
     prior = np.eye(len(x))
     covariance = np.linalg.inv(information + prior)

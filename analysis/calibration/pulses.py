@@ -23,10 +23,10 @@ class Pulses(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
 
 
-def pulses(calibrated: Model, log: Log) -> Pulses:
-    """The comparison over one fault-free recording of the calibrated vehicle."""
+def pulses(calibrated: Model, log: Log) -> Pulses | None:
+    """The comparison over one fault-free recording of the calibrated vehicle; None of a system without such a valve."""
     if not calibrated.modes.bounded or not {AFTER_PUMP, IN_UNIT} <= calibrated.known.keys():
-        return Pulses(reason=f"the model lacks a valve's command or {AFTER_PUMP} or {IN_UNIT}")
+        return None
     dose = calibrated.modes.bounded[0]
     try:
         bank = build_bank(calibrated)

@@ -1,7 +1,7 @@
 """A model as what a solver needs: equations in as few variables as can be, with all their derivatives.
 
-The sensors' equations are set aside: what they measure are the *outputs*; the other known signals are the *inputs*.
-What is left is a differential-algebraic system
+The sensors' equations are set aside: what they measure are the *outputs*; the other known signals are the *inputs*. So
+is a sensor of what nothing else determines, as an ambient temperature. What is left is a differential-algebraic system
 
     G(w, d, u, theta) = 0,    d = derivatives of the states
 
@@ -18,6 +18,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import sympy as sp
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import structural_rank
 
 from faultline.analysis.model import Model
 from faultline.analysis.model.functions import sgsqrt
@@ -197,7 +199,7 @@ def _equations_and_outputs(
     """The equations but those of sensors, with what disturbs them, and what `_sensors` gives; raises `InputError`."""
     equations = {name: model.expression(name, with_fault=False) for name in model.equations}
     equations |= {name: equations[name] - sp.Symbol(d) for name, d in disturbances.items()}
-    outputs = _sensors(model, equations)
+    outputs = _without_inputs(model, equations, _sensors(model, equations))
     equations = {name: e for name, e in equations.items() if name not in {place for place, _ in outputs.values()}}
     dynamic = {name for d in model.differentials for name in (d.state, d.derivative)}
     variables = len(model.differentials) + sum(name not in dynamic for name in model.unknown)
@@ -238,6 +240,32 @@ def _sensors(model: Model, equations: dict[str, sp.Expr]) -> dict[str, tuple[str
         if alone and gain.is_number and gain != 0:
             found[signal] = (places[0], _solved(expression, y))
     return found
+
+
+def _without_inputs(
+    model: Model, equations: dict[str, sp.Expr], sensors: dict[str, tuple[str, sp.Expr]]
+) -> dict[str, tuple[str, sp.Expr]]:
+    """The sensors but those whose equation alone determines a variable, by the structural rank of all others."""
+    states = {d.state for d in model.differentials}
+    columns = {sp.Symbol(name): column for column, name in enumerate(n for n in model.unknown if n not in states)}
+    places = {place for place, _ in sensors.values()}
+    rows = [e.free_symbols for name, e in equations.items() if name not in places]
+    outputs = {}
+    for signal, (place, shown) in sensors.items():
+        more = [*rows, equations[place].free_symbols]
+        if _rank(more, columns) > _rank(rows, columns):
+            rows = more
+        else:
+            outputs[signal] = (place, shown)
+    return outputs
+
+
+def _rank(rows: Sequence[set[sp.Symbol]], columns: dict[sp.Symbol, int]) -> int:
+    """How many of the columns' variables the rows can determine at most."""
+    if not rows or not columns:
+        return 0
+    incidence = np.array([[symbol in row for symbol in columns] for row in rows])
+    return int(structural_rank(csr_array(incidence)))
 
 
 def _substituted(
