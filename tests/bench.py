@@ -156,7 +156,7 @@ def monitor() -> None:
 def memory() -> None:
     """Peak resident memory of a process that diagnoses the golden log (VmHWM, without its parent's)."""
     code = (
-        "import sys; from faultline.service.diagnose import main; main(sys.argv[1:]); "
+        "import sys; from faultline.service.diagnose.command import main; main(sys.argv[1:]); "
         "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
     )
     command = [sys.executable, "-c", code, str(GOLDEN / "log"), "--bundle", str(GOLDEN / "bundle")]

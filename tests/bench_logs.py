@@ -106,7 +106,7 @@ def pairs(name: str, path: Path, frames: int, peer: Callable[[Path], int], what:
 def memory(folder: Path) -> None:
     """Print the peak memory of `diagnose` over logs of growing length."""
     code = (
-        "import sys; from faultline.service.diagnose import main; main(sys.argv[1:])\n"
+        "import sys; from faultline.service.diagnose.command import main; main(sys.argv[1:])\n"
         "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
     )
     for hours in HOURS:

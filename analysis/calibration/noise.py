@@ -21,7 +21,7 @@ import numpy.typing as npt
 from faultline.analysis.calibration.sections import Section, is_command
 from faultline.analysis.model import Model
 from faultline.analysis.simulation import System, Trajectory
-from faultline.service.core.manifest import TimeScale
+from faultline.service.core.time_scale import TimeScale
 
 Array = npt.NDArray[np.float64]
 Spread = Callable[[Array], float]

@@ -19,9 +19,10 @@ from faultline.analysis.recordings.modes import modes_of, time_of
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.simulation import Drive, System
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import Input, TimeScale
+from faultline.service.core.manifest import Input
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Signals
+from faultline.service.core.time_scale import TimeScale
 
 Array = npt.NDArray[np.float64]
 

@@ -1,8 +1,9 @@
 """The operating modes and the time scale of a model as the vehicle has them."""
 
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import Bounds, Mode, Modes, TimeScale
+from faultline.service.core.manifest import Bounds, Mode, Modes
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 
 def modes_of(model: Model) -> Modes:

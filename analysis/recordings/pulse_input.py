@@ -14,9 +14,9 @@ import numpy as np
 from faultline.analysis.graph.bank import Bank
 from faultline.analysis.recordings.pulse import Pulse, PulseError
 from faultline.analysis.recordings.track import Mask, Track
-from faultline.service.core.manifest import ticks_of
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.core.time_scale import ticks_of
 
 BLOCK = 50  # ticks, 10 s, which hardly know of each other
 MATTERS = 0.02  # of the variance

@@ -29,8 +29,9 @@ from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule
 from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from faultline.options import Parser
+from faultline.service.core.detectors.kinds import brief
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import Evidence, brief
+from faultline.service.core.manifest import Evidence
 from faultline.writing import check_file, write_file
 
 Array = npt.NDArray[np.float64]

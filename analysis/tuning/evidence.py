@@ -16,8 +16,9 @@ from faultline.analysis.graph.independence import independent
 from faultline.analysis.model import Model
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import Evidence, Follower, Hypothesis, Span
+from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import Span
 
 Array = npt.NDArray[np.float64]
 

@@ -18,11 +18,10 @@ from faultline.service.core.manifest import (
     Detector,
     LowPassDetector,
     Side,
-    Span,
     SpreadDetector,
     ThresholdDetector,
-    TimeScale,
 )
+from faultline.service.core.time_scale import Span, TimeScale
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["cusum", "one-sided", "threshold", "low-pass", "adaptive", "spread"]

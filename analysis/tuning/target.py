@@ -21,7 +21,9 @@ from faultline.analysis.tuning.days import without_day
 from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
-from faultline.service.core.manifest import Detector, Evidence, Span, kind_of
+from faultline.service.core.detectors.kinds import kind_of
+from faultline.service.core.manifest import Detector, Evidence
+from faultline.service.core.time_scale import Span
 
 Array = npt.NDArray[np.float64]
 

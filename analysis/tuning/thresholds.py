@@ -14,11 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.tuning.kinds import LEAST, Described, Kind, Run, closed, opened, reached
+from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import Detector, TimeScale, kind_of
+from faultline.service.core.manifest import Detector
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 Array = npt.NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import msgspec
 from faultline.options import Parser
 from faultline.service.bundle.files import MANIFEST, Trust
 from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
+from faultline.service.core.detectors.kinds import brief
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import brief
 from faultline.writing import write_file
 
 if TYPE_CHECKING:

@@ -6,10 +6,12 @@ The types here say what a single value may be, and decoding enforces it; what va
 `core.decision.consistency`.
 """
 
-from typing import Annotated, Final, Literal, NamedTuple, TypeVar
+from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
+
+from faultline.service.core.time_scale import TimeScale
 
 SCHEMA: Final = "faultline.bundle/6"
 
@@ -17,38 +19,6 @@ EDGE: Final = "edge"
 """The first mode of every per-mode list: just after a step, or unknown. Those of the system follow."""
 
 T = TypeVar("T")
-
-
-class Span(NamedTuple):
-    """How long something lasts: the longest of so many settling times of a system, sampling periods and seconds."""
-
-    settlings: float = 0.0
-    periods: float = 0.0
-    seconds: float = 0.0
-
-
-class TimeScale(NamedTuple):
-    """How long a tick and how long the system's settling time is [s]."""
-
-    period_s: float
-    settling_s: float
-
-    def seconds(self, span: Span) -> float:
-        """A span in seconds."""
-        return max(span.settlings * self.settling_s, span.periods * self.period_s, span.seconds)
-
-    def ticks(self, span: Span) -> int:
-        """A span in ticks, one at least.
-
-        >>> TimeScale(0.2, 20.0).ticks(Span(settlings=1.5)), TimeScale(60.0, 120.0).ticks(Span(periods=15, seconds=60))
-        (150, 15)
-        """
-        return max(1, round(self.seconds(span) / self.period_s))
-
-
-def ticks_of(seconds: float, period_s: float) -> int:
-    """So many seconds in ticks."""
-    return round(seconds / period_s)
 
 
 Name = Annotated[str, Meta(pattern=r"\A\w[\w.-]*\Z", max_length=80)]
@@ -233,19 +203,6 @@ class SpreadDetector(_Detector, frozen=True, tag="spread"):
 Detector = CusumDetector | ThresholdDetector | LowPassDetector | AdaptiveDetector | SpreadDetector
 
 
-def kind_of(detector: Detector) -> str:
-    """The name of its kind: the `kind` of the manifest."""
-    return str(type(detector).__struct_config__.tag)
-
-
-def brief(detector: Detector) -> str:
-    """Kind (or side), nu where it has one, and J, in columns of 26 characters in all."""
-    if isinstance(detector, CusumDetector):
-        kind = kind_of(detector) if detector.side == "both" else detector.side
-        return f"{kind:<9}{detector.nu:>7.2f}{detector.J:>10.1f}"
-    return f"{kind_of(detector):<16}{detector.J:>10.1f}"
-
-
 class Fault(_Part, frozen=True):
     """A fault and the component it names; on a J1939 network it is the suspect parameter `spn` with the mode `fmi`."""
 
@@ -386,6 +343,6 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     buses: dict[Name, Name] = {}
 
     @property
-    def time(self) -> "TimeScale":
+    def time(self) -> TimeScale:
         """Ticks and settling times of the system."""
         return TimeScale(self.period_s, self.settling_s)

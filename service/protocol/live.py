@@ -5,9 +5,10 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from faultline.service.core.manifest import EDGE, TimeScale
+from faultline.service.core.manifest import EDGE
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.time_scale import TimeScale
 
 LIVE = "faultline.live/2"
 """Schema of `LiveTick`; in 1 `suspected` was what `anomaly` is now."""

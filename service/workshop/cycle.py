@@ -7,9 +7,9 @@ by who listens.
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from faultline.service.core.manifest import Span
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis, candidates
+from faultline.service.core.time_scale import Span
 from faultline.service.protocol.live import LiveTick, SystemDescription
 from faultline.service.workshop.plan import QUIET, STOOD, Step
 from faultline.service.workshop.progress import NEAR, Progress

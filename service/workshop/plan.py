@@ -6,7 +6,7 @@ A step is a mode that the service observes on the bus, held for so long that all
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from faultline.service.core.manifest import Span
+from faultline.service.core.time_scale import Span
 
 HOLD = Span(settlings=3, seconds=60)
 """A suspicion is looked at afresh one settling time after it; the level of the last 1.5 to 3 of

@@ -13,9 +13,9 @@ from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.values import Quality
-from faultline.service.diagnose import main
+from faultline.service.diagnose.command import main
+from faultline.service.diagnose.tick_table import EVENT_COLUMNS, TICK_COLUMNS, columns_of
 from faultline.service.logs import open_log
-from faultline.service.tick_table import EVENT_COLUMNS, TICK_COLUMNS, columns_of
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 BUNDLE, LOG = str(GOLDEN / "bundle"), str(GOLDEN / "log")

@@ -9,7 +9,7 @@ import pytest
 from pyarrow import parquet
 
 from faultline.service.core.signals.values import Quality
-from faultline.service.diagnose import main
+from faultline.service.diagnose.command import main
 from faultline.service.logs import Log, LogError, open_log
 from faultline.service.survey.command import survey_log
 

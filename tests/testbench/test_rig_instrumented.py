@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 from faultline.service.logs import open_log
 from faultline.service.logs.recording import load_recording
 from faultline.testbench.bus import load_dbc

@@ -16,7 +16,7 @@ from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 from faultline.service.logs import open_log
 from faultline.training.command import main as train
 from faultline.training.recipe import DEFAULT, Phase

@@ -9,8 +9,8 @@ from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.traces import UNITS
 from faultline.analysis.evaluation.story import Story
-from faultline.service.core.manifest import Span
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import Span
 
 AROUND = Span(settlings=3)
 COLOURS = ("#d55e00", "#009e73", "#cc79a7")

@@ -10,7 +10,7 @@ from faultline.analysis.evaluation.measure.signature import sensitive
 from faultline.analysis.evaluation.picture import told
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.story import Array, Story
-from faultline.service.core.manifest import kind_of
+from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.signals.values import Mask
 
 SHADES, EDGE_SHADE = ("#dcefe3", "#ffffff", "#fbe3cf", "#e3e0f3", "#f6f0cd"), "#d3d6da"

@@ -16,9 +16,10 @@ one that nothing has been learnt of for a while comes back to the usual one, as 
 import numpy as np
 
 from faultline.service.core.decision.straying import Level, Means, Straying, Visit
-from faultline.service.core.manifest import Evidence, Span, TimeScale
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.time_scale import Span, TimeScale
 
 GUARD = Span(settlings=1.5)
 """What is newer waits, one to two times as long."""

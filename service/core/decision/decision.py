@@ -24,11 +24,12 @@ from faultline.service.core.decision.intermittence import BLOCK, Intermittence
 from faultline.service.core.decision.unlike import Unlike
 from faultline.service.core.decision.window import Blocks
 from faultline.service.core.detectors.bank import DetectorBank
-from faultline.service.core.manifest import Manifest, Span, ticks_of
+from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.time_scale import Span, ticks_of
 
 RANKING = Span(periods=15)
 """The window is looked at at every tick that this divides: the same ticks whatever the episode's first.

@@ -11,8 +11,8 @@ from faultline.service.core.decision.explaining import TIE
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
 from faultline.service.core.decision.straying import Level
 from faultline.service.core.decision.window import Blocks
-from faultline.service.core.manifest import Span
 from faultline.service.core.signals.values import Mask
+from faultline.service.core.time_scale import Span
 
 BLOCK = Span(periods=15)
 """Of which all ticks are left out or none: in short ones few are half with the fault and half without."""

@@ -2,8 +2,8 @@
 
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from faultline.service.core.manifest import Span, TimeScale
 from faultline.service.core.records.event import SCHEMA, Diagnosis, Event, Transition, candidates
+from faultline.service.core.time_scale import Span, TimeScale
 
 SETTLE = Span(periods=10)
 """A change is told once it has lasted this long: tests that fire within it tell their news together."""

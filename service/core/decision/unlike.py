@@ -12,9 +12,10 @@ from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.straying import Level, Means
 from faultline.service.core.decision.window import Recent, Window
 from faultline.service.core.detectors.bank import FROZEN
-from faultline.service.core.manifest import Evidence, TimeScale
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.core.time_scale import TimeScale
 
 CHANGED, SAME = 15.0, 10.0
 """How much better than none a fault must fit, on this day, what has been seen of late; and that it no longer does."""

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.decision.straying import Means, Visit
-from faultline.service.core.manifest import Evidence, Span, TimeScale
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.time_scale import Span, TimeScale
 
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
 

@@ -15,15 +15,13 @@ from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
     LowPassDetector,
-    Span,
     SpreadDetector,
     ThresholdDetector,
-    TimeScale,
-    ticks_of,
 )
 from faultline.service.core.manifest import Detector as Settings
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.core.time_scale import Span, TimeScale, ticks_of
 
 FROZEN = Span(settlings=15, seconds=300)
 

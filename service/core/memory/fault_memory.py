@@ -14,7 +14,6 @@ from typing import NamedTuple
 import msgspec
 from msgspec import structs
 
-from faultline.service.core.manifest import Span
 from faultline.service.core.memory.entries import Episode, fresh, in_new_cycle, with_told
 from faultline.service.core.memory.rules import Rules
 from faultline.service.core.memory.system import System
@@ -22,6 +21,7 @@ from faultline.service.core.records.event import Event, candidates
 from faultline.service.core.records.fault import Change, Fault, Number, names
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import Mask
+from faultline.service.core.time_scale import Span
 
 LOOK = Span(periods=25)
 """Between two looks at faults of earlier runs."""

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from faultline.service.core.manifest import Manifest, TimeScale
+from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.fault import Dtc
+from faultline.service.core.time_scale import TimeScale
 
 AMBIGUOUS, UNKNOWN = Dtc(spn=520192, fmi=11), Dtc(spn=520192, fmi=31)
 """The watched system as a whole, of a manufacturer's numbers: root cause not known (it is one of several components),

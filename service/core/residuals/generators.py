@@ -14,9 +14,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import onnxruntime as ort
 
-from faultline.service.core.manifest import Evidence, Generator, Input, ticks_of
+from faultline.service.core.manifest import Evidence, Generator, Input
 from faultline.service.core.residuals.assumed import Assumed
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
+from faultline.service.core.time_scale import ticks_of
 
 HELD_TICKS = 2
 OUTSIDE = 0.01

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from faultline.service.core.manifest import Input, Modes, ticks_of
+from faultline.service.core.manifest import Input, Modes
 from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.time_scale import ticks_of
 
 EDGE = 0
 """Index of the edge in `Modes.names`; the steady ones follow."""

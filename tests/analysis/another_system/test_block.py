@@ -12,7 +12,7 @@ from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.export import main as export
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 
 HERE = Path(__file__).parent / "block"
 PERIOD_S, STEP_S, HOLD_S = 5.0, 0.5, 400.0

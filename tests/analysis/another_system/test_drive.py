@@ -13,7 +13,7 @@ from faultline.analysis.discrepancy.command import main as discover
 from faultline.analysis.export import main as export
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 
 PERIOD_S, STEPS = 0.005, 10
 M, FV, F_C, F_0, GAIN, V_0 = 11.6, 24.8, 20.4, -3.16, 35.15, 0.002

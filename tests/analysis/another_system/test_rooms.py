@@ -17,7 +17,7 @@ from faultline.service.bundle.files import BundleError
 from faultline.service.bundle.live import check_live
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 
 SYSTEM = Path(__file__).with_name("rooms")
 MINUTE, DAY = 60.0, 86400.0

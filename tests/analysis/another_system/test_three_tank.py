@@ -16,7 +16,7 @@ from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.files import BundleError
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
-from faultline.service.diagnose import main as diagnose
+from faultline.service.diagnose.command import main as diagnose
 
 DURATION_S, ONSET_S = 480.0, 270.0
 LEAK = 5e-6  # m2: a hole of 3 mm

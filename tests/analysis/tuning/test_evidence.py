@@ -15,8 +15,9 @@ from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.explaining import TIE
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
 from faultline.service.core.decision.window import Window
-from faultline.service.core.manifest import Evidence, TimeScale
+from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
 MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system

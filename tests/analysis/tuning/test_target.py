@@ -21,10 +21,12 @@ from faultline.analysis.tuning.thresholds import MARGIN, Seen, tune_detectors
 from faultline.analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.detectors.bank import DetectorBank
-from faultline.service.core.manifest import Detector, Evidence, TimeScale, kind_of
+from faultline.service.core.detectors.kinds import kind_of
+from faultline.service.core.manifest import Detector, Evidence
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
 MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system

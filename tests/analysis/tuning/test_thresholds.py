@@ -13,12 +13,14 @@ from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, descr
 from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, TOLD_TICKS, Seen, seen, standard
 from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
 from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import CusumDetector, TimeScale, kind_of
+from faultline.service.core.manifest import CusumDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
 MODES, TIME = ("edge", "idle", "partial", "maximum"), TimeScale(0.2, 20.0)  # of the dosing system

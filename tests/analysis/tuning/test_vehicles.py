@@ -8,8 +8,8 @@ import pytest
 
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
 from faultline.analysis.tuning.vehicles import Drive, offsets
-from faultline.service.core.manifest import TimeScale
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
 

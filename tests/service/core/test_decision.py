@@ -21,10 +21,11 @@ from uds_time import (
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.explaining import SUREST
-from faultline.service.core.manifest import CusumDetector, Span
+from faultline.service.core.manifest import CusumDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
+from faultline.service.core.time_scale import Span
 
 MANIFEST = load_bundle(Path(__file__).parents[2] / "golden" / "bundle").manifest
 EVIDENCE = MANIFEST.evidence

@@ -2,8 +2,8 @@
 
 from faultline.service.core.decision import day, decision, telling, window
 from faultline.service.core.detectors import bank
-from faultline.service.core.manifest import TimeScale
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.time_scale import TimeScale
 
 TIME = TimeScale(period_s=0.2, settling_s=20.0)
 IDLE, PARTIAL, MAXIMUM = range(EDGE + 1, EDGE + 4)

@@ -8,7 +8,6 @@ from pathlib import Path
 import can
 import pytest
 
-from faultline.service import diagnose
 from faultline.service.bundle.files import SEAL, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.cli import main
@@ -17,6 +16,7 @@ from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event, decode
 from faultline.service.core.records.line import encode
 from faultline.service.core.signals.dbc import compile_dbc
+from faultline.service.diagnose import command as diagnose
 from faultline.service.logs import Frame, open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

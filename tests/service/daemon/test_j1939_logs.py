@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service import diagnose
 from faultline.service.bundle.files import SEAL, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.cli import main
@@ -23,6 +22,7 @@ from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import Wanted
 from faultline.service.daemon.pipeline import BusChannel, watched
+from faultline.service.diagnose import command as diagnose
 from faultline.service.logs import Frame, open_log
 from faultline.service.recorded.bus import LogBus
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service import diagnose
 from faultline.service.bundle.files import SEAL, BundleError, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
@@ -16,6 +15,7 @@ from faultline.service.core.records.context import decode_context
 from faultline.service.core.records.event import Event, decode
 from faultline.service.daemon.command import main
 from faultline.service.daemon.pipeline import BusChannel, check_buses, connect, watched
+from faultline.service.diagnose import command as diagnose
 from faultline.service.logs import Frame, LogError, open_log
 from faultline.service.recorded.bus import LogBus
 from faultline.service.recorded.service import Recording

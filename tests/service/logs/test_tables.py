@@ -14,7 +14,7 @@ from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event
 from faultline.service.core.signals.received import Signals
 from faultline.service.core.signals.values import Quality
-from faultline.service.diagnose import main
+from faultline.service.diagnose.command import main
 from faultline.service.logs import Log, LogError, open_log
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"

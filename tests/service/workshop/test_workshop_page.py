@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from faultline.service.core.manifest import TimeScale
+from faultline.service.core.time_scale import TimeScale
 from faultline.service.workshop.command import CODES
 from faultline.service.workshop.plan import HOLD, PATIENCE, QUIET, STOOD, VISITS
 from faultline.service.workshop.result import SCHEMA, Result

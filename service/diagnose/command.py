@@ -15,8 +15,8 @@ from faultline.service.core.j1939.log_context import LogContext
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.context import Context
 from faultline.service.core.records.line import encode
+from faultline.service.diagnose.tick_table import TickTable, events_path, tick_table
 from faultline.service.logs import Log
-from faultline.service.tick_table import TickTable, events_path, tick_table
 from faultline.service.watching.records import describe, describe_context, meanings
 from faultline.writing import check_file
 
