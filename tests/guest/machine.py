@@ -89,7 +89,9 @@ class Guest:
         around = {**os.environ, "LD_PRELOAD": str(self.preloaded)} if self.preloaded else None
         nothing = subprocess.DEVNULL
         with (self.share / "console.txt").open("wb") as console:
-            return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=console, env=around)
+            return subprocess.Popen(
+                command, stdin=nothing, stdout=nothing, stderr=console, env=around, start_new_session=True
+            )
 
 
 def cut_power(process: "subprocess.Popen[bytes]") -> None:
@@ -97,7 +99,8 @@ def cut_power(process: "subprocess.Popen[bytes]") -> None:
 
     None is left when this returns: one that outlives the first holds the lock of the disk, and the next boot fails.
     """
-    others = _descendants(process.pid)
+    process.send_signal(signal.SIGSTOP)  # so that it makes no further one
+    others = _made_by(process.pid)
     process.kill()
     process.wait()
     for each in others:
@@ -109,14 +112,18 @@ def cut_power(process: "subprocess.Popen[bytes]") -> None:
         time.sleep(0.01)
 
 
-def _descendants(of: int) -> list[int]:
-    parents: dict[int, int] = {}
+def _made_by(first: int) -> list[int]:
+    """All of its session, those that have lost their parent too, and the descendants of all."""
+    found, parents = [first], {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
-            parents[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
-    found = [of]
+            _, parent, _, session, *_ = path.read_text().rpartition(")")[2].split()
+            process = int(path.parent.name)
+            parents[process] = int(parent)
+            if int(session) == first != process:
+                found.append(process)
     for each in found:
-        found += [child for child, parent in parents.items() if parent == each]
+        found += [child for child, parent in parents.items() if parent == each and child not in found]
     return found[1:]
 
 
