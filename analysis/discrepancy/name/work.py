@@ -4,6 +4,7 @@ What was interrupted goes on where it stopped: an attempt is kept under what it 
 and another recording, model, library entry or version of this program does not.
 """
 
+import gc
 import hashlib
 import os
 import pickle
@@ -182,10 +183,14 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
         from distributed import Client, KilledWorker
     except ImportError as error:
         raise InputError("--scheduler needs dask: pip install 'faultline-diagnosis[scale]'") from error
+    refused = None
     try:
         client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
-        raise InputError(f"{scheduler}: no Dask scheduler answers ({error}); check address and port") from error
+        refused = str(error)
+    if refused is not None:
+        gc.collect()  # ends the client that failed; ended while another one starts, the two wait for each other
+        raise InputError(f"{scheduler}: no Dask scheduler answers ({refused}); check address and port")
     with client:
         try:
             yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
