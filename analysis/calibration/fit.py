@@ -38,7 +38,7 @@ BLOCK = 1.0
 """Settling times. Longer than anything here remembers."""
 
 SHORT_BLOCKS = 10
-"""In recordings that are shorter than two blocks: one has no scatter."""
+"""Recordings shorter than two blocks are cut into so many: one block has no scatter."""
 
 AT_BOUND = 1e-3
 """So near to a bound in standard deviations of the prior, a parameter has run into it."""

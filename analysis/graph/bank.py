@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Trial = Mapping[str, float]
 
 MOST_REASONS, MOST_NAMES = 5, 12
-"""Of tests that are left out: so many are named."""
+"""The notes about tests that are left out give so many reasons, and so many names a reason."""
 
 
 @dataclass(frozen=True)

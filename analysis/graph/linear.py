@@ -109,7 +109,7 @@ class _Form:
         return total + self._given(given), self._formula(capacity, gain=False) if capacity != 0 else capacity
 
     def output(self, output: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
-        """What of the output is affine in the states, and the reading."""
+        """Return the part of the output that is affine in the states, and the reading."""
         kept, moved = self._split(expanded(output))
         if not moved.free_symbols & set(self.states):
             return kept + self._coefficient(moved), sp.Integer(0)

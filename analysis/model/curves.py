@@ -19,7 +19,7 @@ import numpy.typing as npt
 import sympy as sp
 
 MOST_POINTS, MOST_VALUES = 40, 150
-"""Of a curve, and of a map: each is a term of its formula."""
+"""A curve has at most so many points, and a map so many values: each is a term of its formula."""
 ROUND = 0.1
 """Distance over which a bend is rounded, in parts of that to the nearer neighbour."""
 
@@ -54,7 +54,7 @@ class Curve:
 
 
 Curves = Mapping[str, Curve]
-"""By their names in formulas."""
+"""Curves and maps by their names in formulas."""
 
 NO_CURVES: Curves = {}
 
@@ -69,7 +69,7 @@ def _basis(x: Sequence[float], at: sp.Expr) -> list[sp.Expr]:
 
 
 def _weights(x: Sequence[float]) -> npt.NDArray[np.float64]:
-    """What multiplies the basis, by value: (points, points)."""
+    """Return the matrix (points, points) that turns values into the weights of the basis."""
     points = np.asarray(x, dtype=np.float64)
     slopes = np.diff(np.eye(len(points)), axis=0) / np.diff(points)[:, None]  # by value
     bends = np.diff(slopes, axis=0) / 2

@@ -261,7 +261,7 @@ def _without_inputs(
 
 
 def _rank(rows: Sequence[set[sp.Symbol]], columns: dict[sp.Symbol, int]) -> int:
-    """How many of the columns' variables the rows can determine at most."""
+    """Return the structural rank: how many of the columns' variables the rows can determine at most."""
     if not rows or not columns:
         return 0
     incidence = np.array([[symbol in row for symbol in columns] for row in rows])
