@@ -45,8 +45,12 @@ def check_model(model: Model, equation_names: Sequence[str], where: str) -> None
     Raises:
         ModelError: the first thing that does not hold.
     """
-    if not model.equations:
-        raise ModelError(f"{where}: equation: there is none; a model needs at least one")
+    if model.equations and model.residuals:
+        raise ModelError(f"{where}: residual: there are equations too; give one of the two, and the other in a model")
+    if not (model.equations or model.residuals):
+        raise ModelError(f"{where}: equation: there is none; a model needs at least one, or residuals of another tool")
+    if stray := set(model.listed_faults).difference(*model.residuals.values()):
+        raise ModelError(f"{where}: fault.{min(stray)}: no residual is sensitive to it; name it in one, or remove it")
     rows = [*equation_names, *(d.name for d in model.differentials)]
     twice = first_repeated(rows)
     if twice is not None:

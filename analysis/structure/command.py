@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
         explanation = why(structure_of(model), fault, other, options.causality)
         print(explanation.text)
         return 0 if explanation.isolable else 1
-    positions = _positions(options.positions, structure_of(model))
+    positions = _positions(options.positions, model)
     name = model.name if isinstance(model, Model) else Path(options.model).stem
     with Progress(f"analysing {name}"):
         text = "" if options.json == "-" else report(model, computations=options.tests, positions=positions)
@@ -128,9 +128,11 @@ def _changed(model: Model | Structure, without: list[str], sensors: list[str]) -
     return add_sensors(drop_sensors(model, without), sensors, faulty=True)
 
 
-def _positions(words: list[str], structure: Structure) -> dict[str, float]:
+def _positions(words: list[str], model: Model | Structure) -> dict[str, float]:
     """Names with their costs, 1 where none is said."""
-    costs = {}
+    if not words:
+        return {}
+    structure, costs = structure_of(model), {}
     for word in words:
         name, equals, cost = word.partition("=")
         if name in costs:

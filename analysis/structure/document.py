@@ -9,7 +9,7 @@ from faultline.analysis.structure.causality import residual_causality
 from faultline.analysis.structure.decomposition import Part, dulmage_mendelsohn
 from faultline.analysis.structure.diagnosability import Interpretation, detectability, isolability_of
 from faultline.analysis.structure.index import low_index, observable
-from faultline.analysis.structure.isolability import signature_matrix
+from faultline.analysis.structure.isolability import isolability, signature_matrix
 from faultline.analysis.structure.lint import lint, lint_structure
 from faultline.analysis.structure.placement import MANY_POSITIONS, SensorSet, place_sensors
 from faultline.analysis.structure.selection import select_tests
@@ -27,8 +27,10 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
 
     `sensor_sets` and `selected_tests` are None where there are too many candidates to list every optimum.
     """
-    structure = structure_of(model)
     tests = find_tests(model)
+    if isinstance(model, Model) and model.residuals:
+        return _of_given_residuals(model, tests)
+    structure = structure_of(model)
     parts = dulmage_mendelsohn(structure)
     placed = [(causality, sensor_sets(structure, causality, positions)) for causality in CAUSALITIES]
     return {
@@ -56,17 +58,31 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
         "isolability": {causality: isolability_of(structure, causality) for causality in CAUSALITIES},
         "sensor_sets": {causality: _each(sets, "sensors") for causality, sets in placed},
         "sensor_costs": {causality: _each(sets, "cost") for causality, sets in placed},
-        "selected_tests": selected(tests, structure),
+        "selected_tests": selected(tests, structure.faults),
     }
 
 
-def selected(tests: Sequence[Support], structure: Structure) -> list[list[str]] | None:
+def _of_given_residuals(model: Model, tests: Sequence[Support]) -> dict[str, object]:
+    """What there is of a system that residuals of another tool describe."""
+    faults = [*model.faults]
+    return {
+        "model": model.name,
+        "knowns": [*model.known],
+        "faults": faults,
+        "lint": [vars(finding) for finding in lint(model)],
+        "tests": [{"name": test.name, "faults": test.faults, "knowns": test.known} for test in tests],
+        "isolability": isolability(tests, faults),
+        "selected_tests": selected(tests, faults),
+    }
+
+
+def selected(tests: Sequence[Support], faults: Sequence[str]) -> list[list[str]] | None:
     """The smallest sets of tests that tell apart what all tests that can be run do; of all tests if none can be."""
     runnable: list[Support] = [test for test in tests if isinstance(test, Test)]
     usable = runnable or list(tests)
     if len(usable) > MANY_TESTS:
         return None
-    chosen = select_tests(signature_matrix(usable, structure.faults), structure.faults)
+    chosen = select_tests(signature_matrix(usable, faults), faults)
     return [[usable[row].name for row in rows] for rows in chosen]
 
 

@@ -45,7 +45,8 @@ def lint(model: Model) -> list[Finding]:
     if undeclared:
         return undeclared
     elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
-    structural = [finding for finding in lint_structure(structure_of(model)) if finding.place not in elsewhere]
+    structural = [] if model.residuals else lint_structure(structure_of(model))
+    structural = [finding for finding in structural if finding.place not in elsewhere]
     found = [*_empty(model), *unit_findings(model), *_unused_parts(model), *structural, *_not_run(model)]
     return sorted(found, key=lambda finding: finding.severity)
 

@@ -9,7 +9,7 @@ from faultline.analysis.structure.causality import residual_causality
 from faultline.analysis.structure.decomposition import dulmage_mendelsohn
 from faultline.analysis.structure.diagnosability import detectability, isolability_of
 from faultline.analysis.structure.document import CAUSALITIES, selected, sensor_sets
-from faultline.analysis.structure.isolability import signature_matrix
+from faultline.analysis.structure.isolability import isolability, signature_matrix
 from faultline.analysis.structure.lint import lint, lint_structure
 from faultline.analysis.structure.placement import MANY_POSITIONS
 from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
@@ -28,8 +28,10 @@ def report(
 
     With `computations` also how every test is computed; `positions` are where sensors could be placed.
     """
-    structure = structure_of(model)
     tests = find_tests(model)
+    if isinstance(model, Model) and model.residuals:
+        return _of_given_residuals(model, tests)
+    structure = structure_of(model)
     parts = [_counts(model, structure, tests), _classes(structure)]
     if tests:
         shown = tests if computations else tests[:MANY_TESTS]
@@ -39,7 +41,7 @@ def report(
             [*_test_table(structure, shown), *rest],
             [title, *_signatures(shown, structure.faults), *rest],
             *_isolability(structure),
-            _selections(tests, structure),
+            _selections(tests, structure.faults),
         ]
     if structure.faults:
         parts.append(_placements(structure, positions))
@@ -48,6 +50,25 @@ def report(
         parts.append(_obstacles(tests))
     parts.append(_findings(model, structure))
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
+
+
+def _of_given_residuals(model: Model, tests: Sequence[Support]) -> str:
+    """What the residuals of another tool tell apart, by their signatures alone."""
+    faults, found = [*model.faults], isolability(tests, [*model.faults])
+    parts = [
+        [
+            f"{model.name}: {model.description}".removesuffix(": "),
+            f"{len(tests)} residuals of another tool, {len(faults)} faults",
+        ],
+        ["Fault signatures (X: the residual is sensitive to the fault)", *_signatures(tests, faults)],
+        ["Isolability", *_columns([(fault, _verdict(others)) for fault, others in found.items()])],
+        _selections(tests, faults),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts if lines)
+
+
+def _verdict(others: Sequence[str]) -> str:
+    return f"not isolable from {', '.join(others)}" if others else "isolable from every other fault"
 
 
 def _counts(model: Model | Structure, structure: Structure, tests: Sequence[Support]) -> list[str]:
@@ -110,14 +131,13 @@ def _isolability(structure: Structure) -> list[list[str]]:
         found = detectability(structure, causality)
         rows = []
         for fault, others in isolability_of(structure, causality).items():
-            verdict = f"not isolable from {', '.join(others)}" if others else "isolable from every other fault"
-            rows.append((fault, verdict if fault in found else "not detectable"))
+            rows.append((fault, _verdict(others) if fault in found else "not detectable"))
         tables.setdefault(tuple(_columns(rows)) if rows else (), []).append(causality)
     return [[f"Isolability, {' and '.join(names)} causality", *table] for table, names in tables.items() if table]
 
 
-def _selections(tests: Sequence[Support], structure: Structure) -> list[str]:
-    chosen = selected(tests, structure)
+def _selections(tests: Sequence[Support], faults: Sequence[str]) -> list[str]:
+    chosen = selected(tests, faults)
     if not chosen:
         return []
     kind = "tests that can be run" if any(isinstance(test, Test) for test in tests) else "tests"

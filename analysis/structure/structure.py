@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from faultline.analysis.model import Differential, Model
+from faultline.analysis.model import Differential, Model, ModelError
 from faultline.analysis.structure.matching import Matching, bits
 
 
@@ -58,9 +58,16 @@ def structure_of(model: Model | Structure) -> Structure:
 
     Equations are sorted by name (e2 before e10), because the numbers of the tests follow from this order: a model file
     whose parts are rearranged keeps its numbers.
+
+    Raises:
+        ModelError: the model has residuals instead of equations.
     """
     if isinstance(model, Structure):
         return model
+    if model.residuals:
+        raise ModelError(
+            f"{model.name}: is given by residuals of another tool: it has no equations that could be analysed or run"
+        )
     contents = {name: {s.name for s in e.expression.free_symbols} for name, e in model.equations.items()}
     contents |= {d.name: {d.state, d.derivative} for d in model.differentials}
     equations = tuple(sorted(contents, key=_natural))

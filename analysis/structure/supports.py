@@ -63,8 +63,11 @@ def mtes_sets(structure: Structure) -> list[tuple[str, ...]]:
 def find_tests(model: Model | Structure) -> tuple[Support, ...]:
     """All minimal test equation supports, numbered from 1; those that can be run are `Test` objects.
 
-    A structure has no formulas: whether its equations have one solution only is then left open.
+    A structure has no formulas: whether its equations have one solution only is then left open. Residuals of another
+    tool are a test each, of the signal alone.
     """
+    if isinstance(model, Model) and model.residuals:
+        return tuple(_given(number, *each) for number, each in enumerate(model.residuals.items(), start=1))
     structure = structure_of(model)
     return tuple(
         _support(model, structure, number, equations) for number, equations in enumerate(mtes_sets(structure), start=1)
@@ -74,6 +77,22 @@ def find_tests(model: Model | Structure) -> tuple[Support, ...]:
 def integral_tests(model: Model | Structure) -> tuple[Test, ...]:
     """The tests that need no differentiation and no algebraic loop, with the numbers that `find_tests` gives them."""
     return tuple(test for test in find_tests(model) if isinstance(test, Test))
+
+
+def _given(number: int, signal: str, faults: tuple[str, ...]) -> Test:
+    """The test of a residual that another tool computes: the signal is predicted to be zero."""
+    return Test(
+        number=number,
+        name=signal,
+        equations=(),
+        faults=faults,
+        known=(signal,),
+        states=(),
+        obstacle=None,
+        residual="",
+        predicts=signal,
+        sequence=(),
+    )
 
 
 def _support(model: Model | Structure, structure: Structure, number: int, equations: tuple[str, ...]) -> Support:
