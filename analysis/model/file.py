@@ -45,6 +45,7 @@ from faultline.analysis.model.model import (
     Unknown,
     check_bounds,
 )
+from faultline.analysis.model.older import as_written_today
 from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
 
@@ -97,7 +98,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         ModelError: the text is no valid model.
     """
     try:
-        written = tomllib.loads(text)
+        written = as_written_today(tomllib.loads(text), where)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ModelError(f"{where}: not TOML: {error}") from error
     if marked := list(unfilled(written)):
