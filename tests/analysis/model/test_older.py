@@ -6,7 +6,8 @@ import pytest
 
 from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
 
-MODES = 'signal = "dc_dose"\nidle_below = 0.02\nmaximum_above = 0.98\nsettle_s = 8.0\nedges = { dc_dose = 0.03, n_p = 4.0 }\n'
+MODES = 'signal = "dc_dose"\n'
+MODES += "idle_below = 0.02\nmaximum_above = 0.98\nsettle_s = 8.0\nedges = { dc_dose = 0.03, n_p = 4.0 }\n"
 
 
 def older(modes: str) -> str:
