@@ -26,6 +26,7 @@ from pathlib import Path
 import sympy as sp
 
 from faultline import systems
+from faultline.analysis.model.bench import bench_of
 from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.curves import Curve, Curves, trouble
 from faultline.analysis.model.errors import ModelError
@@ -63,13 +64,11 @@ def load_model(path: str | Path) -> Model:
     Raises:
         ModelError: there is no such file, or it is no valid model.
     """
-    shipped = shipped_models()
-    file = Path(path) / MODEL if Path(path).is_dir() else Path(path)
-    file = file if file.is_file() else shipped.get(str(path), file)
+    file = model_file(path)
     try:
         text = file.read_bytes().decode()
     except OSError as error:
-        names = ", ".join(shipped)
+        names = ", ".join(shipped_models())
         raise ModelError(
             f"{path}: cannot be read; give a model file, a system's folder, or a shipped model: {names}"
         ) from error
@@ -77,6 +76,12 @@ def load_model(path: str | Path) -> Model:
         raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
     beside = file.with_name(SYSTEM)
     return parse_model(text, str(path), beside if beside.is_file() else None, whole=file.name == MODEL)
+
+
+def model_file(path: str | Path) -> Path:
+    """The file that `load_model` reads, whether it is there or not."""
+    file = Path(path) / MODEL if Path(path).is_dir() else Path(path)
+    return file if file.is_file() else shipped_models().get(str(path), file)
 
 
 def shipped_models() -> Mapping[str, Path]:
@@ -125,6 +130,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         differentials=tuple(_differential(table) for table in top.tables("differential")),
         provenance=tuple(table.rest() for table in top.tables("provenance")),
         modes=modes_of(top, known),
+        bench=bench_of(top, {name: each.unit for name, each in known.items()}, parameters),
         warm_up_s=warm_up_s,
         period_s=_period(top, warm_up_s),
     )
