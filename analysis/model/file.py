@@ -28,6 +28,7 @@ from pathlib import Path
 import sympy as sp
 
 from faultline import systems
+from faultline.analysis.model.bench import bench_of
 from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.curves import Curve, Curves, trouble
 from faultline.analysis.model.errors import ModelError
@@ -66,13 +67,11 @@ def load_model(path: str | Path) -> Model:
     Raises:
         ModelError: there is no such file, or it is no valid model.
     """
-    shipped = shipped_models()
-    file = Path(path) / MODEL if Path(path).is_dir() else Path(path)
-    file = file if file.is_file() else shipped.get(str(path), file)
+    file = model_file(path)
     try:
         text = file.read_bytes().decode()
     except OSError as error:
-        names = ", ".join(shipped)
+        names = ", ".join(shipped_models())
         raise ModelError(
             f"{path}: cannot be read; give a model file, a system's folder, or a shipped model: {names}"
         ) from error
@@ -80,6 +79,12 @@ def load_model(path: str | Path) -> Model:
         raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
     beside = file.with_name(SYSTEM)
     return parse_model(text, str(path), beside if beside.is_file() else None, whole=file.name == MODEL)
+
+
+def model_file(path: str | Path) -> Path:
+    """The file that `load_model` reads, whether it is there or not."""
+    file = Path(path) / MODEL if Path(path).is_dir() else Path(path)
+    return file if file.is_file() else shipped_models().get(str(path), file)
 
 
 def shipped_models() -> Mapping[str, Path]:
@@ -131,6 +136,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         listed_faults=listed,
         provenance=tuple(table.rest() for table in top.tables("provenance")),
         modes=modes_of(top, known),
+        bench=bench_of(top, {name: each.unit for name, each in known.items()}, parameters),
         warm_up_s=warm_up_s,
         period_s=_period(top, warm_up_s),
     )

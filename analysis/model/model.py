@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import sympy as sp
 
+from faultline.analysis.model.bench import BenchSetup
 from faultline.analysis.model.curves import Curves
 from faultline.analysis.model.errors import ModelError
 
@@ -242,6 +243,7 @@ class Model:
     modes: OperatingModes = ONE_MODE
     warm_up_s: float = WARM_UP_S
     period_s: float = WARM_UP_S / PERIODS
+    bench: BenchSetup | None = None
 
     @property
     def faults(self) -> dict[str, Fault]:

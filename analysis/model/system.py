@@ -7,19 +7,21 @@ period_s = 0.2           ticks are so far apart [s]  (a hundredth of the warm-up
 [[mode]]                 name, description, instruction, where = {dc_dose = {above = 0.0, below = 0.02}}
 (the first that holds counts; one has no `where` and holds where no other does; none: one mode)
 [edges]                  settle_s, steps = {n_p = 4.0}: how long a step counts, and how large it is
+[bench]                  how it is measured on a test bench (`analysis.model.bench`)
 """
 
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
+from faultline.analysis.model.bench import is_measured
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.model import EDGE, ONE_MODE, Known, Mode, OperatingModes
 from faultline.analysis.model.tables import Table, first_repeated
 
 SYSTEM = "system.toml"
 SCHEMA = 1
-OF_SYSTEM = ("period_s", "mode", "edges")
+OF_SYSTEM = ("period_s", "mode", "edges", "bench")
 """Keys of a model file, and a file that has one of them says all of it itself."""
 
 
@@ -48,6 +50,8 @@ def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: b
     for key in rest:
         if key not in OF_SYSTEM:
             raise top.fail(key, f"unknown key; allowed here are schema, signal, {', '.join(OF_SYSTEM)}")
+    if not whole and not is_measured(rest.get("bench"), signals):
+        del rest["bench"]
     return {**model, **rest, "known": signals}
 
 

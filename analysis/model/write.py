@@ -47,6 +47,8 @@ def dump_model(model: Model) -> str:
     blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
     if model.modes.edges:
         blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
+    if model.bench is not None:
+        blocks.append("[bench]\n" + _pairs(model.bench.written))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
     blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
     blocks.extend(f"[residual.{name}]\n" + _pairs({"faults": faults}) for name, faults in model.residuals.items())

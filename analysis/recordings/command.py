@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.bench import setup_of
 from faultline.analysis.recordings.ingest import ingest
 from faultline.analysis.recordings.report import sentences
 from faultline.options import Parser
@@ -46,6 +47,11 @@ def main(argv: list[str]) -> int:
         metavar="HPA",
         help="pressure around the bench, which sensors show at standstill (default: 1013.25, unless all contradict)",
     )
+    parser.add_argument(
+        "--system",
+        metavar="NAME",
+        help="system on the bench, or its folder (default: the shipped one that has a bench)",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     options = parser.parse_args(argv)
     if options.drift and options.offset is None:
@@ -55,11 +61,12 @@ def main(argv: list[str]) -> int:
     if (hPa := options.ambient_hpa) is not None and not low <= hPa <= high:
         raise InputError(f"--ambient-hpa {hPa:g}: give an absolute pressure between {low:g} and {high:g} hPa")
     ambient = None if hPa is None else 100.0 * hPa
+    setup = setup_of(options.system)
     check_folder(options.out)
     with Progress(f"ingesting {options.recording}") as progress:
-        result = ingest(options.recording, progress.say, by_hand, ambient)
+        result = ingest(options.recording, setup, progress.say, by_hand, ambient)
         folder = _write(result.files, options.out / result.report.id, options.recording, force=options.force)
-    told = f"wrote {folder}: " + "\n".join(sentences(result.report))
+    told = f"wrote {folder}: " + "\n".join(sentences(result.report, setup))
     print(msgspec.json.encode(result.report).decode() if options.json else told)
     return 0
 

@@ -11,26 +11,25 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs import Frame
 
-MESSAGE = "UDS_SENSORS"
 PASCAL = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5}
 """Pascal per unit of a DBC."""
 
 
-def sensor_message(database: Database, signals: Iterable[str], where: str) -> Message:
-    """The message that carries the added sensors.
+def sensor_message(database: Database, name: str, signals: Iterable[str], where: str) -> Message:
+    """The message of this name, which carries the added sensors.
 
     Raises:
         InputError: the DBC has no such message, or it lacks a signal or gives it in no unit of pressure.
     """
-    message = next((message for message in database.messages if message.name == MESSAGE), None)
+    message = next((message for message in database.messages if message.name == name), None)
     if message is None:
-        raise InputError(f"{where}: has no message {MESSAGE} for the added sensors; record with the project's DBC")
-    for name in signals:
-        signal = next((signal for signal in message.signals if signal.name == name), None)
+        raise InputError(f"{where}: has no message {name} for the added sensors; record with the project's DBC")
+    for wanted in signals:
+        signal = next((signal for signal in message.signals if signal.name == wanted), None)
         if signal is None:
-            raise InputError(f"{where}: {MESSAGE} has no signal {name}, which external.tables names")
+            raise InputError(f"{where}: {name} has no signal {wanted}, which external.tables names")
         if signal.unit not in PASCAL:
-            raise InputError(f"{where}: {MESSAGE}.{name} is in {signal.unit!r}; give it in {', '.join(PASCAL)}")
+            raise InputError(f"{where}: {name}.{wanted} is in {signal.unit!r}; give it in {', '.join(PASCAL)}")
     return message
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from cantools.database import load_string
 from cantools.database.can import Database
 
-from faultline.analysis.recordings.bench import ECU_UNITS, REFERENCE, Bench, read_bench
+from faultline.analysis.model.bench import BenchSetup
+from faultline.analysis.recordings.bench import Bench, read_bench
 from faultline.analysis.recordings.clock import Clock, ClockError, given, synchronise
 from faultline.analysis.recordings.external import STUCK
 from faultline.analysis.recordings.frames import candump, clipped, sensor_frames, sensor_message
@@ -24,7 +25,7 @@ from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.values import FloatArray
 
 SAME_PRESSURE = 0.9
-"""Correlation from which on a column is p_ap's; p_tp's own, a filter away from the tank, stays far below."""
+"""Correlation from which on a column is the follower's; that of a pressure elsewhere in the system stays far below."""
 
 
 class Ingested(NamedTuple):
@@ -36,11 +37,14 @@ class Ingested(NamedTuple):
 
 def ingest(
     folder: Path,
+    setup: BenchSetup,
     say: Callable[[str], None],
     by_hand: tuple[float, float] | None = None,
     ambient: float | None = None,
 ) -> Ingested:
     """Makes an instrumented recording of the bench recording in `folder`; `say` hears what is going on.
+
+    `setup` says how the system is measured there.
 
     `by_hand` is the second logger's offset [s] and drift, `ambient` the pressure around the bench [Pa], where they are
     known better.
@@ -49,20 +53,20 @@ def ingest(
         InputError: it is no bench recording, lacks a file, column, message or signal, or cannot be aligned for certain.
     """
     say("reading both logs")
-    bench = read_bench(folder)
+    bench = read_bench(folder, setup)
     say("aligning the clocks")
     clock = _clock(bench, by_hand)
-    check_drop(bench.p_ap.value, bench.p_du.value, f"{folder}: {REFERENCE}")
+    check_drop(bench.follower.value, bench.reference.value, setup, f"{folder}: {setup.follower}")
     t = clock.can_time(bench.samples.t)
-    pump, p_du = bench.ecu.track("n_p"), bench.p_du
-    end = standstill(pump.t, pump.value, np.interp(pump.t, *p_du), ambient or ATMOSPHERE)
+    drive, reference = bench.ecu.track(setup.drive), bench.reference
+    end = standstill(drive.t, drive.value, np.interp(drive.t, *reference), setup, ambient or ATMOSPHERE)
     channels = bench.samples.channels
     still = {signal: channel.pressure[(t >= 0) & (t <= end)] for signal, channel in channels.items()}
-    around = ambient or ambient_seen(still.values(), p_du.value[p_du.t <= end])
+    around = ambient or ambient_seen(still.values(), reference.value[reference.t <= end], setup)
     pressures, zero = {}, {}
     for signal, channel in channels.items():
-        check_level(still[signal], f"{folder}: {signal}", around)
-        zero[signal] = zero_error(still[signal], around)
+        check_level(still[signal], setup, f"{folder}: {signal}", around)
+        zero[signal] = zero_error(still[signal], setup, around)
         pressures[signal] = channel.pressure - (zero[signal] or 0.0)
     say("writing")
     inside = (t >= 0) & (t <= bench.length_s)
@@ -73,9 +77,9 @@ def ingest(
         {
             "recording.toml": _toml(bench).encode(),
             "can.log": text.encode(),
-            "uds.dbc": bench.dbc,
+            Path(bench.recording.can_log.dbc).name: bench.dbc,
             "uniform.csv": _uniform(bench, t, pressures).encode(),
-            "synchronisation.png": picture(bench.p_ap, p_du, clock, bench.recording.id),
+            "synchronisation.png": picture(bench.follower, reference, clock, setup, bench.recording.id),
             "ingest.json": msgspec.json.format(msgspec.json.encode(found)) + b"\n",
         },
         found,
@@ -84,7 +88,7 @@ def ingest(
 
 def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
     if by_hand is not None:
-        clock = given(bench.p_ap, bench.p_du, *by_hand)
+        clock = given(bench.follower, bench.reference, *by_hand)
         t = clock.can_time(bench.samples.t)
         if t[-1] <= 0 or t[0] >= bench.length_s:
             raise ClockError(
@@ -92,14 +96,15 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
                 f"{t[-1]:.1f} s, the CAN log from 0 to {bench.length_s:.1f} s; nothing overlaps: check --offset"
             )
         return clock
-    still = bench.p_du.value
+    still = bench.reference.value
     if np.ptp(still) <= STUCK * abs(float(still.max())):
         raise ClockError(
-            f"{bench.where}: y_p_du is constant at {still[0] / 1e5:.3f} bar; the controller's sensor is stuck, and "
-            "nothing else tells the second logger's clock: give it with --offset SECONDS"
+            f"{bench.where}: {bench.setup.reference} is constant at {still[0] / 1e5:.3f} bar; the controller's sensor "
+            "is stuck, and nothing else tells the second logger's clock: give it with --offset SECONDS"
         )
     try:
-        clock = synchronise(bench.p_ap, bench.p_du, bench.ecu.track("dc_dose"), str(bench.where))
+        command = bench.ecu.track(bench.setup.command)
+        clock = synchronise(bench.follower, bench.reference, command, bench.setup, str(bench.where))
     except ClockError:
         _check_columns(bench)
         raise
@@ -113,22 +118,24 @@ def _clock(bench: Bench, by_hand: tuple[float, float] | None) -> Clock:
 
 
 def _check_columns(bench: Bench) -> None:
-    """Says so where another column than y_p_ap's follows y_p_du, or its level tells of another table."""
+    """Says so where another column than the follower's follows, or its level tells of another table."""
+    setup = bench.setup
     for signal, channel in bench.samples.channels.items():
         track = known_part(bench.samples.t, channel.pressure)
-        if signal != REFERENCE and np.nanmax(likeness(track, bench.p_du).correlation, initial=0.0) > SAME_PRESSURE:
+        alike = np.nanmax(likeness(track, bench.reference).correlation, initial=0.0)
+        if signal != setup.follower and alike > SAME_PRESSURE:
             raise ClockError(
-                f"{bench.where}: the column of {signal} follows the CAN log's y_p_du, that of {REFERENCE} does not; "
-                "the two are swapped: exchange their columns in external.tables"
+                f"{bench.where}: the column of {signal} follows the CAN log's {setup.reference}, that of "
+                f"{setup.follower} does not; the two are swapped: exchange their columns in external.tables"
             )
-    check_drop(bench.p_ap.value, bench.p_du.value, f"{bench.where}: {REFERENCE}")
+    check_drop(bench.follower.value, bench.reference.value, setup, f"{bench.where}: {setup.follower}")
 
 
 def _can_log(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> tuple[str, dict[str, int]]:
     """The log with the added sensors' frames, and how many samples of each are beyond its range on CAN."""
     database = load_string(dbc_text(bench.dbc), "dbc", strict=False)
     assert isinstance(database, Database)  # compile_dbc has read it
-    message = sensor_message(database, pressures, str(bench.where / bench.recording.can_log.dbc))
+    message = sensor_message(database, bench.setup.message, pressures, str(bench.where / bench.recording.can_log.dbc))
     own = [frame for frame in bench.frames if frame.can_id != message.frame_id]
     if len(own) < len(bench.frames):
         raise InputError(f"{bench.where}: the CAN log of a bench recording already has {message.name} frames")
@@ -138,7 +145,7 @@ def _can_log(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> t
 
 def _uniform(bench: Bench, t: FloatArray, pressures: dict[str, FloatArray]) -> str:
     tracks = {signal: known_part(t, pressure) for signal, pressure in sorted(pressures.items(), reverse=True)}
-    tracks |= {name: bench.ecu.track(name) for name in ECU_UNITS}
+    tracks |= {name: bench.ecu.track(name) for name in bench.setup.units}
     grid, signals = uniform(tracks)
     rows = zip(grid.tolist(), *(values.tolist() for values in signals.values()), strict=True)
     lines = [
@@ -165,7 +172,7 @@ cycle = {quoted(recording.cycle)}
 
 [can]
 file = "can.log"
-dbc = "uds.dbc"
+dbc = {quoted(Path(recording.can_log.dbc).name)}
 dbc_sha256 = "{recording.can_log.dbc_sha256}"
 bench_sha256 = "{bench.sha256}"
 """

@@ -1,7 +1,7 @@
 """Lags at which two pressures resemble each other: normalised cross-correlation of what both loggers know.
 
 Both signals are high-passed and put on one grid; silence counts for nothing (masked normalised correlation, Padfield
-2012). A lag is scored by its log likelihood ratio against no relation, -n/2 log(1 - rho^2), so that a long overlap that
+2012). A lag is scored by its log likelihood ratio against no relation, -n/2 log(1 - r^2), so that a long overlap that
 fits beats a short one that happens to.
 """
 
@@ -42,16 +42,19 @@ class Likeness(NamedTuple):
         return found
 
 
-def likeness(p_ap: Track, p_du: Track) -> Likeness:
-    """Over all lags of `p_ap` (logger time) behind `p_du` (CAN time) that leave `MINIMUM_OVERLAP_S` known to both."""
-    x, y = _fast(p_du), _fast(p_ap)
+def likeness(follower: Track, reference: Track) -> Likeness:
+    """Over all lags of the follower (logger time) behind the reference (CAN time).
+
+    They leave `MINIMUM_OVERLAP_S` known to both.
+    """
+    x, y = _fast(reference), _fast(follower)
     overlap = _across(x.known, y.known)
     power = _across(x.value**2, y.known) * _across(x.known, y.value**2)
     enough = (overlap >= MINIMUM_OVERLAP_S / STEP_S) & (power > power.max(initial=0.0) * 1e-9)
-    rho = np.full(len(power), np.nan)
-    rho[enough] = np.clip(_across(x.value, y.value)[enough] / np.sqrt(power[enough]), -0.999999, 0.999999)
-    lag = x.t[0] - y.t[0] + (np.arange(len(rho)) - (len(y.t) - 1)) * STEP_S
-    return Likeness(lag, rho, -0.5 * overlap * np.log1p(-(rho**2)))
+    r = np.full(len(power), np.nan)
+    r[enough] = np.clip(_across(x.value, y.value)[enough] / np.sqrt(power[enough]), -0.999999, 0.999999)
+    lag = x.t[0] - y.t[0] + (np.arange(len(r)) - (len(y.t) - 1)) * STEP_S
+    return Likeness(lag, r, -0.5 * overlap * np.log1p(-(r**2)))
 
 
 def correlation(x: Track, y: Track) -> float:

@@ -7,24 +7,27 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from faultline.analysis.model.bench import BenchSetup
 from faultline.analysis.recordings.band import gridded
 from faultline.analysis.recordings.clock import Clock
 from faultline.analysis.recordings.track import Track
 
-P_DU, P_AP, LINE, QUIET = "#1f4e79", "#e07b00", "#c62828", "#8a8a8a"
+REFERENCE, FOLLOWER, LINE, QUIET = "#1f4e79", "#e07b00", "#c62828", "#8a8a8a"
 SECTION_S = 40.0
 NEAR_S = 15.0  # around the peak of the correlation
 
 
-def picture(p_ap: Track, p_du: Track, clock: Clock, name: str) -> bytes:
-    """A PNG; the same input gives the same bytes. `p_ap` is on the logger's clock."""
+def picture(follower: Track, reference: Track, clock: Clock, setup: BenchSetup, name: str) -> bytes:
+    """A PNG; the same input gives the same bytes. `follower` is on the logger's clock."""
     figure = Figure(figsize=(12, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     rows = figure.subplots(2, 2)
-    aligned = p_ap._replace(t=clock.can_time(p_ap.t))
-    begin = _telling(aligned, p_du)
-    _overlay(rows[0, 0], p_ap, p_du, begin, "before: the second logger's time as if it were CAN time")
-    _overlay(rows[0, 1], aligned, p_du, begin, "after: aligned")
+    aligned = follower._replace(t=clock.can_time(follower.t))
+    begin = _telling(aligned, reference)
+    rows[0, 0].set_title("before: the second logger's time as if it were CAN time")
+    rows[0, 1].set_title("after: aligned")
+    _overlay(rows[0, 0], follower, reference, begin, setup)
+    _overlay(rows[0, 1], aligned, reference, begin, setup)
     _offsets(rows[1, 0], clock)
     _correlation(rows[1, 1], clock)
     for axes in rows.flat:
@@ -39,25 +42,28 @@ def picture(p_ap: Track, p_du: Track, clock: Clock, name: str) -> bytes:
     return buffer.getvalue()
 
 
-def _telling(aligned: Track, p_du: Track) -> float:
-    """When the section begins [s] in which p_du, known to both, moves most."""
-    grid = gridded(p_du, 0.2).fast(1.0)
+def _telling(aligned: Track, reference: Track) -> float:
+    """When the section begins [s] in which the reference, known to both, moves most."""
+    grid = gridded(reference, 0.2).fast(1.0)
     moves = np.abs(grid.value) * aligned.known(grid.t)
     width = min(round(SECTION_S / 0.2), len(moves))
     sums = np.convolve(moves, np.ones(width), mode="valid")
     return float(grid.t[int(np.argmax(sums))])
 
 
-def _overlay(axes: Axes, p_ap: Track, p_du: Track, begin: float, title: str) -> None:
-    for track, color, label in ((p_du, P_DU, "y_p_du (CAN)"), (p_ap, P_AP, "y_p_ap (second logger)")):
+def _overlay(axes: Axes, follower: Track, reference: Track, begin: float, setup: BenchSetup) -> None:
+    for track, color, label in (
+        (reference, REFERENCE, f"{setup.reference} (CAN)"),
+        (follower, FOLLOWER, f"{setup.follower} (second logger)"),
+    ):
         inside = (track.t >= begin) & (track.t <= begin + SECTION_S)
         axes.plot([], [], ".-", color=color, label=label)
         for piece in Track(track.t[inside], track.value[inside]).pieces() if inside.any() else []:
             axes.plot(piece.t, piece.value / 1e5, ".-", color=color, markersize=3, linewidth=1)
-    axes.set(title=title, xlabel="CAN time [s]", ylabel="pressure [bar]", xlim=(begin, begin + SECTION_S))
-    if not (p_ap.known(np.array([begin, begin + SECTION_S]))).any():
+    axes.set(xlabel="CAN time [s]", ylabel="pressure [bar]", xlim=(begin, begin + SECTION_S))
+    if not (follower.known(np.array([begin, begin + SECTION_S]))).any():
         axes.annotate(
-            "the second logger has nothing here", (0.5, 0.06), xycoords="axes fraction", ha="center", color=P_AP
+            "the second logger has nothing here", (0.5, 0.06), xycoords="axes fraction", ha="center", color=FOLLOWER
         )
     axes.legend(loc="best", frameon=False)
 
@@ -72,7 +78,7 @@ def _offsets(axes: Axes, clock: Clock) -> None:
     ends = np.array([t[0] - 20.0, t[-1] + 20.0])
     level = clock.offset_s * (1.0 - slope)
     middle = float(level + slope * t.mean())
-    axes.errorbar(t, 1e3 * (offset - middle), 1e3 * sd, fmt="o", color=P_DU, markersize=4, linewidth=1)
+    axes.errorbar(t, 1e3 * (offset - middle), 1e3 * sd, fmt="o", color=REFERENCE, markersize=4, linewidth=1)
     axes.plot(ends, 1e3 * (level + slope * ends - middle), color=LINE, linewidth=1.5)
     if clock.straying:
         stray = np.array([(o.t, 1e3 * (o.offset - middle)) for o in clock.straying]).T
@@ -86,10 +92,10 @@ def _correlation(axes: Axes, clock: Clock) -> None:
     if clock.likeness is None:
         axes.annotate("the clock was given", (0.5, 0.5), xycoords="axes fraction", ha="center", color=QUIET)
         return
-    lag, rho = clock.likeness.lag, clock.likeness.correlation
-    known = np.isfinite(rho)
-    near = int(np.nanargmax(np.where(np.abs(lag - clock.offset_s) < NEAR_S, rho, np.nan)))
-    axes.plot(lag[known], rho[known], color=P_DU, linewidth=0.8)
-    axes.plot(lag[near], rho[near], "o", color=LINE)
-    axes.annotate(f"{lag[near]:.1f} s", (lag[near], rho[near]), xytext=(8, -4), textcoords="offset points", color=LINE)
+    lag, r = clock.likeness.lag, clock.likeness.correlation
+    known = np.isfinite(r)
+    near = int(np.nanargmax(np.where(np.abs(lag - clock.offset_s) < NEAR_S, r, np.nan)))
+    axes.plot(lag[known], r[known], color=REFERENCE, linewidth=0.8)
+    axes.plot(lag[near], r[near], "o", color=LINE)
+    axes.annotate(f"{lag[near]:.1f} s", (lag[near], r[near]), xytext=(8, -4), textcoords="offset points", color=LINE)
     axes.set_ylim(-1.05, 1.15)

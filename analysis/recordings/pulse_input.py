@@ -1,9 +1,10 @@
 """Whether the duty cycle or the estimated pulses make the better residual input, test by test (thesis 7.3, 7.5.1).
 
-Every residual generator that uses the dose runs twice over the same samples: with the duty cycle, and with the share in
-which the valve was open of the sample period that ends when the predicted signal was sampled. (Up to the tick, which is
-some 50 ms later, the ripple of model and sensor are out of step, and the pulses often do harm.) At partial dose the
-residuals of a fault-free recording are errors: the input that leaves the smaller variance is the better one.
+Every residual generator that uses the command runs twice over the same samples: with the duty cycle, and with the
+share in which the actuator was on of the sample period that ends when the predicted signal was sampled. (Up to the
+tick, which is some 50 ms later, the ripple of model and sensor are out of step, and the pulses often do harm.) In the
+mode that holds where no other does the residuals of a fault-free recording are errors: the input that leaves the
+smaller variance is the better one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ Better = Literal["duty cycle", "pulses", "neither"]
 
 
 class InputChoice(NamedTuple):
-    """Of one test: RMS of its residual about its mean at partial dose with either input, in the unit of `predicts`.
+    """Of one test: RMS of its residual about its mean with either input, in the unit of `predicts`.
 
     `variance_ratio` is that with the pulses over that with the duty cycle; `better` is the input with the smaller
     variance, neither where the difference is small or within its scatter.
@@ -49,14 +50,14 @@ def choose_input(
     parameters that belong to the vehicle.
 
     Raises:
-        PulseError: there are not two blocks of partial dose in which all signals are known.
+        PulseError: there are not two blocks of that mode in which all signals are known.
     """
     column = [channel.signal for channel in bank.inputs].index(signal)
     some = bank.only([k for k, generator in enumerate(bank.generators) if signal in generator.inputs])
     usable = np.array([tick.usable.all() for tick in ticks])
     model = bank.model
-    partial, warm_up = model.modes.names.index(model.modes.rest.name), ticks_of(model.warm_up_s, model.period_s)
-    counted = _counted(ticks, usable, partial, warm_up)
+    rest, warm_up = model.modes.names.index(model.modes.rest.name), ticks_of(model.warm_up_s, model.period_s)
+    counted = _counted(ticks, usable, rest, warm_up)
     if counted.sum() < 2 * BLOCK:
         raise PulseError(
             f"the inputs cannot be compared: {counted.sum() * model.period_s:.0f} s of mode "

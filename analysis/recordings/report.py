@@ -4,7 +4,8 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from faultline.analysis.recordings.bench import ECU_UNITS, Bench
+from faultline.analysis.model.bench import BenchSetup
+from faultline.analysis.recordings.bench import Bench
 from faultline.analysis.recordings.clock import MINIMUM_CORRELATION, Clock
 from faultline.analysis.recordings.track import Track, known_part
 from faultline.analysis.recordings.uniform import PERIOD_S
@@ -52,10 +53,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     `clock` says how these were found: synchronised, or given. `clock_error_s` is the standard error of the alignment,
     null where given; `correlation` that of the aligned, high-passed pressures; of `clock_windows_telling` windows
-    `clock_windows` agree. `slow_p_du_s` is the time constant that y_p_du's sensor seems to have. `standstill_s` is the
-    length of the section that the zeros come from, `ambient_pa` the pressure that they are relative to, and `ambient`
-    says why: the standard one is assumed, it was given, or all sensors show it. `outside` samples lay beyond the CAN
-    log's ends.
+    `clock_windows` agree. `slow_reference_s` is the time constant that the reference's sensor seems to have.
+    `standstill_s` is the length of the section that the zeros come from, `ambient_pa` the pressure that they are
+    relative to, and `ambient` says why: the standard one is assumed, it was given, or all sensors show it. `outside`
+    samples lay beyond the CAN log's ends.
     """
 
     id: str
@@ -66,7 +67,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     correlation: float
     clock_windows: int
     clock_windows_telling: int
-    slow_p_du_s: float
+    slow_reference_s: float
     standstill_s: float
     ambient_pa: float
     ambient: Source
@@ -104,7 +105,7 @@ def report(
         correlation=round(clock.correlation, 4),
         clock_windows=len(clock.windows),
         clock_windows_telling=len(clock.windows) + len(clock.straying),
-        slow_p_du_s=round(clock.slow_s, 3),
+        slow_reference_s=round(clock.slow_s, 3),
         standstill_s=standstill.end_s,
         ambient_pa=standstill.ambient_pa,
         ambient=standstill.source,
@@ -114,7 +115,7 @@ def report(
         outside=int((~inside).sum()),
         bad_rows=bench.samples.bad_rows,
         first_bad_row=bench.samples.told or None,
-        channels=[*added, *(_channel(name, "CAN", bench.ecu.track(name)) for name in ECU_UNITS)],
+        channels=[*added, *(_channel(name, "CAN", bench.ecu.track(name)) for name in bench.setup.units)],
     )
 
 
@@ -136,26 +137,29 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
 
-def sentences(found: Report) -> list[str]:
+def sentences(found: Report, setup: BenchSetup) -> list[str]:
     """The report for a reader, a line a matter."""
     clock = f"clock: offset {found.offset_s:+.3f} s, drift {found.drift_ppm:+.1f} ppm "
     if found.clock_error_s is None:
         clock += f"(given; correlation {found.correlation:.3f})"
         if found.correlation < MINIMUM_CORRELATION:
-            clock += ": y_p_ap DOES NOT FOLLOW y_p_du with it, look at synchronisation.png and check --offset"
+            clock += (
+                f": {setup.follower} DOES NOT FOLLOW {setup.reference} with it, look at synchronisation.png and check "
+                "--offset"
+            )
     else:
         clock += (
             f"(standard error {1e3 * found.clock_error_s:.0f} ms; {found.clock_windows} of "
             f"{found.clock_windows_telling} windows agree, correlation {found.correlation:.3f})"
         )
     lines = [f"{found.can_frames} CAN frames, {found.samples - found.outside} sensor frames", clock]
-    if found.slow_p_du_s:
-        lines.append(f"the sensor of y_p_du is slow: time constant about {found.slow_p_du_s:.2f} s")
+    if found.slow_reference_s:
+        lines.append(f"the sensor of {setup.reference} is slow: time constant about {found.slow_reference_s:.2f} s")
     if not found.standstill_s:
         lines.append(
             f"no standstill at {found.ambient_pa / 100:.0f} hPa at the start: the sensors keep their datasheet's zero"
         )
-    lines += _ambient(found)
+    lines += _ambient(found, setup)
     lines += [_line(channel) for channel in found.channels]
     if found.bad_rows:
         lines.append(f"second logger: {found.bad_rows} bad rows (first: {found.first_bad_row})")
@@ -164,25 +168,26 @@ def sentences(found: Report) -> list[str]:
     return lines
 
 
-def _ambient(found: Report) -> list[str]:
-    """Return what follows from an ambient pressure that shipped models do not assume, and what is doubtful of it."""
+def _ambient(found: Report, setup: BenchSetup) -> list[str]:
+    """Return what follows from an ambient pressure other than the standard one, and what is doubtful of it."""
     lines = []
     if found.ambient == "seen":
         lines.append(
-            f"DOUBTFUL: at standstill all sensors show about {found.ambient_pa / 100:.0f} hPa, y_p_du too, not "
-            f"{ATMOSPHERE / 100:.0f}: taken for the ambient pressure, only what differs from it was taken off; confirm "
-            "it with --ambient-hpa"
+            f"DOUBTFUL: at standstill all sensors show about {found.ambient_pa / 100:.0f} hPa, {setup.reference} too, "
+            f"not {ATMOSPHERE / 100:.0f}: taken for the ambient pressure, only what differs from it was taken off; "
+            "confirm it with --ambient-hpa"
         )
     taken = [each.zero_pa for each in found.channels if each.zero_pa is not None]
     if found.ambient == "assumed" and len(taken) > 1 and (min(taken) > WEATHER or max(taken) < -WEATHER):
         lines.append(
             f"DOUBTFUL: all added sensors are off alike from {ATMOSPHERE / 100:.0f} hPa, as by another ambient "
-            "pressure, though y_p_du, which the controller may trim, is not; if it was, give it with --ambient-hpa"
+            f"pressure, though {setup.reference}, which the controller may trim, is not; if it was, give it with "
+            "--ambient-hpa"
         )
-    if abs(found.ambient_pa - ATMOSPHERE) > WEATHER:
+    if setup.ambient and abs(found.ambient_pa - ATMOSPHERE) > WEATHER:
         lines.append(
-            "before calibrating, set the model's ambient pressures (uds, uds/production: p_tank, p_exh) to "
-            f"{found.ambient_pa:.0f} Pa; the shipped ones assume {ATMOSPHERE:.0f} Pa"
+            f"before calibrating, set the model's ambient pressures ({', '.join(setup.ambient)}) to "
+            f"{found.ambient_pa:.0f} Pa; the standard one is {ATMOSPHERE:.0f} Pa"
         )
     return lines
 

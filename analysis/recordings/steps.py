@@ -10,14 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from faultline.analysis.model.bench import BenchSetup
 from faultline.analysis.recordings.band import gridded
 from faultline.analysis.recordings.track import Track
 from faultline.service.core.signals.values import FloatArray
 
 GRID_S = 0.1
 SMOOTH_S = 0.3
-FAST = 0.25e5  # Pa/s: from here on the pressure steps
-LEAST = 0.3e5  # Pa: a smaller step is a ripple
 TOGETHER_S = 0.7  # two steps this near, of like size, are one seen twice
 SEEN_S = 8.0  # from a silence: the pump builds its pressure in about twice this
 LIKE = 0.6  # ratio of their sizes, at least
@@ -30,27 +29,28 @@ class Step(NamedTuple):
     change: float
 
 
-def steps(track: Track) -> list[Step]:
+def steps(track: Track, setup: BenchSetup) -> list[Step]:
     """All steps of a pressure, in order."""
     grid = gridded(track, GRID_S)
     smooth = gaussian_filter1d(grid.value, SMOOTH_S / GRID_S, mode="nearest")
-    direction = np.sign(np.gradient(smooth, GRID_S)) * (np.abs(np.gradient(smooth, GRID_S)) > FAST) * grid.known
+    slope = np.gradient(smooth, GRID_S)
+    direction = np.sign(slope) * (np.abs(slope) > setup.step_pa_per_s) * grid.known
     edges = np.flatnonzero(np.diff(direction, prepend=0.0, append=0.0))
     found = []
     for first, last in pairwise(edges.tolist()):
         part = smooth[first : last + 1]
         change = float(part[-1] - part[0])
-        if direction[first] and abs(change) >= LEAST:
+        if direction[first] and abs(change) >= setup.step_pa:
             half = int(np.argmin(np.abs(part - part[0] - change / 2)))
             found.append(Step(float(grid.t[first + half]), change))
     return found
 
 
-def shared(p_ap: Track, p_du: Track, lag: float) -> float:
+def shared(follower: Track, reference: Track, lag: float, setup: BenchSetup) -> float:
     """Which part [0..1] of all steps, by size, both logs have at this lag [s, CAN time less logger time]."""
-    moved = p_ap._replace(t=p_ap.t + lag)
-    first = [step for step in steps(moved) if _seen(p_du, step)]
-    second = [step for step in steps(p_du) if _seen(moved, step)]
+    moved = follower._replace(t=follower.t + lag)
+    first = [step for step in steps(moved, setup) if _seen(reference, step)]
+    second = [step for step in steps(reference, setup) if _seen(moved, step)]
     total = sum(abs(step.change) for step in [*first, *second])
     if not total:
         return 0.0

@@ -1,29 +1,28 @@
-"""The offset of two clocks in windows of a recording: where p_ap explains most of p_du.
+"""The offset of two clocks in windows of a recording: where the follower explains most of the reference.
 
-In a window of 40 s, at CAN times t:  p_du(t) = gain p_ap(t - offset) + extra dose(t - 0.15 s) + c + d t,  without what
-is slower than a second: there a sensor that sticks looks like one that is late. `extra` is by how much more than a
-healthy filter's the drop from p_ap to p_du depends on the dose: a clogged one's comes at once, where p_ap takes its
-time, which looked like a clock 40 ms off. It is read off the raw pressures, where steady ones outweigh steps; as a free
-unknown it would eat up the steps that tell the time. An offset's log likelihood is -n/2 log of the mean square that
-stays unexplained; taken against p_ap explaining nothing it is 0 there.
+In a window of 40 s, at CAN times t:  reference(t) = gain follower(t - offset) + extra command(t - delay) + c + d t,
+without what is slower than a second: there a sensor that sticks looks like one that is late. `extra` is by how much
+more than in a healthy system the drop between the two depends on the command: a clogged filter's comes at once, where
+the follower takes its time, which looked like a clock 40 ms off. It is read off the raw pressures, where steady ones
+outweigh steps; as a free unknown it would eat up the steps that tell the time. An offset's log likelihood is -n/2 log
+of the mean square that stays unexplained; taken against the follower explaining nothing it is 0 there.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from faultline.analysis.model.bench import BenchSetup
 from faultline.analysis.recordings.band import Grid, gridded
 from faultline.analysis.recordings.track import Mask, Track
 from faultline.service.core.signals.values import FloatArray
 
 STEP_S = 0.02  # of the offsets
-SMOOTH_S = 0.15  # of p_ap, one or two samples of the second logger
+SMOOTH_S = 0.15  # of the follower, one or two samples of the second logger
 SLOW_S = 1.0
 EDGE_S = 4.0  # so far from a silence the high-passed signals are not alike
 WINDOW_S = 40.0
-LEAST = 50  # samples of p_du in a window: less than 10 s tells nothing
-VALVE_S = 0.15  # a new dose waits for the valve's next pulse, half a period on average
-HEALTHY = 0.1e5  # Pa from no dose to full dose, twice a clean filter's drop
+LEAST = 50  # samples of the reference in a window: less than 10 s tells nothing
 GAINS = (0.8, 1.2)  # both sensors are calibrated, and a filter between them takes a little
 
 
@@ -35,24 +34,26 @@ class Window(NamedTuple):
 
 
 class Pressures(NamedTuple):
-    """Both pressures, ready: p_ap on a fine grid of the logger's clock, and p_du at its own samples (CAN time).
+    """Both pressures, ready: follower on a fine grid of the logger's clock, reference at its own samples (CAN time).
 
-    Both are clear where they are known, and high-passing them has not met a silence.
+    Both are clear where they are known, and high-passing them has not met a silence. `healthy` is the change of the
+    drop between them [Pa], from no command to full command, that is no fault's.
     """
 
-    p_ap: Grid
-    clear_p_ap: Mask
+    follower: Grid
+    clear_follower: Mask
     t: FloatArray
-    p_du: FloatArray
-    raw_p_du: FloatArray
-    dose: FloatArray
-    late_dose: FloatArray
-    clear_p_du: Mask
+    reference: FloatArray
+    raw_reference: FloatArray
+    command: FloatArray
+    late_command: FloatArray
+    clear_reference: Mask
+    healthy: float
 
     def windows(self, offsets: FloatArray, lag_s: float = 0.0) -> list[Window]:
-        """The windows over all that both know, for offsets (S,) [s] and a sensor of p_du that is this slow [s]."""
-        felt = self.p_ap.slowed(lag_s).fast(SLOW_S)
-        usable = self.clear_p_du & self._meets(self.t - offsets[0]) & self._meets(self.t - offsets[-1])
+        """The windows over all that both know, for offsets (S,) [s] and a reference that is this slow [s]."""
+        felt = self.follower.slowed(lag_s).fast(SLOW_S)
+        usable = self.clear_reference & self._meets(self.t - offsets[0]) & self._meets(self.t - offsets[-1])
         if usable.sum() < LEAST:
             return []
         start, end = float(self.t[usable][0]), float(self.t[usable][-1])
@@ -63,33 +64,36 @@ class Pressures(NamedTuple):
             if inside.sum() >= LEAST:
                 t = self.t[inside]
                 x = np.array([np.interp(t - offset, felt.t, felt.value) for offset in offsets])  # (S, n)
-                around, y = t - t.mean(), self.p_du[inside]
+                around, y = t - t.mean(), self.reference[inside]
                 place = t - offsets[int(np.argmax(_likelihood(y, x, around)))]
-                drop = self.raw_p_du[inside] - np.interp(place, self.p_ap.t, self.p_ap.value)
-                slope = _slope(drop, self.dose[inside])
-                y = y - np.sign(slope) * max(abs(slope) - HEALTHY, 0.0) * self.late_dose[inside]
+                drop = self.raw_reference[inside] - np.interp(place, self.follower.t, self.follower.value)
+                slope = _slope(drop, self.command[inside])
+                y = y - np.sign(slope) * max(abs(slope) - self.healthy, 0.0) * self.late_command[inside]
                 found.append(Window(float(t.mean()), _likelihood(y, x, around)))
         return found
 
     def _meets(self, t: FloatArray) -> Mask:
-        """Which logger times fall where p_ap is clear."""
-        place = np.searchsorted(self.p_ap.t, t)
-        inside = (place > 0) & (place < len(self.p_ap.t))
-        return np.asarray(inside & self.clear_p_ap[np.minimum(place, len(self.p_ap.t) - 1)])
+        """Which logger times fall where the follower is clear."""
+        place = np.searchsorted(self.follower.t, t)
+        inside = (place > 0) & (place < len(self.follower.t))
+        return np.asarray(inside & self.clear_follower[np.minimum(place, len(self.follower.t) - 1)])
 
 
-def pressures(p_ap: Track, p_du: Track, dose: Track, smooth_s: float = SMOOTH_S) -> Pressures:
-    """Of the second logger's p_ap, under a bell of deviation `smooth_s` [s], and p_du on the CAN clock."""
-    grid = gridded(p_ap, STEP_S, smooth_s)
+def pressures(
+    follower: Track, reference: Track, command: Track, setup: BenchSetup, smooth_s: float = SMOOTH_S
+) -> Pressures:
+    """Of the second logger's follower, under a bell of deviation `smooth_s` [s], and the reference on the CAN clock."""
+    grid = gridded(follower, STEP_S, smooth_s)
     return Pressures(
-        p_ap=grid,
-        clear_p_ap=p_ap.known(grid.t, EDGE_S),
-        t=p_du.t,
-        p_du=_fast(p_du, p_du.t),
-        raw_p_du=p_du.value,
-        dose=dose.at(p_du.t),
-        late_dose=_fast(dose, p_du.t - VALVE_S),
-        clear_p_du=p_du.known(p_du.t, EDGE_S),
+        follower=grid,
+        clear_follower=follower.known(grid.t, EDGE_S),
+        t=reference.t,
+        reference=_fast(reference, reference.t),
+        raw_reference=reference.value,
+        command=command.at(reference.t),
+        late_command=_fast(command, reference.t - setup.command_delay_s),
+        clear_reference=reference.known(reference.t, EDGE_S),
+        healthy=setup.command_drop_pa,
     )
 
 
@@ -106,7 +110,7 @@ def _slope(y: FloatArray, x: FloatArray) -> float:
 
 
 def _likelihood(y: FloatArray, x: FloatArray, t: FloatArray) -> FloatArray:
-    """(S,) of the model above: samples `y` (n,), candidates `x` (S, n) for p_ap, times `t` (n,) of mean 0."""
+    """(S,) of the model above: samples `y` (n,), candidates `x` (S, n) for the follower, times `t` (n,) of mean 0."""
     q = np.column_stack([np.full(len(t), len(t) ** -0.5), t / np.linalg.norm(t)])
     x, y = x - (x @ q) @ q.T, y - q @ (q.T @ y)
     gain = np.clip(x @ y / np.maximum((x**2).sum(axis=1), 1.0), *GAINS)[:, None]

@@ -53,6 +53,7 @@ def with_other_sensors(model: Model, dropped: Iterable[str], measured: Sequence[
         equations={name: e for name, e in model.equations.items() if name in left.equations} | sensors,
         unknown={name: _started(unknown, left.known, model) for name, unknown in model.unknown.items()},
         modes=_modes(model.modes, left.known),
+        bench=None,
     )
 
 

@@ -24,6 +24,7 @@ from faultline.analysis.calibration.identify import Estimate, identify
 from faultline.analysis.calibration.sections import Section, sections
 from faultline.analysis.calibration.validate import STEADY, Agreement, validate
 from faultline.analysis.model import Model, load_model
+from faultline.analysis.recordings.bench import setup_of
 from faultline.analysis.recordings.ingest import ingest
 from faultline.analysis.simulation import System, system_of
 from faultline.service.core.signals.dbc import compile_dbc
@@ -92,7 +93,7 @@ def _sections(truck: Vehicle, cycle: str, seed: int, model: Model, system: Syste
     bench, _ = record(request, load_dbc(), folder / "bench", folder / "truth", force=False, progress=lambda _: None)
     ingested = folder / cycle
     ingested.mkdir()
-    for name, content in ingest(bench, lambda _: None).files.items():
+    for name, content in ingest(bench, setup_of(model.name), lambda _: None).files.items():
         (ingested / name).write_bytes(content)
     log = open_log(ingested)
     table = compile_dbc(log.dbc, {name: known.unit for name, known in model.known.items()}, str(ingested))

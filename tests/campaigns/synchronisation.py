@@ -21,7 +21,7 @@ from typing import get_args
 import numpy as np
 from results_page import head_commit, provenance, share
 
-from faultline.analysis.recordings.bench import read_bench
+from faultline.analysis.recordings.bench import read_bench, setup_of
 from faultline.analysis.recordings.clock import ClockError, synchronise
 from faultline.testbench.bus import Dbc, load_dbc
 from faultline.testbench.cycles import CYCLES
@@ -98,10 +98,11 @@ def run(asked: Request) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         out, truth = Path(folder) / "recordings", Path(folder) / "truth"
         path, truth_file = record(asked, _dbc(), out, truth, force=False, progress=lambda _: None)
-        bench = read_bench(path)
+        bench = read_bench(path, setup_of("uds"))
         known = tomllib.loads(truth_file.read_text())["logger"]
+    command = bench.ecu.track(bench.setup.command)
     try:
-        clock = synchronise(bench.p_ap, bench.p_du, bench.ecu.track("dc_dose"), asked.name)
+        clock = synchronise(bench.follower, bench.reference, command, bench.setup, asked.name)
     except ClockError as refusal:
         return Result(asked, math.nan, math.nan, str(refusal))
     offset, drift = known["offset_s"] + asked.effects.get("log_delay", 0.0), known["drift"]

@@ -3,6 +3,8 @@
 import csv
 import hashlib
 import json
+import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +14,9 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
+from faultline.analysis.model.file import SYSTEMS
+from faultline.analysis.recordings import bench as bench_module
+from faultline.analysis.recordings.bench import setup_of
 from faultline.analysis.recordings.command import main
 from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import compile_dbc
@@ -266,7 +271,7 @@ def test_at_altitude_only_each_sensors_own_error_is_taken_off(
     assert report["ambient"] == source
     assert _number(report, "ambient_pa") == pytest.approx(100.0 * hPa, abs=200.0)
     assert ("DOUBTFUL: at standstill all sensors show about 84" in said) == (source == "seen")
-    assert ("set the model's ambient pressures (uds, uds/production: p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
+    assert ("set the model's ambient pressures (p_tank, p_exh) to 84" in said) == (hPa < 1000.0)
     assert "mbar taken off" in said
 
 
@@ -300,6 +305,51 @@ def test_an_ambient_pressure_in_another_unit_is_refused(tmp_path: Path, hPa: str
 def test_json_is_the_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, report = _ingest(tmp_path, Bench(duration=120.0), "--json")
     assert json.loads(capsys.readouterr().out) == report
+
+
+OTHER_NAMES = {"y_p_ap": "s_up", "y_p_du": "s_down", "n_p": "speed", "dc_dose": "duty", "UDS_SENSORS": "ADDED"}
+
+
+def _renamed(path: Path) -> None:
+    text = path.read_text()
+    for old, new in OTHER_NAMES.items():
+        text = re.sub(rf"\b{old}\b", new, text)
+    path.write_text(text)
+
+
+def test_another_systems_names_give_the_same_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Roles are read from the system: with other names for the same quantities every frame is the same."""
+    plain, _ = _ingest(tmp_path, Bench(duration=120.0))
+    system, bench = tmp_path / "plant", tmp_path / "bench"
+    shutil.copytree(SYSTEMS / "uds", system)
+    (bench / "uds.dbc").rename(bench / "plant.dbc")
+    for path in (system / "model.toml", system / "system.toml", bench / "plant.dbc", bench / "recording.toml"):
+        _renamed(path)
+    text = (bench / "recording.toml").read_text().replace("uds.dbc", "plant.dbc")
+    digest = hashlib.sha256((bench / "plant.dbc").read_bytes()).hexdigest()
+    (bench / "recording.toml").write_text(text.replace(hashlib.sha256(DBC).hexdigest(), digest))
+    arguments = [str(bench), "--out", str(tmp_path / "other")]
+    with pytest.raises(InputError, match=r"external\.tables has no y_p_ap, which the clocks are aligned by"):
+        main(arguments)
+    capsys.readouterr()
+    assert main([*arguments, "--system", str(system), "--offset", "5"]) == 0
+    assert "s_up DOES NOT FOLLOW s_down" in capsys.readouterr().out
+    assert main([*arguments, "--system", str(system), "--force"]) == 0
+    folder = tmp_path / "other" / "made-up"
+    assert (folder / "can.log").read_bytes() == (plain / "can.log").read_bytes()
+    assert (folder / "uniform.csv").read_text().startswith("t,y_p_tp,s_up,s_down,speed,duty\n")
+    assert load_recording(folder).can_log.dbc == "plant.dbc"
+
+
+def test_a_system_without_a_bench_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"three-tank/system\.toml: has no \[bench\], .* add it as docs/recordings"):
+        main([str(tmp_path), "--out", str(tmp_path), "--system", "three-tank"])
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "system.toml").write_text("schema = 1\n[bench]\n")
+    monkeypatch.setattr(bench_module, "SYSTEMS", tmp_path)
+    with pytest.raises(InputError, match=r"which system is on the bench\? give --system, one of one, two or a folder"):
+        setup_of(None)
 
 
 def test_what_is_there_is_kept_unless_forced(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from faultline.analysis.graph.bank import Bank, build_bank
 from faultline.analysis.model import load_model
+from faultline.analysis.recordings.bench import setup_of
 from faultline.analysis.recordings.observe import observe
 from faultline.analysis.recordings.pulse import Pulse, PulseError, estimate_pulse
 from faultline.analysis.recordings.pulse_input import _choice, choose_input
@@ -23,6 +24,7 @@ from faultline.testbench.valve import FREQUENCY
 from faultline.testbench.vehicles import vehicle
 
 DURATION = 300.0
+SETUP = setup_of("uds")
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,7 @@ def tracks(seen: Signals) -> dict[str, Track]:
 
 
 def test_frequency_and_phase_of_the_rigs_valve_are_given_back(tracks: dict[str, Track]) -> None:
-    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
+    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"], SETUP)
     assert pulse.frequency_hz == pytest.approx(FREQUENCY, abs=0.002)
     middle = 0.5 * DURATION
     off = pulse.frequency_hz * middle + pulse.phase - FREQUENCY * (middle + MARGIN)
@@ -57,9 +59,9 @@ def test_frequency_and_phase_of_the_rigs_valve_are_given_back(tracks: dict[str, 
 
 def test_a_frequency_that_is_known_is_taken(tracks: dict[str, Track]) -> None:
     p_ap, p_du, dose = (tracks[name] for name in ("y_p_ap", "y_p_du", "dc_dose"))
-    assert estimate_pulse(p_ap, p_du, dose, FREQUENCY).frequency_hz == FREQUENCY
+    assert estimate_pulse(p_ap, p_du, dose, SETUP, FREQUENCY).frequency_hz == FREQUENCY
     with pytest.raises(PulseError, match=r"2\.000 Hz explains . % of y_p_ap's ripple"):
-        estimate_pulse(p_ap, p_du, dose, 2.0)
+        estimate_pulse(p_ap, p_du, dose, SETUP, 2.0)
 
 
 def test_the_valve_is_open_for_the_duty_of_every_pulse() -> None:
@@ -82,8 +84,8 @@ def test_on_average_the_valve_is_open_for_the_dose(tracks: dict[str, Track]) -> 
 
 def test_where_nothing_is_dosed_no_pulses_are_made_up(tracks: dict[str, Track]) -> None:
     idle = tracks["dc_dose"]._replace(value=np.zeros_like(tracks["dc_dose"].value))
-    with pytest.raises(PulseError, match="0 s of partial dose, 20 s are needed"):
-        estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], idle)
+    with pytest.raises(PulseError, match="0 s of it between off and full, 20 s are needed"):
+        estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], idle, SETUP)
 
 
 def test_noise_has_no_pulses(tracks: dict[str, Track]) -> None:
@@ -92,14 +94,14 @@ def test_noise_has_no_pulses(tracks: dict[str, Track]) -> None:
         tracks[name]._replace(value=1e3 * rng.standard_normal(len(tracks[name].t))) for name in ("y_p_ap", "y_p_du")
     ]
     with pytest.raises(PulseError, match=r"Hz explains [01]?\d % of y_p_ap's ripple"):
-        estimate_pulse(noise[0], noise[1], tracks["dc_dose"])
+        estimate_pulse(noise[0], noise[1], tracks["dc_dose"], SETUP)
 
 
 def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled_pressures(
     bank: Bank, seen: Signals, tracks: dict[str, Track]
 ) -> None:
     """Other than in the thesis (5.9): here the estimate is right to 12 ms and in step with the predicted sensor."""
-    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
+    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"], SETUP)
     choices = {choice.test: choice for choice in choose_input(bank, observe(bank, seen), pulse, tracks, "dc_dose")}
     assert list(choices) == [g.test for g in bank.generators if "dc_dose" in g.inputs]
     for test in ("t12", "t13", "t19", "t21"):
@@ -111,7 +113,7 @@ def test_on_the_rig_the_pulses_are_the_better_input_of_what_predicts_the_rippled
 
 
 def test_pulses_out_of_step_are_worse_than_the_duty_cycle(bank: Bank, seen: Signals, tracks: dict[str, Track]) -> None:
-    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"])
+    pulse = estimate_pulse(tracks["y_p_ap"], tracks["y_p_du"], tracks["dc_dose"], SETUP)
     choices = choose_input(bank, observe(bank, seen), pulse._replace(phase=pulse.phase + 0.5), tracks, "dc_dose")
     assert {choice.test for choice in choices if choice.better == "duty cycle"} >= {"t12", "t13", "t19", "t21"}
 

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
+from faultline.analysis.recordings.bench import setup_of
 from faultline.analysis.recordings.zero import ATMOSPHERE, ambient_seen, standstill, zero_error
 from faultline.service.core.signals.values import FloatArray
 
+SETUP = setup_of("uds")
 T = np.arange(0.0, 60.0, 0.2)
 
 
 def _until(starts: float, gauge: float = 0.0) -> float:
-    return standstill(T, np.where(starts > T, 0.0, 20.0), np.full_like(T, ATMOSPHERE + gauge))
+    return standstill(T, np.where(starts > T, 0.0, 20.0), np.full_like(T, ATMOSPHERE + gauge), SETUP)
 
 
 def test_the_standstill_ends_a_second_before_the_pump_starts() -> None:
@@ -34,7 +36,7 @@ def test_the_zero_error_is_given_back_in_spite_of_outliers_and_gaps() -> None:
     readings = _readings(2_500.0, 400.0)
     readings[::20] = 9e5
     readings[5::20] = np.nan
-    assert zero_error(readings) == pytest.approx(2_500.0, abs=100.0)
+    assert zero_error(readings, SETUP) == pytest.approx(2_500.0, abs=100.0)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +49,7 @@ def test_the_zero_error_is_given_back_in_spite_of_outliers_and_gaps() -> None:
     ],
 )
 def test_what_cannot_be_a_zero_error_is_none(readings: FloatArray) -> None:
-    assert zero_error(readings) is None
+    assert zero_error(readings, SETUP) is None
 
 
 @pytest.mark.parametrize(
@@ -63,9 +65,9 @@ def test_what_cannot_be_a_zero_error_is_none(readings: FloatArray) -> None:
 )
 def test_only_what_all_sensors_share_is_the_ambient_pressure(tp: float, ap: float, du: float, ambient: float) -> None:
     added = [_readings(tp, 400.0), _readings(ap, 800.0)]
-    assert ambient_seen(added, _readings(du, 1000.0)) == pytest.approx(ATMOSPHERE + ambient, abs=200.0)
+    assert ambient_seen(added, _readings(du, 1000.0), SETUP) == pytest.approx(ATMOSPHERE + ambient, abs=200.0)
 
 
 def test_without_readings_the_ambient_pressure_is_the_standard_one() -> None:
-    assert ambient_seen([], _readings(-168e2, 1000.0)) == ATMOSPHERE
-    assert ambient_seen([_readings(-168e2, 400.0)], _readings(-168e2, 1000.0, count=3)) == ATMOSPHERE
+    assert ambient_seen([], _readings(-168e2, 1000.0), SETUP) == ATMOSPHERE
+    assert ambient_seen([_readings(-168e2, 400.0)], _readings(-168e2, 1000.0, count=3), SETUP) == ATMOSPHERE
