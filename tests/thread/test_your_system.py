@@ -49,8 +49,8 @@ def test_the_page_ends_with_the_leak_named(followed: Path) -> None:
 
 
 @contextlib.contextmanager
-def running(call: list[str], folder: Path, **streams: int) -> Iterator["subprocess.Popen[str]"]:
-    process = subprocess.Popen(call, cwd=folder, text=True, **streams)
+def running(call: list[str], folder: Path) -> Iterator["subprocess.Popen[str]"]:
+    process = subprocess.Popen(call, cwd=folder, text=True, stdout=subprocess.PIPE)
     try:
         yield process
     finally:
@@ -78,7 +78,7 @@ def test_the_service_names_it_from_a_bus(followed: Path) -> None:
     subprocess.run([FAULTLINE, *told["rig"]], cwd=followed, check=True, capture_output=True)
     run, replay = ([bus if word.startswith("udp") else word for word in told[name]] for name in ("run", "replay"))
     run[run.index("--socket") + 1] = str(socket)
-    with running([FAULTLINE, *run], followed, stdout=subprocess.PIPE) as service:
+    with running([FAULTLINE, *run], followed) as service:
         waited_for(socket)
         subprocess.run([FAULTLINE, *replay], cwd=followed, check=True)
         assert service.stdout is not None
@@ -94,7 +94,7 @@ def test_the_page_in_a_browser_has_the_tanks_own_words(followed: Path) -> None:
     port = free_port()
     serve = next(words[1:] for words in commands(marked=True) if words[1] == "serve")
     serve = [word for word in serve if word != "--open"]
-    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed, stdout=subprocess.PIPE) as page:
+    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed) as page:
         assert page.stdout is not None
         page.stdout.readline()
         system = fetched(port, "v1/systems/three_tank")
