@@ -8,7 +8,7 @@ import torch
 from faultline.analysis.graph.cells import cell_graph
 from faultline.analysis.graph.networks import GRAPH, SCHEMA, Description, Networks
 from faultline.service.core.manifest import Generator, State
-from faultline.training.free_run import RUN_UP, free_run
+from faultline.training.free_run import free_run
 from faultline.training.layout import Layout
 from faultline.training.loop import Training
 from faultline.training.novelty import novelty_of
@@ -68,5 +68,5 @@ def generator_of(layout: Layout, t: int, members: int) -> Generator:
         ],
         faults=list(test.faults),
         equations=list(test.equations),
-        warm_up_s=max(RUN_UP * layout.model.period_s, layout.model.warm_up_s),
+        warm_up_s=layout.model.settling_s,
     )

@@ -8,8 +8,8 @@ from torch import Tensor
 from faultline.training.network import Networks
 from faultline.training.windows import Windows
 
-PIECE, RUN_UP = 100, 100
-"""Ticks. The run-up is what the slowest state takes to forget where it began."""
+PIECE = 100
+"""Ticks that are run at once, behind a run-up in which the slowest state forgets where it began."""
 
 
 class Course(NamedTuple):
@@ -26,13 +26,14 @@ class Course(NamedTuple):
 
 def free_run(networks: Networks, windows: Windows) -> Course:
     """The course over all that was measured; a stretch begins as the vehicle does, and counts once it has settled."""
+    run_up = windows.run_up
     starts, first = [], []
     for begin, end in windows.measured:
         for k in range(begin, end, PIECE):
-            start = max(begin, min(k - RUN_UP, end - PIECE - RUN_UP))
+            start = max(begin, min(k - run_up, end - PIECE - run_up))
             starts.append(start)
-            first.append(max(k, begin + RUN_UP))
-    at = torch.tensor(starts)[:, None] + torch.arange(PIECE + RUN_UP)  # (P, L)
+            first.append(max(k, begin + run_up))
+    at = torch.tensor(starts)[:, None] + torch.arange(PIECE + run_up)  # (P, L)
     last = torch.tensor([next(end for begin, end in windows.measured if begin <= s < end) for s in starts])
     inside = torch.minimum(at, last[:, None] - 1)
     near = windows.u.device
@@ -43,7 +44,7 @@ def free_run(networks: Networks, windows: Windows) -> Course:
     told = torch.zeros(len(windows.z), dtype=torch.bool)
     numbers, places = [], []
     for p, (s, f) in enumerate(zip(starts, first, strict=True)):
-        for k in range(max(f, s + RUN_UP), min(s + PIECE + RUN_UP, int(last[p]))):
+        for k in range(max(f, s + run_up), min(s + PIECE + run_up, int(last[p]))):
             if not told[k]:
                 told[k] = True
                 numbers.append(k)

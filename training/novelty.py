@@ -9,6 +9,8 @@ import numpy.typing as npt
 import torch
 
 from faultline.analysis.graph.cells import Novelty
+from faultline.analysis.recordings.modes import time_of
+from faultline.service.core.time_scale import Span, TimeScale
 from faultline.training.free_run import Course
 from faultline.training.layout import Layout
 from faultline.training.windows import Windows
@@ -20,8 +22,8 @@ CENTRES = 64
 QUANTILE = 0.995
 """Of ticks that a fold's centres have not seen: what is further away is called new."""
 
-PARTS, PART_S = 4, 50.0
-"""Parts in turn, and log time of one: longer than a state remembers."""
+PARTS, PART = 4, Span(settlings=2.5)
+"""Parts in turn, and log time of one: longer than a state remembers, but not in short recordings."""
 
 MARGIN = 1.3
 LEAST_REACH = 0.5
@@ -32,7 +34,7 @@ def novelty_of(layout: Layout, windows: Windows, course: Course) -> Novelty:
     """The measure of every test, such that 1 is the limit."""
     columns = novelty_columns(layout)
     values = operating_points(windows, course)
-    part = (windows.clock[course.at].numpy() / PART_S).astype(np.intp) % PARTS
+    part = _parts(windows.clock[course.at].numpy(), time_of(layout.model))
     centres, reaches = [], []
     for own in columns:
         points = values[:, own]
@@ -41,6 +43,13 @@ def novelty_of(layout: Layout, windows: Windows, course: Course) -> Novelty:
         centres.append(found)
         reaches.append(reach * limit * MARGIN)
     return Novelty(columns, np.array(centres), np.array(reaches))
+
+
+def _parts(clock: Array, time: TimeScale) -> Columns:
+    """The part (K,) of every tick, by its log time (K,) [s]."""
+    moments, at = np.unique(clock, return_inverse=True)
+    length = min(time.ticks(PART), max(len(moments) // PARTS, 1))
+    return np.asarray(at // length % PARTS, dtype=np.intp)
 
 
 def operating_points(windows: Windows, course: Course) -> Array:

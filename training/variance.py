@@ -28,7 +28,7 @@ ENOUGH = 12000
 """Ticks: of more, some are left out, as neighbours say the same."""
 
 HALF = 50
-"""Ticks that is in the same half: with more, a half misses whole operating points."""
+"""Ticks in a row that are in the same half: with more, a half misses whole operating points."""
 
 SMALLEST = 1e-2
 """Of an output's spread: a residual that is less was learnt by heart."""
@@ -107,13 +107,21 @@ def cross_fit(windows: Windows, course: Course, period_s: float) -> Residuals:
     natural = windows.natural[course.at]
     fold, unseen = windows.fold[course.at], windows.of(members)
     inputs = torch.cat([course.x.mean(dim=0), course.before.mean(dim=0), windows.u[course.at].T])
-    half = (windows.clock[course.at] / (HALF * period_s)).to(torch.int64) % 2
+    block = (windows.clock[course.at] / (HALF * period_s)).to(torch.int64)
     if bool((fold < 0).all()):
-        return Residuals(y - mean, among, inputs, half, natural)
+        return Residuals(y - mean, among, inputs, _alternating(block), natural)
     hidden = (unseen[:, None] == fold).to(torch.float32)  # (M, K)
     told = hidden.sum(dim=0) > 0
     one = (course.y * hidden[:, None]).sum(dim=0) / hidden.sum(dim=0).clamp(min=1.0)
+    half = torch.zeros_like(block)
+    half[told] = _alternating(block[told])  # of those that count: folds follow blocks too
     return Residuals(y - one, among, inputs, half, natural).some(told)
+
+
+def _alternating(block: Tensor) -> Tensor:
+    """Halves in turn (K,), of the blocks (K,) that are there."""
+    at: Tensor = torch.unique(block, return_inverse=True)[1]
+    return at % 2
 
 
 def _fitted(columns: Columns, of: Residuals, weight: Tensor) -> Stack:

@@ -9,6 +9,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from faultline.analysis.recordings.modes import time_of
+from faultline.service.core.time_scale import Span
 from faultline.training.layout import Layout
 from faultline.training.recipe import Phase, Recipe
 from faultline.training.reckoned import Example
@@ -20,7 +22,7 @@ BLOCK = 50
 """Ticks that belong to one fold. With longer ones a member misses whole operating points."""
 
 APART_S = 1e5
-"""Between the clocks of two recordings; a whole number of blocks."""
+"""Between the clocks of two recordings, more where one is longer; a whole number of blocks."""
 
 
 class Batch(NamedTuple):
@@ -44,7 +46,8 @@ class Windows:
     predictions to be made `y` (K, T); `starts` (K, F) are the states as the
     vehicle would start them, `fold` (K,) that of a tick, -1 without folds, `clock` (K,) its log time [s],
     and whether it is `natural` (K,), as it was recorded.
-    `bounds` are where examples begin and end, `measured` those that were.
+    `bounds` are where examples begin and end, `measured` those that were. After `run_up` ticks a state has forgotten
+    where it began.
     """
 
     def __init__(
@@ -73,6 +76,8 @@ class Windows:
         self.clock = torch.tensor(clock)
         self.natural = torch.tensor(np.concatenate([np.full(len(e.z), e.natural) for e in every]))
         self._folds = folds
+        time, longest = time_of(layout.model), max(end - begin for begin, end in self.measured)
+        self.run_up = min(time.ticks(Span(settlings=1.0)), longest // 2)
 
     def to(self, device: torch.device) -> "Windows":
         """The same, where networks are trained."""
@@ -128,10 +133,12 @@ class Windows:
 
 
 def _clock(examples: Sequence[Example], period_s: float) -> npt.NDArray[np.float64]:
-    """The log time [s] of every tick; recordings lie `APART_S` apart."""
+    """The log time [s] of every tick, recordings apart."""
     number = {name: k for k, name in enumerate(dict.fromkeys(e.recording for e in examples))}
+    longest_s = max(e.begin_s + period_s * len(e.z) for e in examples)
+    apart_s = BLOCK * period_s * np.ceil(max(APART_S, longest_s) / (BLOCK * period_s))
     return np.concatenate(
-        [APART_S * number[e.recording] + e.begin_s + period_s * np.arange(len(e.z)) for e in examples]
+        [apart_s * number[e.recording] + e.begin_s + period_s * np.arange(len(e.z)) for e in examples]
     )
 
 
