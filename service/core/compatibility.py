@@ -17,6 +17,7 @@ def _deciding(manifest: Manifest) -> tuple[object, ...]:
         manifest.inputs,
         manifest.senders,
         manifest.buses,
+        manifest.signals,
         manifest.generators,
         manifest.modes,
         manifest.detectors,

@@ -315,7 +315,8 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow. Without a
     `dbc` signals come in tables. `senders` are the source addresses that were chosen for messages of the DBC, by their
-    names; `buses` the names of the buses on which messages come, where the vehicle has several.
+    names; `buses` the names of the buses on which messages come, where the vehicle has several. `signals` are the DBC's
+    names (SIGNAL or MESSAGE.SIGNAL) of inputs that have other ones there.
     """
 
     schema: Literal["faultline.bundle/6"]
@@ -341,6 +342,7 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     dbc: Name | None = None
     senders: dict[Name, Address] = {}
     buses: dict[Name, Name] = {}
+    signals: dict[Name, Name] = {}
 
     @property
     def time(self) -> TimeScale:

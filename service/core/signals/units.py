@@ -17,6 +17,7 @@ UNITS: Mapping[str, tuple[str, Conversion]] = {
     "kPa": ("Pa", Conversion(1e3)),
     "MPa": ("Pa", Conversion(1e6)),
     "bar": ("Pa", Conversion(1e5)),
+    "": ("1", Conversion(1.0)),
     "%": ("1", Conversion(1e-2)),
     "percent": ("1", Conversion(1e-2)),
     "ratio": ("1", Conversion(1.0)),
