@@ -160,12 +160,12 @@ def _known(name: str, track: Track, unit: str) -> str:
     return (
         f"\n[known.{name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
         f'unit = {json.dumps(unit)}\ndescription = "{MARK}"\n'
-        f"min = {_rounded(low - margin, math.floor)}\nmax = {_rounded(high + margin, math.ceil)}\n"
-        f"noise = {_rounded(noise, round)}\n"
+        f"min = {rounded(low - margin, math.floor)}\nmax = {rounded(high + margin, math.ceil)}\n"
+        f"noise = {rounded(noise, round)}\n"
     )
 
 
-def _rounded(value: float, how: Callable[[float], int]) -> str:
+def rounded(value: float, how: Callable[[float], int]) -> str:
     """To two digits of its size, down, up or to the nearest, as a number of TOML."""
     if value == 0.0:
         return "0.0"
