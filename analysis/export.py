@@ -22,9 +22,13 @@ from faultline.service.bundle.files import MANIFEST, SEAL, BundleError, decode_m
 from faultline.service.bundle.load import Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.core.decision.consistency import FILE_NAME
 from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Unit
 from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.units import Conversion
+from faultline.service.core.signals.units import conversion as by_table
 from faultline.service.logs import load_recording
+from faultline.service.logs.units import conversion
 from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:
@@ -101,13 +105,14 @@ def bundle_files(
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
     name_of_dbc = None if dbc is None else dbc[0]
-    described = manifest_of(runnable, tuning, {}, name_of_dbc, version, senders, buses, signals)
+    units = [] if dbc is None else uncommon_units(dbc[1], runnable.bank, where, senders, buses, signals)
+    described = manifest_of(runnable, tuning, {}, name_of_dbc, version, senders, buses, signals, units)
     graphs = {
         name: with_metadata(raw, graph_metadata(described, name))
         for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
     }
     files = {**({} if dbc is None else dict([dbc])), **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, name_of_dbc, version, senders, buses, signals)
+    manifest = manifest_of(runnable, tuning, files, name_of_dbc, version, senders, buses, signals, units)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
@@ -134,9 +139,34 @@ def _dbc(
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
     raw = path.read_bytes()
-    units = {channel.signal: channel.unit for channel in bank.inputs}
-    compile_dbc(dbc_text(raw), units, str(path), senders, buses, signals)
+    uncommon_units(raw, bank, str(path), senders, buses, signals)
     return raw
+
+
+def uncommon_units(
+    dbc: bytes,
+    bank: Bank,
+    where: str,
+    senders: Mapping[str, int],
+    buses: Mapping[str, str],
+    signals: Mapping[str, str],
+) -> list[Unit]:
+    """Return the units of a DBC's signals that the vehicle's table does not have.
+
+    Raises:
+        InputError: the DBC cannot feed the generators; the message starts with `where`.
+    """
+    found: dict[tuple[str, str], Unit] = {}
+
+    def noted(given: str, wanted: str) -> Conversion | None:
+        how = conversion(given, wanted)
+        if how is not None and by_table(given, wanted) is None:
+            found[given, wanted] = Unit(given=given, wanted=wanted, factor=how.factor, offset=how.offset)
+        return how
+
+    units = {channel.signal: channel.unit for channel in bank.inputs}
+    compile_dbc(dbc_text(dbc), units, where, senders, buses, signals, noted)
+    return list(found.values())
 
 
 def _golden(runnable: Runnable, tuning: Tuning) -> bytes:

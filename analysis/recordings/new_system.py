@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faultline.analysis.recordings.offered import of_columns, of_dbc, read_dbc, unit_in_name
+from faultline.analysis.recordings.offered import SI, of_columns, of_dbc, read_dbc, unit_in_name
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.fill_in import MARK
 from faultline.options import Parser
@@ -23,6 +23,7 @@ from faultline.service.core.signals.units import UNITS, plain_unit
 from faultline.service.logs import Log
 from faultline.service.logs.opening import open_any
 from faultline.service.logs.tables.table import ColumnMap
+from faultline.service.logs.units import conversion
 from faultline.writing import check_folder, write_files
 
 EXAMPLE = """examples:
@@ -93,11 +94,11 @@ def with_units(log: Log) -> Log:
 
 def _in_si(unit: str) -> str:
     plain = plain_unit(unit)
-    return UNITS[plain][0] if plain in UNITS else plain or "1"
+    return UNITS[plain][0] if plain in UNITS else next((si for si in SI if conversion(unit, si)), plain)
 
 
 def _tracks(log: Log, dbc: Path | None, units: Mapping[str, str]) -> dict[str, Track]:
-    table = log.table(units, log.id) if dbc is None else compile_dbc(read_dbc(dbc), units, str(dbc))
+    table = log.table(units, log.id) if dbc is None else compile_dbc(read_dbc(dbc), units, str(dbc), convert=conversion)
     return tracks_of(log.signals(table), units)
 
 

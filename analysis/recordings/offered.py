@@ -10,11 +10,12 @@ from faultline.service.core.signals.dbc import BROKEN, load, one_line
 from faultline.service.core.signals.dbc_messages import Described, describe_dbc
 from faultline.service.core.signals.dbc_text import dbc_text, needed
 from faultline.service.core.signals.decode import DecodeTable
-from faultline.service.core.signals.units import UNITS, conversion, plain_unit
+from faultline.service.core.signals.units import UNITS, plain_unit
+from faultline.service.logs.units import conversion
 
 Identifiers = Collection[tuple[int, bool]]
 """Identifiers of frames, and whether they have 29 bits."""
-SI = frozenset(unit for unit, _ in UNITS.values())
+SI = tuple(dict.fromkeys(unit for unit, _ in UNITS.values()))
 
 
 class Offer(NamedTuple):

@@ -18,6 +18,7 @@ from faultline.service.core.residuals.graph_file import GraphError, check_graph_
 from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.units import with_units
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs import Log, open_log
 
@@ -206,7 +207,7 @@ def _table(
     if raw is None:
         return DecodeTable({}, units)
     try:
-        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses, signals)
+        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses, signals, with_units(manifest.units))
     except InputError as error:
         raise BundleError(str(error)) from error
 

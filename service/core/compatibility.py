@@ -18,6 +18,7 @@ def _deciding(manifest: Manifest) -> tuple[object, ...]:
         manifest.senders,
         manifest.buses,
         manifest.signals,
+        manifest.units,
         manifest.generators,
         manifest.modes,
         manifest.detectors,

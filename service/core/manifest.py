@@ -307,6 +307,15 @@ class Claim(_Part, frozen=True):
     said: Text
 
 
+class Unit(_Part, frozen=True):
+    """A unit of the DBC that the vehicle does not know: a value in `given` is `factor * value + offset` in `wanted`."""
+
+    given: Text
+    wanted: Text
+    factor: float
+    offset: float = 0.0
+
+
 class Manifest(_Part, frozen=True, omit_defaults=True):
     """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
 
@@ -316,7 +325,7 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     The first `detectors` are one for each generator, in the same order, and test its level; more may follow. Without a
     `dbc` signals come in tables. `senders` are the source addresses that were chosen for messages of the DBC, by their
     names; `buses` the names of the buses on which messages come, where the vehicle has several. `signals` are the DBC's
-    names (SIGNAL or MESSAGE.SIGNAL) of inputs that have other ones there.
+    names (SIGNAL or MESSAGE.SIGNAL) of inputs that have other ones there, `units` its units that are uncommon.
     """
 
     schema: Literal["faultline.bundle/6"]
@@ -343,6 +352,7 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     senders: dict[Name, Address] = {}
     buses: dict[Name, Name] = {}
     signals: dict[Name, Name] = {}
+    units: list[Unit] = []
 
     @property
     def time(self) -> TimeScale:

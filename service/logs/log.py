@@ -21,6 +21,7 @@ from faultline.service.logs.reading import Pass
 from faultline.service.logs.recording import Recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
 from faultline.service.logs.tables.table import ValueTable
+from faultline.service.logs.units import conversion
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ class Log:
         if not on_bus:
             return DecodeTable({}, units)
         messages = self.recording.can_log.messages if self.recording else {}
-        table = compile_dbc(self.dbc, on_bus, where, self.senders, messages, self.signals_of_dbc)
+        table = compile_dbc(self.dbc, on_bus, where, self.senders, messages, self.signals_of_dbc, conversion)
         self.check_senders(table)
         table.units = units  # those of the table beside it too
         return table

@@ -263,7 +263,7 @@ def test_golden_samples_of_other_signals_are_refused(made: Made, tmp_path: Path,
     ("old", "new", "message"),
     [
         ("SG_ y_p_tp ", "SG_ y_p_xx ", "no message carries y_p_tp; use the DBC that the bundle was made for"),
-        ('[0|321.275] "kPa"', '[0|321.275] "psi"', "UDS_SENSORS.y_p_tp: unit 'psi' cannot be converted to 'Pa'"),
+        ('[0|321.275] "kPa"', '[0|321.275] "V"', "UDS_SENSORS.y_p_tp: unit 'V' cannot be converted to 'Pa'"),
         ("SG_ y_p_ap :", "SG_ y_p_ap", "not a valid DBC file"),
     ],
 )
@@ -378,3 +378,24 @@ def test_a_bundle_of_a_recording_carries_the_names_of_its_dbc(made: Made, tmp_pa
     assert decoded[0] == decoded[1]
     with pytest.raises(InputError, match="no message carries"):
         main([*given, str(tmp_path / "no"), "--dbc", str(drive / "vendor.dbc")])
+
+
+def test_a_bundle_brings_the_units_of_its_dbc_that_the_vehicle_does_not_know(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign = DBC.read_text().replace('(0.05,0) [0|3212.75] "kPa"', '(0.0072519,0) [0|466] "psi"')
+    (tmp_path / "truck.dbc").write_text(foreign)
+    assert made.export(tmp_path / "bundle", dbc=tmp_path / "truck.dbc") == 0
+
+    def none(given: str, wanted: str) -> None:
+        raise AssertionError(f"{given} to {wanted} was looked up on the vehicle")
+
+    monkeypatch.setattr("faultline.service.logs.units._by_library", none)
+    bundle = load_bundle(tmp_path / "bundle")
+    [unit] = bundle.manifest.units
+    assert (unit.given, unit.wanted) == ("psi", "Pa")
+    assert unit.factor == pytest.approx(6894.757293168361)
+    frame = next(each for each in open_log(GOLDEN.parent / "log").frames() if each.can_id == 0x18FF103D)
+    found = {name: value for name, value, _ in bundle.table.decode(*frame[1:])}
+    own = {name: value for name, value, _ in load_bundle(GOLDEN).table.decode(*frame[1:])}
+    assert found == pytest.approx(own, rel=1e-4)

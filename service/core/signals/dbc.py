@@ -28,7 +28,7 @@ from faultline.service.core.j1939.transport import LARGEST
 from faultline.service.core.signals.dbc_text import needed
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import FLOATS, Cut, Field, Layout, Only, Selector
-from faultline.service.core.signals.units import conversion
+from faultline.service.core.signals.units import MORE, Convert, conversion
 
 SENSELESS: tuple[type[Exception], ...] = (
     *(DatabaseError, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, RecursionError),
@@ -49,11 +49,12 @@ def compile_dbc(
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,
     signals: Mapping[str, str] = OWN_NAMES,
+    convert: Convert = conversion,
 ) -> DecodeTable:
     """Return the table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
 
     `buses` are the names of the buses of some messages: the table has tables of its own for these. `signals` are the
-    DBC's names of those signals that have other ones there, as SIGNAL or MESSAGE.SIGNAL.
+    DBC's names of those signals that have other ones there, as SIGNAL or MESSAGE.SIGNAL. `convert` knows the units.
 
     `senders` are the source addresses that are chosen for some messages of J1939, whatever the DBC has there. A message
     without one to which the DBC gives the null address (0xFE) is taken from any sender, as long as there is but one.
@@ -79,7 +80,7 @@ def compile_dbc(
     by_bus: dict[str, dict[tuple[int, bool], Layout]] = {"": {}}
     for message, wanted in carrying:
         layouts = by_bus.setdefault(buses.get(message.name, ""), {})
-        layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where)
+        layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where, convert)
         key = layout.identifier, message.is_extended_frame
         if (before := layouts.setdefault(key, layout)) is not layout:
             raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
@@ -237,13 +238,14 @@ def layout_of(
     wanted: Mapping[str, DbcSignal],
     units: Mapping[str, str],
     where: str,
+    convert: Convert = conversion,
 ) -> Layout:
     """Return where the wanted signals, by their names outside the DBC, are in the message.
 
     Raises:
         InputError: a unit cannot be converted to the one in `units`.
     """
-    fields = tuple(_field(message, name, signal, units[name], where) for name, signal in wanted.items())
+    fields = tuple(_field(message, name, signal, (units[name], convert), where) for name, signal in wanted.items())
     used = {cut for field in fields for cut, _ in field.only}
     selectors = [
         Selector(_cut(message, each), _selected(message, each.name), _only(message, each))
@@ -262,12 +264,12 @@ def layout_of(
     )
 
 
-def _field(message: Message, name: str, signal: DbcSignal, unit: str, where: str) -> Field:
-    given = signal.unit or ""
-    how = conversion(given, unit)
+def _field(message: Message, name: str, signal: DbcSignal, wanted: tuple[str, Convert], where: str) -> Field:
+    given, (unit, convert) = signal.unit or "", wanted
+    how = convert(given, unit)
     if how is None:
         place = f"{where}: {message.name}.{signal.name}"
-        raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs")
+        raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs{MORE}")
     factor, shift = how
     low, high = signal.minimum, signal.maximum
     slack = 1e-9 * max(abs(float(low or 0.0)), abs(float(high or 0.0)), 1.0)  # of what a decimal rounds

@@ -19,7 +19,7 @@ T = np.arange(0.0, 600.0, UDS.period_s)
 def steps(sizes: list[float], every_s: float, start: float) -> FloatArray:
     """A level that is moved by one size after the other."""
     level = start + np.concatenate([[0.0], np.cumsum(sizes)])
-    return level[np.minimum((T // every_s).astype(int), len(sizes))]
+    return np.asarray(level[np.minimum((T // every_s).astype(int), len(sizes))], np.float64)
 
 
 def drive(**values: FloatArray) -> dict[str, Track]:
@@ -35,8 +35,8 @@ def texts(model: Model, *drives: dict[str, Track]) -> list[str]:
     return [each.text for each in findings(model, drives)]
 
 
-def known(name: str, **changes: float) -> dict[str, Known]:
-    return {**UDS.known, name: replace(UDS.known[name], **changes)}
+def known(name: str, maximum: float) -> dict[str, Known]:
+    return {**UDS.known, name: replace(UDS.known[name], max=maximum)}
 
 
 def test_what_fits_says_nothing() -> None:
@@ -66,7 +66,7 @@ def test_a_threshold_that_noise_exceeds_makes_all_of_it_edge() -> None:
 
 
 def test_a_signal_that_is_out_of_its_range_for_long_is_told_with_the_range_seen() -> None:
-    [text] = texts(replace(UDS, known=known("n_p", max=25.0)), drive())
+    [text] = texts(replace(UDS, known=known("n_p", 25.0)), drive())
     assert "n_p is above 25 1/s for 47 % of the time: it goes from 19." in text
     assert text.endswith("model.toml, [known.n_p]: max = 29.0")
     starting = drive(y_p_ap=np.where(T < 90.0, 1e5, 1.1e6))
