@@ -161,7 +161,7 @@ def uncommon_units(
     def noted(given: str, wanted: str) -> Conversion | None:
         how = conversion(given, wanted)
         if how is not None and by_table(given, wanted) is None:
-            found[given, wanted] = Unit(given=given, wanted=wanted, factor=how.factor, offset=how.offset)
+            found[given, wanted] = given, wanted, *how
         return how
 
     units = {channel.signal: channel.unit for channel in bank.inputs}

@@ -393,8 +393,8 @@ def test_a_bundle_brings_the_units_of_its_dbc_that_the_vehicle_does_not_know(
     monkeypatch.setattr("faultline.service.logs.units._by_library", none)
     bundle = load_bundle(tmp_path / "bundle")
     [unit] = bundle.manifest.units
-    assert (unit.given, unit.wanted) == ("psi", "Pa")
-    assert unit.factor == pytest.approx(6894.757293168361)
+    assert unit[:2] == ("psi", "Pa")
+    assert unit[2:] == pytest.approx((6894.757293168361, 0.0))
     frame = next(each for each in open_log(GOLDEN.parent / "log").frames() if each.can_id == 0x18FF103D)
     found = {name: value for name, value, _ in bundle.table.decode(*frame[1:])}
     own = {name: value for name, value, _ in load_bundle(GOLDEN).table.decode(*frame[1:])}

@@ -91,5 +91,5 @@ def conversion(given: str, wanted: str) -> Conversion | None:
 
 def with_units(units: Iterable[Unit]) -> Convert:
     """Return the conversion that knows these units besides the table's, as a bundle brings them."""
-    more = {(each.given, each.wanted): Conversion(each.factor, each.offset) for each in units}
+    more = {(given, wanted): Conversion(factor, offset) for given, wanted, factor, offset in units}
     return lambda given, wanted: conversion(given, wanted) or more.get((given, wanted))
