@@ -22,12 +22,18 @@ from faultline.service.bundle.files import MANIFEST, SEAL, BundleError, decode_m
 from faultline.service.bundle.load import Golden, graph_metadata, load_bundle, verify_golden
 from faultline.service.core.decision.consistency import FILE_NAME
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, compile_dbc
+from faultline.service.core.manifest import Unit
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.units import Conversion
+from faultline.service.core.signals.units import conversion as by_table
+from faultline.service.logs import load_recording
+from faultline.service.logs.units import conversion
 from faultline.writing import check_folder, write_folder
 
 EXAMPLE = """example:
   faultline export calibrated.toml --tuning tuning.json --dbc logs/bench-training-s1/uds.dbc --out bundle
+  faultline export calibrated.toml --tuning tuning.json --recording logs/drive-1 --out bundle  # its DBC and names
 """
 
 
@@ -39,7 +45,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("model", help="the calibrated model file")
     parser.add_argument("--tuning", type=Path, required=True, help="the tuning file")
     parser.add_argument("--networks", type=Path, metavar="DIR", help="the networks that were tuned with the model")
-    parser.add_argument("--dbc", type=Path, help="the vehicle's DBC; without one, signals come in tables of values")
+    of_bus = parser.add_mutually_exclusive_group()
+    of_bus.add_argument("--dbc", type=Path, help="the vehicle's DBC; without one, signals come in tables of values")
+    of_bus.add_argument(
+        "--recording", type=Path, help="a recording whose DBC, names of signals, senders and buses are the vehicle's"
+    )
     parser.add_argument("--out", type=Path, required=True, help="the bundle folder to write")
     parser.add_argument(
         "--version", type=int, default=0, metavar="N", help="counts up; a vehicle takes none older than one it had (0)"
@@ -60,12 +70,12 @@ def main(argv: list[str]) -> int:
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
     _check_networks(tuning, runnable, options.tuning)
-    senders, buses = senders_of(options.sender), buses_of(options.bus)
-    dbc = None if options.dbc is None else (options.dbc.name, _dbc(options.dbc, bank, senders, buses))
+    path, senders, buses, signals = _of_bus(options.dbc, options.recording)
+    chosen = {**senders, **senders_of(options.sender)}, {**buses, **buses_of(options.bus)}, signals
+    dbc = None if path is None else (path.name, _dbc(path, bank, *chosen))
     _check_golden(tuning, bank, options.tuning)
     try:
-        chosen = options.version, senders, buses
-        files = bundle_files(runnable, tuning, dbc, str(options.out), *chosen)
+        files = bundle_files(runnable, tuning, dbc, str(options.out), options.version, *chosen)
     except BundleError as error:
         raise BundleError(str(error).replace("export the bundle again", f"tune again: {options.tuning}")) from error
     write_folder(options.out, files, _check_bundle)
@@ -85,28 +95,43 @@ def bundle_files(
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,
+    signals: Mapping[str, str] = OWN_NAMES,
 ) -> dict[str, bytes]:
-    """Return the files of the bundle by name; the same model, tuning, DBC, senders and buses give the same.
+    """Return the files of the bundle by name; the same arguments give the same.
 
-    The DBC is its name and content.
+    The DBC is its name and content; `signals` are its names of the model's signals, where they differ.
 
     Raises:
         BundleError: the parts contradict each other; `where` is the bundle's name in the message.
     """
     name_of_dbc = None if dbc is None else dbc[0]
-    described = manifest_of(runnable, tuning, {}, name_of_dbc, version, senders, buses)
+    units = [] if dbc is None else uncommon_units(dbc[1], runnable.bank, where, senders, buses, signals)
+    described = manifest_of(runnable, tuning, {}, name_of_dbc, version, senders, buses, signals, units)
     graphs = {
         name: with_metadata(raw, graph_metadata(described, name))
         for name, raw in (runnable.graphs | runnable.of_hypotheses(tuning.evidence)).items()
     }
     files = {**({} if dbc is None else dict([dbc])), **graphs, GOLDEN: _golden(runnable, tuning)}
-    manifest = manifest_of(runnable, tuning, files, name_of_dbc, version, senders, buses)
+    manifest = manifest_of(runnable, tuning, files, name_of_dbc, version, senders, buses, signals, units)
     raw = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
     decode_manifest(raw, f"{where}: {MANIFEST}")
     return {**files, MANIFEST: raw, SEAL: seal(raw)}
 
 
-def _dbc(path: Path, bank: Bank, senders: Mapping[str, int], buses: Mapping[str, str]) -> bytes:
+_OfBus = tuple[Path | None, Mapping[str, int], Mapping[str, str], Mapping[str, str]]
+
+
+def _of_bus(dbc: Path | None, recording: Path | None) -> _OfBus:
+    """The DBC, and senders, buses and names of signals that a recording says."""
+    if recording is None:
+        return dbc, NOBODY, NO_BUSES, OWN_NAMES
+    can = load_recording(recording).can_log
+    return recording / can.dbc, can.senders, can.messages, can.signals
+
+
+def _dbc(
+    path: Path, bank: Bank, senders: Mapping[str, int], buses: Mapping[str, str], signals: Mapping[str, str]
+) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no file; give the DBC that the recordings were made with")
     if FILE_NAME.fullmatch(path.name) is None or path.name in (GRAPH, NETWORKS, FAULTS, GOLDEN, MANIFEST, SEAL):
@@ -114,8 +139,34 @@ def _dbc(path: Path, bank: Bank, senders: Mapping[str, int], buses: Mapping[str,
             f"{path}: cannot keep its name in a bundle; rename it: letters, digits, _, - and ., ending in .dbc"
         )
     raw = path.read_bytes()
-    compile_dbc(dbc_text(raw), {channel.signal: channel.unit for channel in bank.inputs}, str(path), senders, buses)
+    uncommon_units(raw, bank, str(path), senders, buses, signals)
     return raw
+
+
+def uncommon_units(
+    dbc: bytes,
+    bank: Bank,
+    where: str,
+    senders: Mapping[str, int],
+    buses: Mapping[str, str],
+    signals: Mapping[str, str],
+) -> list[Unit]:
+    """Return the units of a DBC's signals that the vehicle's table does not have.
+
+    Raises:
+        InputError: the DBC cannot feed the generators; the message starts with `where`.
+    """
+    found: dict[tuple[str, str], Unit] = {}
+
+    def noted(given: str, wanted: str) -> Conversion | None:
+        how = conversion(given, wanted)
+        if how is not None and by_table(given, wanted) is None:
+            found[given, wanted] = given, wanted, *how
+        return how
+
+    units = {channel.signal: channel.unit for channel in bank.inputs}
+    compile_dbc(dbc_text(dbc), units, where, senders, buses, signals, noted)
+    return list(found.values())
 
 
 def _golden(runnable: Runnable, tuning: Tuning) -> bytes:

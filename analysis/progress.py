@@ -24,7 +24,7 @@ class Progress:
 
     def note(self, text: str) -> None:
         """What the user must not miss: stays on the terminal."""
-        self._console.print(text, highlight=False, soft_wrap=True)
+        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     def say(self, text: str) -> None:
         """What is going on now."""

@@ -13,11 +13,13 @@ from faultline.analysis.calibration.problem import Nuisance
 from faultline.analysis.calibration.provenance import check_vehicle, entry, vehicle_of
 from faultline.analysis.calibration.pulses import pulses
 from faultline.analysis.calibration.report import Report, draw, page, report, sentences
-from faultline.analysis.calibration.sections import Section, sections
+from faultline.analysis.calibration.sections import Section, cut, known_tracks
 from faultline.analysis.calibration.validate import Validation, validate
 from faultline.analysis.model import Model, dump_model
 from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.check import findings
 from faultline.analysis.recordings.observe import open_for
+from faultline.analysis.recordings.track import Track
 from faultline.analysis.simulation import system_of
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
@@ -59,7 +61,7 @@ def main(argv: list[str]) -> int:
         progress.say("free runs")
         nuisance = result.unknowns.nuisance(result.x)
         runs = data.run(calibrated, nuisance)
-        told = report(model, data.vehicle, data.sources, result, identify(result), runs)
+        told = report(model, data.vehicle, data.sources, result, identify(result), runs, data.misfits)
         text = dump_model(calibrated)
         good = options.force or not told.doubts
         files = {options.out: text.encode()} if good else {}
@@ -88,7 +90,7 @@ class _Data:
             raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
         self.system = system_of(model, model.calibrated)
         self.logs: list[Log] = []
-        self._found: dict[str, list[Section]] = {}
+        tracks: dict[str, tuple[Path, dict[str, Track]]] = {}
         for path in (*fitted, *others):
             progress.say(str(path))
             log = open_for(model, path, progress.note)
@@ -98,8 +100,14 @@ class _Data:
             check_vehicle(log, path, self.vehicle, str(fitted[0]))
             check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
             table = log.table({name: known.unit for name, known in model.known.items()}, str(path))
-            self._found[log.id] = sections(model, self.system, log.signals(table), str(path))
+            tracks[log.id] = path, known_tracks(model, log.signals(table), str(path))
         self.sources = sorted({log.recording.source for log in self.logs if log.recording})
+        self.misfits = [each.text for each in findings(model, [each for _, each in tracks.values()])]
+        for text in self.misfits:
+            progress.note(f"{model.name}: {text}")
+        self._found: dict[str, list[Section]] = {
+            name: cut(model, self.system, each, str(path)) for name, (path, each) in tracks.items()
+        }
         del self.logs[len(fitted) :]
         self.fitted = [section for log in self.logs for section in self._found[log.id]]
 

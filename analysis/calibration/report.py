@@ -53,7 +53,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     `doubts` are the reasons why the model does not describe these data. `anchors` name what only the prior scales, with
     the parameters known relative to it; `correlated` are all pairs that are told; `zeros` are the sensors' zero errors,
     `delays` the commands' [s]; of `starts` searches so many came to the best place. `pulses` are in a written report
-    only.
+    only. `misfits` are modes, edges, ranges and ages of the model that do not fit the recordings.
     """
 
     model: str
@@ -68,6 +68,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     starts: tuple[int, int]
     agreement: dict[str, dict[str, dict[str, Agreement]]]
     pulses: Pulses | None = None
+    misfits: tuple[str, ...] = ()
 
 
 def report(
@@ -77,6 +78,7 @@ def report(
     fit: Fit,
     found: Identified,
     validations: Mapping[str, Validation],
+    misfits: Sequence[str] = (),
 ) -> Report:
     """The report of a fit of `model`, with the free runs over each recording; `sources` say where those come from."""
     return Report(
@@ -104,12 +106,14 @@ def report(
         delays=fit.unknowns.delay(fit.x),
         starts=fit.starts,
         agreement={recording: validation.agreement for recording, validation in validations.items()},
+        misfits=tuple(misfits),
     )
 
 
 def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     """The report as lines of text."""
     lines = [f"the model does NOT describe these data: {doubt}" for doubt in r.doubts]
+    lines += [f"the model does not fit the recordings: {misfit}" for misfit in r.misfits]
     lines += [f"{'parameter':<10}{'model file':>12}{'calibrated':>12}{'95 %':>9}  unit"]
     lines += [_row(name, p, r) for name, p in r.parameters.items()]
     for anchor, others in r.anchors.items():

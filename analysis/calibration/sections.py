@@ -15,12 +15,10 @@ import sympy as sp
 from scipy.interpolate import CubicSpline
 
 from faultline.analysis.model import Model
-from faultline.analysis.recordings.modes import modes_of, time_of
+from faultline.analysis.recordings.modes import modes_at, time_of
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.simulation import Drive, System
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import Input
-from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Signals
 from faultline.service.core.time_scale import TimeScale
 
@@ -106,7 +104,7 @@ def sections(model: Model, system: System, signals: Signals, where: str, step: f
     Raises:
         InputError: a signal of the model never tells, or no stretch is long enough; the message starts with `where`.
     """
-    return cut(model, system, _tracks(model, signals, where), where, step)
+    return cut(model, system, known_tracks(model, signals, where), where, step)
 
 
 def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, step: float = STEP) -> list[Section]:
@@ -144,7 +142,12 @@ def _beyond(model: Model, tracks: Mapping[str, Track]) -> str:
     return f" ({'; '.join(told)})" if told else ""
 
 
-def _tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:
+def known_tracks(model: Model, signals: Signals, where: str) -> dict[str, Track]:
+    """The samples of the model's known signals in a log.
+
+    Raises:
+        InputError: a signal never tells; the message starts with `where`.
+    """
     tracks = tracks_of(signals, model.known)
     silent = [name for name, track in tracks.items() if len(track.t) < 2]
     if silent:
@@ -265,13 +268,5 @@ def _state(model: Model, name: str, measured: Mapping[str, Array], count: int) -
 
 def _modes(model: Model, tracks: Mapping[str, Track], t: Array) -> npt.NDArray[np.int64]:
     """The operating mode at the times `t`, as the vehicle's own tracker follows it."""
-    inputs = [
-        Input(signal=name, unit=k.unit, maximum_age_s=GAP * model.period_s, lower=k.min, upper=k.max)
-        for name, k in model.known.items()
-    ]
-    tracker = ModeTracker(modes_of(model), inputs, model.period_s)
-    ticks = np.arange(t[0], t[-1] + model.period_s, model.period_s)
-    z = np.column_stack([tracks[name].at(ticks) for name in model.known])
-    told = np.ones(len(inputs), dtype=np.bool_)
-    mode = np.array([tracker.update(row, told) for row in z], dtype=np.int64)
+    mode = modes_at(model, tracks, np.arange(t[0], t[-1] + model.period_s, model.period_s))
     return np.asarray(mode[np.minimum(np.round((t - t[0]) / model.period_s).astype(int), len(mode) - 1)])

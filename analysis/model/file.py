@@ -33,7 +33,6 @@ from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.curves import Curve, Curves, trouble
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
-from faultline.analysis.model.fill_in import unfilled
 from faultline.analysis.model.model import (
     PERIODS,
     WARM_UP_S,
@@ -49,6 +48,7 @@ from faultline.analysis.model.model import (
 from faultline.analysis.model.older import as_written_today
 from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
+from faultline.fill_in import unfilled
 
 SCHEMA = 1
 LISTED = 6

@@ -1,4 +1,4 @@
-"""Turn a bench recording (two loggers, two clocks) into an instrumented log."""
+"""Turn a bench recording (two loggers, two clocks) into an instrumented log; --init: describe files of your own."""
 
 import argparse
 import math
@@ -17,6 +17,7 @@ from faultline.writing import check_folder, write_folder
 EXAMPLE = """example:
   faultline ingest recordings/bench-training-s1 --out logs
   faultline ingest recordings/bench-training-s1 --out logs --offset -87.3  # seen at a pressure step
+  faultline ingest --init drive.blf --system uds  # writes recording.toml; faultline ingest --init --help
 """
 
 AMBIENT_HPA = 500.0, 1100.0
@@ -25,11 +26,16 @@ AMBIENT_HPA = 500.0, 1100.0
 
 def main(argv: list[str]) -> int:
     """Runs the command; returns its exit code."""
+    if "--init" in argv:
+        from faultline.analysis.recordings.init import main as init  # which needs models
+
+        return init([word for word in argv if word != "--init"])
     parser = Parser(
         "faultline ingest", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("recording", type=Path, help="folder of the bench recording")
     parser.add_argument("--out", type=Path, required=True, help="writes OUT/<id>, the instrumented recording")
+    parser.add_argument("--init", action="store_true", help="write recording.toml for a log or table: --init --help")
     parser.add_argument("--force", action="store_true", help="replace what is already there")
     parser.add_argument(
         "--offset", type=_number, metavar="SECONDS", help="CAN time at the second logger's zero, where you know it"

@@ -1,8 +1,15 @@
 """The operating modes and the time scale of a model as the vehicle has them."""
 
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
 from faultline.analysis.model import Model
-from faultline.service.core.manifest import Bounds, Mode, Modes
-from faultline.service.core.signals.modes import EDGE
+from faultline.analysis.recordings.track import Track
+from faultline.service.core.manifest import Bounds, Input, Mode, Modes
+from faultline.service.core.signals.modes import EDGE, ModeTracker
+from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import TimeScale
 
 
@@ -34,3 +41,19 @@ def stand_ins(model: Model) -> tuple[int, ...]:
     steady = range(EDGE + 1, EDGE + 1 + len(model.modes.steady))
     rest = next(k for k, mode in zip(steady, model.modes.steady, strict=True) if not mode.where)
     return (EDGE if model.modes.edges else rest, *steady)
+
+
+def modes_at(model: Model, tracks: Mapping[str, Track], ticks: FloatArray) -> npt.NDArray[np.int64]:
+    """The modes' indices in `Modes.names` at ticks (N,) [s], a period apart, from the last samples as on the vehicle.
+
+    Values between two samples would halve a step where a tick lies between them.
+    """
+    inputs = [
+        Input(signal=name, unit=k.unit, maximum_age_s=model.maximum_age_s(name), lower=k.min, upper=k.max)
+        for name, k in model.known.items()
+        if name in tracks
+    ]
+    tracker = ModeTracker(modes_of(model), inputs, model.period_s)
+    z = np.column_stack([tracks[each.signal].held(ticks) for each in inputs])
+    told = np.ones(len(inputs), dtype=np.bool_)
+    return np.array([tracker.update(row, told) for row in z], dtype=np.int64)

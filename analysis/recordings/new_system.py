@@ -8,20 +8,23 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from faultline.analysis.model.fill_in import MARK
+from faultline.analysis.recordings.offered import SI, of_columns, of_dbc, read_dbc, unit_in_name
 from faultline.analysis.recordings.signatures import name_of, read_signatures
 from faultline.analysis.recordings.track import Track, tracks_of
+from faultline.fill_in import MARK
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import compile_dbc, load
-from faultline.service.core.signals.dbc_text import dbc_text
+from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.core.signals.units import UNITS, plain_unit
 from faultline.service.logs import Log
 from faultline.service.logs.opening import open_any
+from faultline.service.logs.tables.table import ColumnMap
+from faultline.service.logs.units import conversion
 from faultline.writing import check_folder, write_files
 
 EXAMPLE = """examples:
@@ -64,7 +67,7 @@ def main(argv: list[str]) -> int:
     if out.exists() and not options.force:
         raise InputError(f"{out}: is there already; give another folder with --out, or --force")
     check_folder(out.parent)
-    log = open_any(options.log)
+    log = with_units(open_any(options.log))
     units = _units(log, options.dbc, options.signals)
     tracks = {name: track for name, track in _tracks(log, options.dbc, units).items() if len(track.t) > 2}
     if not tracks:
@@ -83,31 +86,31 @@ def main(argv: list[str]) -> int:
 
 def _units(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, str]:
     """The signals that may be there, with the units of a model."""
-    written: dict[str, str] = {}
-    if dbc is not None:
-        messages, _ = load(dbc_text(_read(dbc)))
-        written |= {signal.name: signal.unit or "" for message in messages for signal in message.signals}
-    if log.values is not None:
-        written |= log.values.file.units
+    offers = [] if dbc is None else of_dbc(read_dbc(dbc), str(dbc))
+    offers += of_columns(log.values.file.units) if log.values is not None else []
+    stated = {} if log.values is None else {each.column: each.unit for each in log.values.maps.values()}
+    written = {each.name: stated.get(each.name) or each.unit for each in offers}
     if wanted is not None and (unknown := [name for name in wanted if name not in written]):
         raise InputError(f"--signals {' '.join(unknown)}: no such signals; there are {', '.join(written) or 'none'}")
     return {name: _in_si(unit) for name, unit in written.items() if wanted is None or name in wanted}
 
 
+def with_units(log: Log) -> Log:
+    """Return the log with the units that the names of its columns end with."""
+    if log.values is None:
+        return log
+    ends = {name: unit_in_name(name) for name, unit in log.values.file.units.items() if not unit}
+    maps = {name: ColumnMap(name, unit) for name, unit in ends.items() if unit}
+    return replace(log, values=replace(log.values, maps={**maps, **log.values.maps}))
+
+
 def _in_si(unit: str) -> str:
     plain = plain_unit(unit)
-    return UNITS[plain][0] if plain in UNITS else plain or "1"
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    return UNITS[plain][0] if plain in UNITS else next((si for si in SI if conversion(unit, si)), plain)
 
 
 def _tracks(log: Log, dbc: Path | None, units: Mapping[str, str]) -> dict[str, Track]:
-    table = log.table(units, log.id) if dbc is None else compile_dbc(dbc_text(_read(dbc)), units, str(dbc))
+    table = log.table(units, log.id) if dbc is None else compile_dbc(read_dbc(dbc), units, str(dbc), convert=conversion)
     return tracks_of(log.signals(table), units)
 
 
@@ -191,12 +194,12 @@ def _known(name: str, track: Track, unit: str, *, given: bool) -> str:
     return (
         f"\n[known.{name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
         f'unit = {json.dumps(unit)}\ndescription = "{"residual of another tool" if given else MARK}"\n'
-        f"min = {_rounded(low - margin, math.floor)}\nmax = {_rounded(high + margin, math.ceil)}\n"
-        f"noise = {_rounded(noise, round)}\n"
+        f"min = {rounded(low - margin, math.floor)}\nmax = {rounded(high + margin, math.ceil)}\n"
+        f"noise = {rounded(noise, round)}\n"
     )
 
 
-def _rounded(value: float, how: Callable[[float], int]) -> str:
+def rounded(value: float, how: Callable[[float], int]) -> str:
     """To two digits of its size, down, up or to the nearest, as a number of TOML."""
     if value == 0.0:
         return "0.0"

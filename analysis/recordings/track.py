@@ -42,6 +42,10 @@ class Track(NamedTuple):
         """Values at times `t` (K,) [s], linear between samples; whether they are known says `known`."""
         return np.asarray(np.interp(t, self.t, self.value))
 
+    def held(self, t: FloatArray) -> FloatArray:
+        """The last value at or before the times `t` (K,) [s]; before the first sample the first."""
+        return self.value[np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0)]
+
     def known(self, t: FloatArray, margin_s: float = 0.0) -> Mask:
         """Which of the times `t` (K,) [s] lie within the track, outside its gaps, and `margin_s` away from both."""
         inside = (t >= self.t[0] + margin_s) & (t <= self.t[-1] - margin_s)

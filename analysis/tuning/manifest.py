@@ -1,13 +1,13 @@
 """The manifest that a tuning makes of a model: what export writes, and what tuning itself tries on drives left out."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.tuning.file import Tuning
-from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin
-from faultline.service.core.signals.dbc import NO_BUSES, NOBODY
+from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin, Unit
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES
 
 GOLDEN = "golden.json"
 
@@ -20,8 +20,13 @@ def manifest_of(
     version: int = 0,
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,
+    signals: Mapping[str, str] = OWN_NAMES,
+    units: Sequence[Unit] = (),
 ) -> Manifest:
-    """Return the manifest; `files` are the others of the bundle, `senders` and `buses` those of messages, by name."""
+    """Return the manifest; `files` are the others of the bundle, `senders` and `buses` those of messages, by name.
+
+    `signals` are the DBC's names of the model's signals, `units` those of its units that the vehicle does not know.
+    """
     bank = runnable.bank
     return Manifest(
         schema=SCHEMA,
@@ -62,6 +67,8 @@ def manifest_of(
         claim=tuning.claim,
         senders=dict(senders),
         buses=dict(buses),
+        signals={each.signal: signals[each.signal] for each in tuning.inputs if each.signal in signals},
+        units=list(units),
     )
 
 

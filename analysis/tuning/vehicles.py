@@ -15,8 +15,10 @@ import numpy.typing as npt
 from faultline.analysis.calibration.provenance import check_vehicle, vehicle_of
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.progress import Progress
+from faultline.analysis.recordings.check import findings
 from faultline.analysis.recordings.modes import modes_of, time_of
 from faultline.analysis.recordings.observe import open_for, ticks_of
+from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.tuning.numbers import limited
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, edge_last, more_of, seen
 from faultline.service.core.errors import InputError
@@ -72,6 +74,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
     model = runnable.bank.model
     units = {channel.signal: channel.unit for channel in runnable.bank.inputs}
     drives: list[Drive] = []
+    tracks: list[dict[str, Track]] = []
     for path in paths:
         log = open_for(model, path, progress.note)
         twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
@@ -82,9 +85,12 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
         progress.say(log.id)
         signals = log.signals(log.table(units, str(path)))
+        tracks.append(tracks_of(signals, units))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
         inputs = limited(runnable.bank.inputs, signals, model.residuals)
         drives.append(Drive(log.drive, ticks, seen(log.id, ticks, modes_of(model).names, time_of(model)), inputs))
+    for each in findings(model, tracks):
+        progress.note(f"{model.name}: {each.text}")
     return Vehicle(runnable, drives)
 
 

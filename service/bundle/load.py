@@ -15,9 +15,10 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator, Manifest
 from faultline.service.core.residuals.generators import GeneratorBank, Residuals
 from faultline.service.core.residuals.graph_file import GraphError, check_graph_file
-from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, compile_dbc
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
+from faultline.service.core.signals.units import with_units
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs import Log, open_log
 
@@ -68,16 +69,22 @@ class Bundle(NamedTuple):
         )
 
 
-def load_bundle(folder: Path, trust: Trust | None = None, senders: Mapping[str, int] = NOBODY) -> Bundle:
+def load_bundle(
+    folder: Path,
+    trust: Trust | None = None,
+    senders: Mapping[str, int] = NOBODY,
+    signals: Mapping[str, str] = OWN_NAMES,
+) -> Bundle:
     """Load the bundle in `folder`; the signatures that `trust` demands are checked before anything else.
 
-    `senders` are source addresses of messages by name, in place of those that the bundle has.
+    `senders` are source addresses of messages by name, and `signals` the DBC's names of signals, in place of those that
+    the bundle has.
 
     Raises:
         BundleError: it is incomplete, of an unknown version, changed, or inconsistent.
         SignatureError: it is not signed by enough of those who are trusted.
     """
-    return bundle_of(whole(folder, trust), folder, senders)
+    return bundle_of(whole(folder, trust), folder, senders, signals)
 
 
 def load_with_log(
@@ -96,7 +103,7 @@ def load_with_log(
         InputError: one of them cannot be read, or they do not fit together.
     """
     log = open_log(path, channel, buses)
-    bundle = load_bundle(folder, senders={**log.senders, **senders})
+    bundle = load_bundle(folder, senders={**log.senders, **senders}, signals=log.signals_of_dbc)
     verify_golden(bundle)
     log.check_signals(bundle.table.units)
     log.check_channels(bundle.table.carries)
@@ -111,11 +118,14 @@ def load_with_log(
     return bundle, log
 
 
-def bundle_of(given: Whole, folder: Path, senders: Mapping[str, int] = NOBODY) -> Bundle:
+def bundle_of(
+    given: Whole, folder: Path, senders: Mapping[str, int] = NOBODY, signals: Mapping[str, str] = OWN_NAMES
+) -> Bundle:
     """Return the bundle of these files of a folder; raises as `load_bundle` does, and reads nothing more."""
     bundle_id, manifest, contents = given
     dbc = None if manifest.dbc is None else contents[manifest.dbc]
-    table = _table(dbc, manifest, {**manifest.senders, **senders}, str(folder / (manifest.dbc or "")))
+    chosen = {**manifest.senders, **senders}, {**manifest.signals, **signals}
+    table = _table(dbc, manifest, *chosen, str(folder / (manifest.dbc or "")))
     graphs = {graph.file: contents[graph.file] for graph in manifest.graphs}
     for name in graphs:
         _check_graph(contents[name], manifest, name, None, str(folder / name))
@@ -190,12 +200,14 @@ def _verify_shift(bundle: Bundle, residuals: Residuals, tolerance: FloatArray) -
         )
 
 
-def _table(raw: bytes | None, manifest: Manifest, senders: Mapping[str, int], where: str) -> DecodeTable:
+def _table(
+    raw: bytes | None, manifest: Manifest, senders: Mapping[str, int], signals: Mapping[str, str], where: str
+) -> DecodeTable:
     units = {channel.signal: channel.unit for channel in manifest.inputs}
     if raw is None:
         return DecodeTable({}, units)
     try:
-        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses)
+        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses, signals, with_units(manifest.units))
     except InputError as error:
         raise BundleError(str(error)) from error
 

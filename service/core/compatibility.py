@@ -17,6 +17,8 @@ def _deciding(manifest: Manifest) -> tuple[object, ...]:
         manifest.inputs,
         manifest.senders,
         manifest.buses,
+        manifest.signals,
+        manifest.units,
         manifest.generators,
         manifest.modes,
         manifest.detectors,

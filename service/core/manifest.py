@@ -30,6 +30,7 @@ Period = Annotated[float, Meta(ge=1e-3, le=60)]  # shorter ones would keep the v
 Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 Address = Annotated[int, Meta(ge=0, le=253)]
 """A source address of SAE J1939."""
+Unit = tuple[Text, Text, float, float]  # of the DBC, of the bundle, factor, offset
 Version = Annotated[int, Meta(ge=0, le=2**53)]
 Side = Literal["both", "above", "below"]
 NotEmpty = Annotated[list[T], Meta(min_length=1)]
@@ -251,13 +252,11 @@ class Evidence(_Part, frozen=True):
     """Evidence that confirms and ranks faults: the hypotheses, and the spread of a fault-free mean.
 
     `graph` is the file that has the evidence generators once per hypothesis, in their order, as rows of a batch. No
-    fault recording is needed or used.
-
-    `generators` are numerically independent (chosen by the rank of their covariance). Of each in every mode: `offset`
-    [Pa] is the fault-free mean, `spread` that of a tick within a drive, `noise` (mode, generator, generator) [Pa^2]
-    the covariance of ticks, `visit` that of visits to the mode besides. From one day to the next a mean strays by
-    `allowance` (mode, generator) [Pa], and all together by `drifts` (drift, mode, generator) [Pa], a standard deviation
-    each (`core.decision.straying`). These move the `followers` too.
+    fault recording is needed or used. `generators` are numerically independent (chosen by the rank of their
+    covariance). Of each in every mode: `offset` [Pa] is the fault-free mean, `spread` that of a tick within a drive,
+    `noise` (mode, generator, generator) [Pa^2] the covariance of ticks, `visit` that of visits to the mode besides.
+    From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
+    mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too.
     """
 
     generators: NotEmpty[Name]
@@ -289,11 +288,10 @@ class Count(_Part, frozen=True):
 class Claim(_Part, frozen=True):
     """False alarms in fault-free recordings: suspicions, of detectors or of the evidence, and diagnoses.
 
-    Of all the drives, so many were `left_out` of tuning in turn, and counted on.
-
-    `target` [1/h] is of suspicions: *shown* where the upper bound is below it, *kept* where only the rate is, *missed*
-    where that is not. `extrapolated`: the recordings were too short for the target, a tail was drawn on. `said` is all
-    of that as a sentence.
+    Of all the drives, so many were `left_out` of tuning in turn, and counted on. `target` [1/h] is of suspicions:
+    *shown* where the upper bound is below it, *kept* where only the rate is, *missed* where that is not.
+    `extrapolated`: the recordings were too short for the target, a tail was drawn on. `said` is all of that as a
+    sentence.
     """
 
     drives: Annotated[int, Meta(ge=1)]
@@ -311,11 +309,12 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     """One bundle. `files` covers every other file in the folder but the seal; `period_s` is the tick Ts.
 
     After `settling_s` the slowest state of the system has forgotten where it started: how long things last is counted
-    in that (`TimeScale`).
-    `version` counts up from one bundle of this name to the next: a vehicle takes none that is older than one it had.
-    The first `detectors` are one for each generator, in the same order, and test its level; more may follow. Without a
-    `dbc` signals come in tables. `senders` are the source addresses that were chosen for messages of the DBC, by their
-    names; `buses` the names of the buses on which messages come, where the vehicle has several.
+    in that (`TimeScale`). `version` counts up from one bundle of this name to the next: a vehicle takes none that is
+    older than one it had. The first `detectors` are one for each generator, in the same order, and test its level; more
+    may follow. Without a `dbc` signals come in tables. `senders` are the source addresses that were chosen for messages
+    of the DBC, by their names; `buses` the names of the buses on which messages come, where the vehicle has several.
+    `signals` are the DBC's names (SIGNAL or MESSAGE.SIGNAL) of inputs that have other ones there, `units` its units
+    that are uncommon.
     """
 
     schema: Literal["faultline.bundle/6"]
@@ -341,6 +340,8 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     dbc: Name | None = None
     senders: dict[Name, Address] = {}
     buses: dict[Name, Name] = {}
+    signals: dict[Name, Name] = {}
+    units: list[Unit] = []
 
     @property
     def time(self) -> TimeScale:

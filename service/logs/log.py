@@ -9,7 +9,7 @@ from itertools import repeat
 from pathlib import Path
 
 from faultline.service.core.signals.columns import CanSignals
-from faultline.service.core.signals.dbc import NOBODY, compile_dbc
+from faultline.service.core.signals.dbc import NOBODY, OWN_NAMES, compile_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.merging import MergedPart, MergedSignals
@@ -21,6 +21,7 @@ from faultline.service.logs.reading import Pass
 from faultline.service.logs.recording import Recording
 from faultline.service.logs.report import Frame, LogError, LogReport, Wanted, anything
 from faultline.service.logs.tables.table import ValueTable
+from faultline.service.logs.units import conversion
 
 
 @dataclass(frozen=True)
@@ -143,8 +144,13 @@ class Log:
         """The source addresses that the recording chooses, by the messages' names."""
         return self.recording.can.senders if self.recording and self.recording.can else NOBODY
 
+    @property
+    def signals_of_dbc(self) -> Mapping[str, str]:
+        """The DBC's names of the signals that have other ones there, as the recording has them."""
+        return self.recording.can.signals if self.recording and self.recording.can else OWN_NAMES
+
     def table(self, units: Mapping[str, str], where: str) -> DecodeTable:
-        """Return what decodes the signals in `units` (name to unit), by the recording's DBC and senders.
+        """Return what decodes the signals in `units` (name to unit), by the recording's DBC, names and senders.
 
         Raises:
             InputError: neither the DBC (`where` names it) nor the recording's table gives them, or the DBC does not say
@@ -157,7 +163,7 @@ class Log:
         if not on_bus:
             return DecodeTable({}, units)
         messages = self.recording.can_log.messages if self.recording else {}
-        table = compile_dbc(self.dbc, on_bus, where, self.senders, messages)
+        table = compile_dbc(self.dbc, on_bus, where, self.senders, messages, self.signals_of_dbc, conversion)
         self.check_senders(table)
         table.units = units  # those of the table beside it too
         return table

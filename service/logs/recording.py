@@ -6,6 +6,7 @@ another clock. Kind *instrumented*: everything is on CAN, or in a table; only th
 
 import hashlib
 import tomllib
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from faultline.fill_in import unfilled
 from faultline.service.logs.report import LogError
 from faultline.service.logs.tables.table import ColumnMap
 
@@ -36,7 +38,8 @@ class Can(_Part, frozen=True):
     """The CAN log (candump format) and its DBC, both relative to the folder; the DBC's SHA-256 in hexadecimal.
 
     `bench_sha256` is that of the bench's own CAN log, where this recording was ingested from it: ingested again, with
-    another clock, the log is another one, but the drive is the same. `channel` is the bus to take of a log of several.
+    another clock, the log is another one, but the drive is the same. `signals` are the DBC's names, SIGNAL or
+    MESSAGE.SIGNAL, of those signals that have other ones there. `channel` is the bus to take of a log of several.
     `senders` are the source addresses to take of messages that several devices send, by the messages' names. Where the
     signals are on several buses, `buses` are the channels of those with a name, and `messages` name the bus of a
     message.
@@ -47,6 +50,7 @@ class Can(_Part, frozen=True):
     dbc_sha256: Sha256
     bench_sha256: Sha256 | None = None
     channel: str | None = None
+    signals: dict[str, str] = {}
     senders: dict[str, Address] = {}
     buses: dict[str, str] = {}
     messages: dict[str, str] = {}
@@ -144,7 +148,10 @@ def load_recording(folder: Path) -> Recording:
         LogError: something is missing, unknown, contradictory or changed; the message names the path in the file.
     """
     path = folder / FILE
-    recording = _decode(_read(path, "is this a recording's folder?"), path)
+    recording = _decode(
+        _read(path, "is this a recording's folder? `faultline ingest --init LOG` writes one for files of your own"),
+        path,
+    )
     _check(recording, path)
     if recording.table:
         _read(folder / recording.table.file, f"{FILE} names it as the table", size=1)
@@ -175,17 +182,51 @@ def _read(path: Path, remedy: str, size: int = -1) -> bytes:
         raise LogError(f"{path}: cannot be read: {error.strerror}; {remedy}") from error
 
 
-def _decode(raw: bytes, path: Path) -> Recording:
+def toml_of(raw: bytes, path: Path) -> dict[str, object]:
+    """Return the tables of a file.
+
+    Raises:
+        LogError: it is no TOML.
+    """
     try:
-        tree = tomllib.loads(raw.decode())
-        schema = tree.get("schema")
-        if schema != SCHEMA:
-            raise LogError(f"{path}: schema is {schema!r}, this faultline reads {SCHEMA}")
-        return msgspec.convert(tree, Recording)
+        return tomllib.loads(raw.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise LogError(f"{path}: not valid TOML: {error}") from error
+
+
+def _decode(raw: bytes, path: Path) -> Recording:
+    tree = toml_of(raw, path)
+    try:
+        schema = tree.get("schema", SCHEMA)
+        if schema != SCHEMA:
+            raise LogError(f"{path}: schema is {schema!r}, this faultline reads {SCHEMA}")
+        if lacking := _lacking(tree):
+            raise LogError(f"{path}: {lacking}")
+        return msgspec.convert(tree, Recording)
     except msgspec.ValidationError as error:
         raise LogError(f"{path}: {str(error).replace('`$.', '`').replace('$.', '')}") from error
+
+
+def _lacking(tree: Mapping[str, object]) -> str:
+    """Return a sentence that names every required field that is absent, and every one that is still marked."""
+    absent, marked = ", ".join(_absent(tree)), ", ".join(unfilled(tree))
+    said = [f"required and not there: {absent}; add them, or let `faultline ingest --init` write it"] if absent else []
+    return "; ".join(said + ([f"still to be filled in: {marked}"] if marked else []))
+
+
+def _absent(tree: Mapping[str, object]) -> Iterator[str]:
+    """Yield the places of required fields that a file lacks."""
+    external = tree.get("external")
+    tables = external.get("tables") if isinstance(external, dict) else None
+    parts: list[tuple[str, object, type[_Part]]] = [("", tree, Recording), ("external.", external, External)]
+    parts += [("can.", tree.get("can"), Can), ("table.", tree.get("table"), Columns)]
+    parts += [
+        (f"external.tables.{name}.", each, Table) for name, each in (tables.items() if isinstance(tables, dict) else ())
+    ]
+    for place, part, form in parts:
+        if isinstance(part, dict):
+            fields = msgspec.structs.fields(form)
+            yield from (place + each.name for each in fields if each.required and each.name not in part)
 
 
 def _check(recording: Recording, path: Path) -> None:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from faultline.service.core.signals.units import conversion
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.report import LogReport
 from faultline.service.logs.tables.table import ValueTable
+from faultline.service.logs.units import conversion
 from faultline.service.survey.signals import SignalRow
 
 

@@ -11,7 +11,7 @@ import msgspec
 from faultline.options import Parser, add_channels, channels_of
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
-from faultline.service.core.signals.dbc import NO_BUSES, NOBODY
+from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES
 from faultline.service.core.signals.dbc_messages import Described, describe_dbc
 from faultline.service.core.signals.dbc_text import dbc_text
 from faultline.service.logs import Log, open_any
@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(argv)
     channel, buses = channels_of(options.channel)
-    asked = _asked(options.dbc, options.bundle, _senders(options.log))
+    asked = _asked(options.dbc, options.bundle, *_chosen(options.log))
     if unknown := [bus for bus in buses if bus not in asked.buses.values()]:
         names = f"the bundle {options.bundle} names" if options.bundle else "without --bundle there is"
         raise InputError(f"--channel {unknown[0]}={buses[unknown[0]]}: {names} no such bus")
@@ -111,13 +111,13 @@ def _contents(
     return traffic, Contents(messages, parts, {}, [])
 
 
-def _senders(log: Path) -> Mapping[str, int]:
-    """Return the source addresses that the log's recording chooses, as `diagnose` takes them."""
+def _chosen(log: Path) -> tuple[Mapping[str, int], Mapping[str, str]]:
+    """Return the source addresses and names of signals that the log's recording chooses, as `diagnose` takes them."""
     can = load_recording(log).can if log.is_dir() else None
-    return NOBODY if can is None else can.senders
+    return (NOBODY, OWN_NAMES) if can is None else (can.senders, can.signals)
 
 
-def _asked(dbc: Path | None, bundle: Path | None, senders: Mapping[str, int]) -> Asked:
+def _asked(dbc: Path | None, bundle: Path | None, senders: Mapping[str, int], signals: Mapping[str, str]) -> Asked:
     """Return what of a log is asked for: the signals of the DBC, or those that the bundle needs."""
     if bundle is None:
         return ALL if dbc is None else Asked(describe_dbc(_read(dbc), str(dbc), senders=senders))
@@ -126,7 +126,8 @@ def _asked(dbc: Path | None, bundle: Path | None, senders: Mapping[str, int]) ->
     if manifest.dbc is None:
         return Asked(units=units)
     path = bundle / manifest.dbc
-    described = describe_dbc(_read(path), str(path), [*units], {**manifest.senders, **senders})
+    chosen = {**manifest.senders, **senders}, {**manifest.signals, **signals}
+    described = describe_dbc(_read(path), str(path), [*units], *chosen)
     return Asked(described, units, manifest.buses)
 
 

@@ -22,6 +22,7 @@ from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
 from faultline.service.bundle.files import SEAL, BundleError, seal
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
+from faultline.service.logs import open_log
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundle"
 DBC = Path(__file__).resolve().parents[2] / "dbc" / "uds.dbc"
@@ -262,7 +263,7 @@ def test_golden_samples_of_other_signals_are_refused(made: Made, tmp_path: Path,
     ("old", "new", "message"),
     [
         ("SG_ y_p_tp ", "SG_ y_p_xx ", "no message carries y_p_tp; use the DBC that the bundle was made for"),
-        ('[0|321.275] "kPa"', '[0|321.275] "psi"', "UDS_SENSORS.y_p_tp: unit 'psi' cannot be converted to 'Pa'"),
+        ('[0|321.275] "kPa"', '[0|321.275] "V"', "UDS_SENSORS.y_p_tp: unit 'V' cannot be converted to 'Pa'"),
         ("SG_ y_p_ap :", "SG_ y_p_ap", "not a valid DBC file"),
     ],
 )
@@ -351,3 +352,50 @@ def test_a_tuning_of_another_version_is_refused(
     made.tuning.write_text(json.dumps({**json.loads(made.tuning.read_bytes()), **change}))
     with pytest.raises(InputError, match=message):
         made.export(tmp_path / "bundle")
+
+
+def test_a_bundle_of_a_recording_carries_the_names_of_its_dbc(made: Made, tmp_path: Path) -> None:
+    text = DBC.read_text().replace("y_p_du", "DosingPressure").replace(" n_p", " speed")
+    drive, out = tmp_path / "drive", tmp_path / "bundle"
+    drive.mkdir()
+    log = GOLDEN.parent / "log"
+    (drive / "vendor.dbc").write_text(text)
+    (drive / "can.log").write_bytes((log / "can.log").read_bytes())
+    old = hashlib.sha256(DBC.read_bytes()).hexdigest()
+    written = (log / "recording.toml").read_text().replace("uds.dbc", "vendor.dbc")
+    written = written.replace(old, hashlib.sha256(text.encode()).hexdigest())
+    (drive / "recording.toml").write_text(
+        written + '[can.signals]\ny_p_du = "UDS_ECU.DosingPressure"\nn_p = "speed"\nother = "x"\n'
+    )
+    given = [str(made.model), "--tuning", str(made.tuning), "--out"]
+    assert main([*given, str(out), "--recording", str(drive)]) == 0
+    bundle = load_bundle(out)
+    assert bundle.manifest.signals == {"y_p_du": "UDS_ECU.DosingPressure", "n_p": "speed"}
+    main([*given, str(tmp_path / "own"), "--dbc", str(DBC)])
+    frames = list(open_log(log).frames())[:500]
+    decoded = [[each.table.decode(*frame[1:]) for frame in frames] for each in (bundle, load_bundle(tmp_path / "own"))]
+    assert any(decoded[0])
+    assert decoded[0] == decoded[1]
+    with pytest.raises(InputError, match="no message carries"):
+        main([*given, str(tmp_path / "no"), "--dbc", str(drive / "vendor.dbc")])
+
+
+def test_a_bundle_brings_the_units_of_its_dbc_that_the_vehicle_does_not_know(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign = DBC.read_text().replace('(0.05,0) [0|3212.75] "kPa"', '(0.0072519,0) [0|466] "psi"')
+    (tmp_path / "truck.dbc").write_text(foreign)
+    assert made.export(tmp_path / "bundle", dbc=tmp_path / "truck.dbc") == 0
+
+    def none(given: str, wanted: str) -> None:
+        raise AssertionError(f"{given} to {wanted} was looked up on the vehicle")
+
+    monkeypatch.setattr("faultline.service.logs.units._by_library", none)
+    bundle = load_bundle(tmp_path / "bundle")
+    [unit] = bundle.manifest.units
+    assert unit[:2] == ("psi", "Pa")
+    assert unit[2:] == pytest.approx((6894.757293168361, 0.0))
+    frame = next(each for each in open_log(GOLDEN.parent / "log").frames() if each.can_id == 0x18FF103D)
+    found = {name: value for name, value, _ in bundle.table.decode(*frame[1:])}
+    own = {name: value for name, value, _ in load_bundle(GOLDEN).table.decode(*frame[1:])}
+    assert found == pytest.approx(own, rel=1e-4)

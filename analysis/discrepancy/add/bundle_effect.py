@@ -24,6 +24,7 @@ from faultline.analysis.tuning.command import tune
 from faultline.service.bundle.load import Bundle, load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import CusumDetector, Generator
+from faultline.service.core.signals.dbc import NO_BUSES
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.logs import Log
 
@@ -108,12 +109,13 @@ class BundleEffect:
 class Trial:
     """Recordings by which bundles are made and judged: fault-free recordings to tune on, and logs with their truths.
 
-    `dbc` and `senders` are those of the first recording.
+    `dbc`, `senders` and the DBC's names of `signals` are those of the first recording.
     """
 
     tuning: tuple[Path, ...]
     dbc: Path
     senders: Mapping[str, int]
+    signals: Mapping[str, str]
     judged: tuple[tuple[Log, Truth | None], ...]
 
 
@@ -148,7 +150,7 @@ def trial(
         if first.recording is not None:
             log.check_dbc(first.recording.can_log.dbc_sha256)
         judged.append((log, None if told is None else load_truth(told, log.id)))
-    return Trial(tuple(tuning), first.dbc_path, first.senders, tuple(judged))
+    return Trial(tuple(tuning), first.dbc_path, first.senders, first.signals_of_dbc, tuple(judged))
 
 
 def bundle_effect(before: Model, after: Model, recordings: Trial, progress: Progress) -> BundleEffect:
@@ -177,9 +179,9 @@ def _bundled(model: Model, recordings: Trial, progress: Progress) -> Bundled:
     try:
         runnable = Runnable(build_bank(model))
         tuned, dbc = tune(runnable, [*recordings.tuning], progress), recordings.dbc
-        bundle = _written(
-            bundle_files(runnable, tuned, (dbc.name, dbc.read_bytes()), model.name, senders=recordings.senders)
-        )
+        given = dbc.name, dbc.read_bytes()
+        chosen = recordings.senders, NO_BUSES, recordings.signals
+        bundle = _written(bundle_files(runnable, tuned, given, model.name, 0, *chosen))
     except InputError as error:
         return Bundled(reason=str(error))
     judged = {}

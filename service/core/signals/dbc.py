@@ -28,7 +28,7 @@ from faultline.service.core.j1939.transport import LARGEST
 from faultline.service.core.signals.dbc_text import needed
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
 from faultline.service.core.signals.layout import FLOATS, Cut, Field, Layout, Only, Selector
-from faultline.service.core.signals.units import conversion
+from faultline.service.core.signals.units import MORE, Convert, conversion
 
 SENSELESS: tuple[type[Exception], ...] = (
     *(DatabaseError, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, RecursionError),
@@ -38,6 +38,8 @@ BROKEN: tuple[type[Exception], ...] = (textparser.Error, *SENSELESS)
 """And where it breaks the grammar besides."""
 NOBODY: Mapping[str, int] = MappingProxyType({})
 NO_BUSES: Mapping[str, str] = MappingProxyType({})
+OWN_NAMES: Mapping[str, str] = MappingProxyType({})
+"""Every signal has the name that the DBC gives it."""
 
 
 def compile_dbc(
@@ -46,10 +48,13 @@ def compile_dbc(
     where: str,
     senders: Mapping[str, int] = NOBODY,
     buses: Mapping[str, str] = NO_BUSES,
+    signals: Mapping[str, str] = OWN_NAMES,
+    convert: Convert = conversion,
 ) -> DecodeTable:
     """Return the table for the signals in `units` (name to unit), from a DBC's text; `where` names the file in errors.
 
-    `buses` are the names of the buses of some messages: the table has tables of its own for these.
+    `buses` are the names of the buses of some messages: the table has tables of its own for these. `signals` are the
+    DBC's names of those signals that have other ones there, as SIGNAL or MESSAGE.SIGNAL. `convert` knows the units.
 
     `senders` are the source addresses that are chosen for some messages of J1939, whatever the DBC has there. A message
     without one to which the DBC gives the null address (0xFE) is taken from any sender, as long as there is but one.
@@ -59,26 +64,27 @@ def compile_dbc(
             to the one wanted, or in a message that makes no sense; a sender or a bus is given to a message that cannot
             have it.
     """
-    messages, says_formats = _messages(text, units, where)
+    wanted_names = by_dbc_name(units, signals, where)
+    messages, says_formats = _messages(text, wanted_names, where)
     carriers: dict[str, list[str]] = {name: [] for name in units}
-    carrying: list[tuple[Message, list[DbcSignal]]] = []
+    carrying: list[tuple[Message, dict[str, DbcSignal]]] = []
     for message in messages:
-        wanted = [signal for signal in message.signals if signal.name in units]
-        for signal in wanted:
-            carriers[signal.name].append(message.name)
+        wanted = wanted_in(message, wanted_names)
+        for name in wanted:
+            carriers[name].append(message.name)
         if wanted:
             if why := unsaid(message, says_formats):
                 raise InputError(f"{where}: {why}")
-            check_message(message, wanted, where)
+            check_message(message, wanted.values(), where)
             carrying.append((message, wanted))
     by_bus: dict[str, dict[tuple[int, bool], Layout]] = {"": {}}
     for message, wanted in carrying:
         layouts = by_bus.setdefault(buses.get(message.name, ""), {})
-        layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where)
+        layout = layout_of(message, identity_of(message, messages, senders), wanted, units, where, convert)
         key = layout.identifier, message.is_extended_frame
         if (before := layouts.setdefault(key, layout)) is not layout:
             raise InputError(f"{where}: {before.name} and {message.name} have one identifier; remove one of them")
-    _check_carriers(carriers, where)
+    _check_carriers(carriers, signals, where)
     found = [layout for layouts in by_bus.values() for layout in layouts.values()]
     _check_senders(senders, found, where)
     _check_buses(buses, found, where)
@@ -86,6 +92,31 @@ def compile_dbc(
     for bus, layouts in by_bus.items():
         table.add_bus(bus, DecodeTable(layouts))
     return table
+
+
+def by_dbc_name(names: Collection[str], signals: Mapping[str, str], where: str) -> dict[str, str]:
+    """Return the wanted names by those of the DBC (SIGNAL or MESSAGE.SIGNAL), which `signals` gives where they differ.
+
+    Raises:
+        InputError: two are the same signal of the DBC.
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        other = found.setdefault(given := signals.get(name, name), name)
+        if other != name:
+            raise InputError(f"{where}: {other} and {name} are both the DBC's signal {given}; give each its own")
+    return found
+
+
+def wanted_in(message: Message, wanted: Mapping[str, str]) -> dict[str, DbcSignal]:
+    """Return the signals of a message by the names that `wanted` has for them."""
+    named = [(wanted.get(f"{message.name}.{each.name}", wanted.get(each.name)), each) for each in message.signals]
+    return {name: each for name, each in named if name is not None}
+
+
+def plain_names(wanted: Collection[str]) -> list[str]:
+    """Return the DBC's names of signals without those of their messages."""
+    return [name.rpartition(".")[2] for name in wanted]
 
 
 def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Message], bool]:
@@ -100,7 +131,7 @@ def _messages(text: str, names: Collection[str], where: str) -> tuple[list[Messa
         raise InputError(f"{where}: not a valid DBC file: {one_line(error)}") from error
     except SENSELESS:
         try:
-            return load(needed(text, names))
+            return load(needed(text, plain_names(names)))
         except BROKEN as error:
             raise InputError(f"{where}: not a valid DBC file: {one_line(error)}") from error
 
@@ -202,14 +233,19 @@ def _is_alike(one: int, other: int) -> bool:
 
 
 def layout_of(
-    message: Message, identity: tuple[int, int], wanted: Collection[DbcSignal], units: Mapping[str, str], where: str
+    message: Message,
+    identity: tuple[int, int],
+    wanted: Mapping[str, DbcSignal],
+    units: Mapping[str, str],
+    where: str,
+    convert: Convert = conversion,
 ) -> Layout:
-    """Return where the wanted signals are in the message.
+    """Return where the wanted signals, by their names outside the DBC, are in the message.
 
     Raises:
         InputError: a unit cannot be converted to the one in `units`.
     """
-    fields = tuple(_field(message, signal, units[signal.name], where) for signal in wanted)
+    fields = tuple(_field(message, name, signal, (units[name], convert), where) for name, signal in wanted.items())
     used = {cut for field in fields for cut, _ in field.only}
     selectors = [
         Selector(_cut(message, each), _selected(message, each.name), _only(message, each))
@@ -228,17 +264,17 @@ def layout_of(
     )
 
 
-def _field(message: Message, signal: DbcSignal, unit: str, where: str) -> Field:
-    given = signal.unit or ""
-    how = conversion(given, unit)
+def _field(message: Message, name: str, signal: DbcSignal, wanted: tuple[str, Convert], where: str) -> Field:
+    given, (unit, convert) = signal.unit or "", wanted
+    how = convert(given, unit)
     if how is None:
         place = f"{where}: {message.name}.{signal.name}"
-        raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs")
+        raise InputError(f"{place}: unit {given!r} cannot be converted to {unit!r}, which the bundle needs{MORE}")
     factor, shift = how
     low, high = signal.minimum, signal.maximum
     slack = 1e-9 * max(abs(float(low or 0.0)), abs(float(high or 0.0)), 1.0)  # of what a decimal rounds
     return Field(
-        name=signal.name,
+        name=name,
         cut=_cut(message, signal),
         signed=signal.is_signed,
         is_float=signal.is_float,
@@ -273,14 +309,16 @@ def _selected(message: Message, selector: str) -> frozenset[int]:
     return frozenset(value for values in behind for value in values)
 
 
-def _check_carriers(carriers: Mapping[str, list[str]], where: str) -> None:
-    absent = [name for name, messages in carriers.items() if not messages]
+def _check_carriers(carriers: Mapping[str, list[str]], signals: Mapping[str, str], where: str) -> None:
+    shown = {name: f"{name} (as {signals[name]})" if name in signals else name for name in carriers}
+    absent = [shown[name] for name, messages in carriers.items() if not messages]
     if absent:
         raise InputError(f"{where}: no message carries {', '.join(absent)}; use the DBC that the bundle was made for")
     for name, messages in carriers.items():
         if len(messages) > 1:
             raise InputError(
-                f"{where}: signal {name} is in several messages ({', '.join(messages)}); rename all but one"
+                f"{where}: signal {shown[name]} is in several messages ({', '.join(messages)}); rename all but one, or "
+                f'say under [can.signals] which: {name} = "{messages[0]}.{signals.get(name, name)}"'
             )
 
 

@@ -11,13 +11,17 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.signals.dbc import (
     BROKEN,
     NOBODY,
+    OWN_NAMES,
     SENSELESS,
+    by_dbc_name,
     check_message,
     identity_of,
     layout_of,
     load,
     one_line,
+    plain_names,
     unsaid,
+    wanted_in,
 )
 from faultline.service.core.signals.dbc_text import Stated, needed, only, stated_messages
 from faultline.service.core.signals.decode import EXTENDED
@@ -39,28 +43,35 @@ class Described(NamedTuple):
 
 
 def describe_dbc(
-    text: str, where: str, names: Collection[str] | None = None, senders: Mapping[str, int] = NOBODY
+    text: str,
+    where: str,
+    names: Collection[str] | None = None,
+    senders: Mapping[str, int] = NOBODY,
+    signals: Mapping[str, str] = OWN_NAMES,
 ) -> list[Described]:
     """Return the messages that carry signals, of these `names` or of any, whether or not each of them makes sense.
+
+    `signals` are the DBC's names of those that have other ones there.
 
     Raises:
         InputError: the text breaks the grammar.
     """
     senseless: list[tuple[Stated, str]] = []
+    wanted = None if names is None else by_dbc_name(names, signals, where)
     try:
         messages, says_formats = load(text)
     except textparser.Error as error:
         raise InputError(f"{where}: not a valid DBC file: {one_line(error)}") from error
     except SENSELESS:
-        text = text if names is None else needed(text, names)
+        text = text if wanted is None else needed(text, plain_names(wanted))
         messages, says_formats, senseless = _load_what_can_be(text, stated_messages(text))
     found = []
     for message in messages:
-        signals = [each for each in message.signals if names is None or each.name in names]
-        if signals:
-            layout, why = _tried(message, signals, messages, senders, says_formats)
-            is_extended, of = message.is_extended_frame, tuple(each.name for each in signals)
-            found.append(Described(message.name, message.frame_id, is_extended, of, layout, why))
+        carried = wanted_in(message, {each.name: each.name for each in message.signals} if wanted is None else wanted)
+        if carried:
+            layout, why = _tried(message, carried, messages, senders, says_formats)
+            is_extended = message.is_extended_frame
+            found.append(Described(message.name, message.frame_id, is_extended, tuple(carried), layout, why))
     return found + [
         Described(name, number & EXTENDED, number > EXTENDED, tuple(sorted(each for _, each in carried)), None, why)
         for (name, number, carried), why in senseless
@@ -69,7 +80,7 @@ def describe_dbc(
 
 def _tried(
     message: Message,
-    signals: Collection[DbcSignal],
+    signals: Mapping[str, DbcSignal],
     messages: Collection[Message],
     senders: Mapping[str, int],
     says_formats: bool,
@@ -78,8 +89,8 @@ def _tried(
     if why := unsaid(message, says_formats):
         return None, f"the DBC {why}"
     try:
-        check_message(message, signals, "DBC")
-        units = {each.name: each.unit or "" for each in signals}
+        check_message(message, signals.values(), "DBC")
+        units = {name: each.unit or "" for name, each in signals.items()}
         return layout_of(message, identity_of(message, messages, senders), signals, units, "DBC"), ""
     except InputError as error:
         return None, f"makes no sense: {str(error).removeprefix('DBC: ')}"

@@ -1,7 +1,9 @@
 """Units as DBC files write them, to the SI units of models and bundles."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
+
+from faultline.service.core.manifest import Unit
 
 
 class Conversion(NamedTuple):
@@ -9,6 +11,10 @@ class Conversion(NamedTuple):
 
     factor: float
     offset: float = 0.0
+
+
+Convert = Callable[[str, str], Conversion | None]
+"""How a value in one unit becomes one in another; None where that is not known."""
 
 
 UNITS: Mapping[str, tuple[str, Conversion]] = {
@@ -54,6 +60,9 @@ UNITS: Mapping[str, tuple[str, Conversion]] = {
 }
 """By a unit's name in ASCII: the SI unit, and how to get there."""
 
+MORE = " (any unit is known where pint is installed, extra `units`)"
+"""What an error about a unit adds."""
+
 _SPELLINGS = {"deg C": "degC", "Deg C": "degC", "DegC": "degC", "C": "degC", "L": "l", "L/h": "l/h", "L/min": "l/min"}
 _SIGNS = {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "²": "2", "³": "3", "·": " "}  # both signs of micro
 
@@ -78,3 +87,9 @@ def conversion(given: str, wanted: str) -> Conversion | None:
         return Conversion(1.0)
     target, how = UNITS.get(plain_unit(given), ("", None))
     return how if target == wanted else None
+
+
+def with_units(units: Iterable[Unit]) -> Convert:
+    """Return the conversion that knows these units besides the table's, as a bundle brings them."""
+    more = {(given, wanted): Conversion(factor, offset) for given, wanted, factor, offset in units}
+    return lambda given, wanted: conversion(given, wanted) or more.get((given, wanted))

@@ -11,11 +11,12 @@ import numpy as np
 
 from faultline.service.core.signals.merging import MergedPart, MergedSignals
 from faultline.service.core.signals.received import Column, Received, Signals
-from faultline.service.core.signals.units import conversion
+from faultline.service.core.signals.units import MORE
 from faultline.service.core.signals.values import Quality
 from faultline.service.logs.order import Ordering
 from faultline.service.logs.report import LogError, LogReport
 from faultline.service.logs.tables.rows import TableFile, TableRows
+from faultline.service.logs.units import conversion
 
 _ERROR = int(Quality.ERROR)
 _SHOWN = 20  # columns in an error
@@ -96,7 +97,7 @@ class ValueTable:
         if found is None:
             raise LogError(
                 f"{self.where}: {how.column} is in {given!r}, which cannot be converted to {unit!r}, the unit of "
-                f"{signal}; give `unit` under [table.signals.{signal}] in recording.toml"
+                f"{signal}; give `unit` under [table.signals.{signal}] in recording.toml{MORE}"
             )
         return _Pick(signal, how.column, how.scale * found.factor, how.offset * found.factor + found.offset)
 

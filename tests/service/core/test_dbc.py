@@ -229,3 +229,39 @@ VAL_ 9 none 0 "x";
 def test_a_unit_that_is_no_pressure_is_refused() -> None:
     with pytest.raises(InputError, match=r"EngineCoolantTemp: unit '°C' cannot be converted to 'Pa'"):
         compile_dbc(VENDORS, {"EngineCoolantTemp": "Pa"}, "vendors.dbc")
+
+
+def test_signals_may_have_other_names_than_in_the_dbc() -> None:
+    names = {"speed": "EngineSpeed", "v": "CCVS1.WheelBasedVehicleSpeed"}
+    units = {"speed": "1/s", "v": "m/s", "EngineCoolantTemp": "K"}
+    table = compile_dbc(VENDORS, units, "vendors.dbc", signals=names)
+    frames = {EEC1: bytes([0, 0, 0, 0x00, 0x19, 0, 0, 0]), CCVS1: bytes([0, 0, 90, 0, 0, 0, 0, 0])}
+    found = {
+        name: value for identifier, data in frames.items() for name, value, _ in table.decode(identifier, True, data)
+    }
+    assert found == pytest.approx({"speed": 800 / 60, "v": 25.0})
+    assert {s for each in describe_dbc(VENDORS, "v", [*units], signals=names) for s in each.signals} == {*units}
+
+
+@pytest.mark.parametrize(
+    ("signals", "told"),
+    [
+        ({"speed": "Speed"}, r"no message carries speed \(as Speed\);"),
+        ({"speed": "ET1.EngineSpeed"}, r"no message carries speed \(as ET1.EngineSpeed\);"),
+        ({"speed": "EngineSpeed", "v": "EngineSpeed"}, "speed and v are both the DBC's signal EngineSpeed; give each"),
+    ],
+)
+def test_a_name_that_the_dbc_has_not_is_refused(signals: dict[str, str], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        compile_dbc(VENDORS, dict.fromkeys(signals, "1/s"), "vendors.dbc", signals=signals)
+
+
+def test_a_signal_of_several_messages_is_chosen_by_its_message() -> None:
+    text = 'VERSION ""\nBS_:\nBU_: A\n' + "".join(
+        f'BO_ {k} M{k}: 8 A\n SG_ p : 0|8@1+ ({k},0) [0|0] "Pa" A\n\n' for k in (1, 2)
+    )
+    with pytest.raises(InputError, match=r'several messages \(M1, M2\).*say under \[can.signals\] which: p = "M1.p"'):
+        compile_dbc(text, {"p": "Pa"}, "m.dbc")
+    table = compile_dbc(text, {"p": "Pa"}, "m.dbc", signals={"p": "M2.p"})
+    assert [value for *_, value, _ in table.decode(2, False, b"\x03" + bytes(7))] == [6.0]
+    assert table.decode(1, False, b"\x03" + bytes(7)) == []

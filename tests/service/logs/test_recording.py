@@ -94,10 +94,10 @@ def test_another_dbc_is_refused(tmp_path: Path) -> None:
     ("old", "new", "words"),
     [
         ("schema = 1", "schema = 2", "schema is 2, this faultline reads 1"),
-        ("schema = 1\n", "", "schema is None, this faultline reads 1"),
+        ("schema = 1\n", "", "required and not there: schema;"),
         ("schema = 1", "schema = ", "not valid TOML"),
         ('file = "can.log"', "file = 3", "Expected `str`, got `int` - at `can.file`"),
-        ('cycle = "none"\n', "", "missing required field `cycle`"),
+        ('cycle = "none"\n', "", "required and not there: cycle;"),
         ("[can]", "colour = 1\n[can]", "unknown field `colour`"),
         ('file = "can.log"', 'file = "can.log"\nrate = 1', "unknown field `rate` - at `can`"),
         ('kind = "bench"', 'kind = "road"', "Invalid enum value 'road' - at `kind`"),
@@ -128,3 +128,14 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
     (_write(tmp_path) / "recording.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(LogError, match="not valid TOML"):
         load_recording(tmp_path)
+
+
+def test_all_that_is_absent_or_marked_is_named_at_once(tmp_path: Path) -> None:
+    text = BENCH.replace('id = "drive-1"\n', "").replace('source = "test"', 'source = "FILL IN: where from"')
+    _write(tmp_path, text.replace('dbc = "uds.dbc"\n', "").replace('column = "p_tp_V"', 'column = "FILL IN"'))
+    with pytest.raises(LogError) as caught:
+        load_recording(tmp_path)
+    assert str(caught.value).removeprefix(f"{tmp_path / 'recording.toml'}: ") == (
+        "required and not there: id, can.dbc; add them, or let `faultline ingest --init` write it; "
+        "still to be filled in: source, external.tables.y_p_tp.column"
+    )

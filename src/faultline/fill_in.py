@@ -1,4 +1,4 @@
-"""What a first draft of a system leaves to its author: texts that begin with a mark, found by where they stand."""
+"""Places that a first draft leaves to its author: texts that begin with a mark, found by where they stand."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
