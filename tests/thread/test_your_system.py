@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,21 +49,30 @@ def test_the_page_ends_with_the_leak_named(followed: Path) -> None:
 
 
 @contextlib.contextmanager
-def running(call: list[str], folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    process = subprocess.Popen(call, cwd=folder, text=True, stdout=subprocess.PIPE)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(30)
+def running(call: list[str], folder: Path) -> Iterator[Path]:
+    """A command that runs until the end; it prints into the file."""
+    said = folder / f"{call[1]}.txt"
+    with said.open("wb") as out:
+        process = subprocess.Popen(call, cwd=folder, stdout=out)
+        try:
+            yield said
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(30)
 
 
-def waited_for(path: Path) -> None:
+def waited_for(condition: Callable[[], bool], what: str) -> None:
     for _ in range(600):
-        if path.exists():
+        if condition():
             return
         time.sleep(0.1)
-    raise AssertionError(f"{path} did not come within a minute")
+    raise AssertionError(f"within a minute there was no {what}")
+
+
+def named(said: Path) -> bool:
+    """Whether a line of the service has the leak as its only first explanation."""
+    lines = [json.loads(line) for line in said.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
+    return any([d["faults"] for d in line.get("diagnoses", []) if d["rank"] == 1] == [[LEAK]] for line in lines)
 
 
 def fetched(port: int, path: str) -> Any:
@@ -78,15 +87,10 @@ def test_the_service_names_it_from_a_bus(followed: Path) -> None:
     subprocess.run([FAULTLINE, *told["rig"]], cwd=followed, check=True, capture_output=True)
     run, replay = ([bus if word.startswith("udp") else word for word in told[name]] for name in ("run", "replay"))
     run[run.index("--socket") + 1] = str(socket)
-    with running([FAULTLINE, *run], followed) as service:
-        waited_for(socket)
+    with running([FAULTLINE, *run], followed) as said:
+        waited_for(socket.exists, "socket")
         subprocess.run([FAULTLINE, *replay], cwd=followed, check=True)
-        assert service.stdout is not None
-        for line in service.stdout:
-            named = [each["faults"] for each in json.loads(line).get("diagnoses", []) if each["rank"] == 1]
-            if named == [[LEAK]]:
-                return
-    raise AssertionError("the service ended without naming the leak")
+        waited_for(lambda: named(said), f"{LEAK} in {said}")
 
 
 @pytest.mark.alone
@@ -94,9 +98,8 @@ def test_the_page_in_a_browser_has_the_tanks_own_words(followed: Path) -> None:
     port = free_port()
     serve = next(words[1:] for words in commands(marked=True) if words[1] == "serve")
     serve = [word for word in serve if word != "--open"]
-    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed) as page:
-        assert page.stdout is not None
-        page.stdout.readline()
+    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed) as said:
+        waited_for(lambda: str(port) in said.read_text(), "page")
         system = fetched(port, "v1/systems/three_tank")
         assert [signal["name"] for signal in system["signals"]] == ["u", "y1", "y2", "y3"]
         assert not re.search("dose|dosing|urea|DEF", json.dumps(system))
