@@ -16,6 +16,7 @@ from faultline.analysis.evaluation.measure.facts import Facts, facts, labelled
 from faultline.analysis.evaluation.report.document import isolating
 from faultline.analysis.evaluation.sentence import sentence, summary
 from faultline.analysis.evaluation.story import Story, tell
+from faultline.analysis.model.display import units_of_inputs
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
 from faultline.service.bundle.load import Bundle, load_bundle
@@ -60,7 +61,7 @@ def main(argv: list[str]) -> int:
             judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
                 stories.append(replace(story, events=events))  # of a bus, where those are judged
-        judged = labelled(judged)
+        judged = labelled(judged, units_of_inputs(bundle.manifest.inputs))
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
         unmet: list[str] = []

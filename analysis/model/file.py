@@ -28,6 +28,7 @@ import sympy as sp
 from faultline import systems
 from faultline.analysis.model.check import check_model, check_name, check_names
 from faultline.analysis.model.curves import Curve, Curves, trouble
+from faultline.analysis.model.display import units_of
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.model.fill_in import unfilled
@@ -127,8 +128,10 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         modes=modes_of(top, known),
         warm_up_s=warm_up_s,
         period_s=_period(top, warm_up_s),
+        display=_display(top),
     )
     top.done()
+    units_of(model, where)  # each is of the right dimension
     check_model(model, [equation.name for equation in read], where)
     return model
 
@@ -147,6 +150,13 @@ def _period(top: Table, warm_up_s: float) -> float:
     return min(max((warm_up_s or WARM_UP_S) / PERIODS, SHORTEST_S), LONGEST_S) if seconds is None else seconds
 
 
+def _display(top: Table) -> dict[str, tuple[str, ...]]:
+    table = top.table("display")
+    written = {} if table is None else table.rest()
+    wanted = Table(written, top.at("display"))
+    return {unit: wanted.text_or_texts(unit) for unit in written}
+
+
 def _known(table: Table) -> Known:
     known = Known(
         unit=table.text("unit"),
@@ -159,6 +169,8 @@ def _known(table: Table) -> Known:
         added=table.flag("added"),
         maximum_age_s=table.optional_number("maximum_age_s"),
         lag_s=table.optional_number("lag_s"),
+        label=table.text("label", ""),
+        display=table.text_or_texts("display"),
     )
     table.done()
     for name in ("maximum_age_s", "lag_s"):
@@ -272,6 +284,7 @@ def _fault(table: Table, names: Sequence[str], component: str, spn: int | None =
         relative_to=table.optional_text("relative_to"),
         spn=spn,
         fmi=fmi,
+        place=table.text("place", "") if component else "",
     )
     table.done()
     if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:

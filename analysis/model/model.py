@@ -27,7 +27,8 @@ class Known:
     change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
     sample that is older than `maximum_age_s` [s] is not used; None stands for five periods. What it shows may be late,
     by a standard deviation of `lag_s` [s]: the sensor's filter, the controller's cycle, the bus; None stands for a
-    tenth of a period.
+    tenth of a period. `label` is its name for people, the description where it is empty; they read it in the units
+    `display`, coarse to fine, where there are any.
     """
 
     unit: str
@@ -40,6 +41,8 @@ class Known:
     added: bool = False
     maximum_age_s: float | None = None
     lag_s: float | None = None
+    label: str = ""
+    display: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +89,8 @@ class Fault:
 
     It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
     are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. On a J1939 network it
-    is the suspect parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none.
+    is the suspect parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none. `place` is where to find
+    the component.
     """
 
     name: str
@@ -99,6 +103,7 @@ class Fault:
     relative_to: str | None
     spn: int | None = None
     fmi: int | None = None
+    place: str = ""
 
     def absolute(self, size: float, model: "Model") -> float:
         """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""
@@ -220,6 +225,7 @@ class Model:
 
     `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making. After
     `warm_up_s` [s] the slowest state has forgotten where it was assumed to start. Ticks are `period_s` [s] apart.
+    `display` has by unit those that people read instead, coarse to fine.
     """
 
     name: str
@@ -235,6 +241,7 @@ class Model:
     modes: OperatingModes = ONE_MODE
     warm_up_s: float = WARM_UP_S
     period_s: float = WARM_UP_S / PERIODS
+    display: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     @property
     def faults(self) -> dict[str, Fault]:

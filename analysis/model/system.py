@@ -4,11 +4,16 @@ schema = 1
 period_s = 0.2           ticks are so far apart [s]  (a hundredth of the warm-up if absent)
 [signal.y_p_tp]          maximum_age_s: an older sample is not used [s]  (five periods if absent)
       lag_s                  how late it may show, a standard deviation [s]  (a tenth of a period if absent)
+      label, display         its name for people (its description if absent), and units as in [display]
+[display]                Pa = "bar", or ["bar", "mbar"]: units of the model as people read them, coarse to fine
+[fault.fA_t]             spn, fmi: its code on a J1939 network
+[component."tank filter"]  place: where to find it
 [[mode]]                 name, description, instruction, where = {dc_dose = {above = 0.0, below = 0.02}}
 (the first that holds counts; one has no `where` and holds where no other does; none: one mode)
 [edges]                  settle_s, steps = {n_p = 4.0}: how long a step counts, and how large it is
 """
 
+import copy
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,8 +24,10 @@ from faultline.analysis.model.tables import Table, first_repeated
 
 SYSTEM = "system.toml"
 SCHEMA = 1
-OF_SYSTEM = ("period_s", "mode", "edges")
+OF_SYSTEM = ("period_s", "mode", "edges", "display")
 """Keys of a model file, and a file that has one of them says all of it itself."""
+OF_FAULTS = {"fault": "name", "component": "component"}
+"""Tables that say more of faults, and the key of a fault by which each finds it."""
 
 
 def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: bool) -> dict[str, object]:
@@ -44,11 +51,30 @@ def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: b
             signals[name] = {**table.rest(), **signals[name]}
         elif whole:
             raise ModelError(f"{table.place}: {where} has no known signal {name}; those are {', '.join(signals)}")
+    equations = _with_faults(model.get("equation", []), top, where, whole=whole)
     rest = top.rest()
     for key in rest:
         if key not in OF_SYSTEM:
-            raise top.fail(key, f"unknown key; allowed here are schema, signal, {', '.join(OF_SYSTEM)}")
-    return {**model, **rest, "known": signals}
+            raise top.fail(
+                key, f"unknown key; allowed here are {', '.join(('schema', 'signal', *OF_FAULTS, *OF_SYSTEM))}"
+            )
+    return {**model, **rest, "known": signals, "equation": equations}
+
+
+def _with_faults(equations: object, top: Table, where: str, *, whole: bool) -> object:
+    """The equations, their faults with the codes and places that the system's file gives."""
+    found = copy.deepcopy(equations)
+    tables = found if isinstance(found, list) else []
+    faults = [e["fault"] for e in tables if isinstance(e, dict) and isinstance(e.get("fault"), dict)]
+    for key, by in OF_FAULTS.items():
+        there = [str(fault.get(by)) for fault in faults]
+        for name, table in top.named_tables(key).items():
+            if whole and name not in there:
+                raise ModelError(f"{table.place}: {where} has no {key} {name}; those are {', '.join(there)}")
+            more = table.rest()
+            for fault in (fault for fault, its in zip(faults, there, strict=True) if its == name):
+                fault.update({**more, **fault})
+    return found
 
 
 def modes_of(top: Table, known: Mapping[str, Known]) -> OperatingModes:

@@ -27,6 +27,7 @@ def dump_model(model: Model) -> str:
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
         fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s}
+        fields |= {"label": k.label or None, "display": k.display or None}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}
@@ -44,6 +45,8 @@ def dump_model(model: Model) -> str:
             "z": c.z or None,
         }
         blocks.append(f"[curve.{name}]\n" + _pairs(fields))
+    if model.display:
+        blocks.append("[display]\n" + _pairs(dict(model.display)))
     blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
     if model.modes.edges:
         blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
@@ -70,6 +73,7 @@ def _equation(equation: Equation) -> dict[str, object]:
                 **({"component": each.component} if what == "fault" else {}),
                 "description": each.description,
                 **({} if each.spn is None else {"spn": each.spn, "fmi": each.fmi}),
+                **({"place": each.place} if each.place else {}),
                 "enters": each.enters_text,
                 "sizes": each.sizes,
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from faultline.analysis.discrepancy.discover import Kind
+from faultline.analysis.model.display import Units
 
 SCHEMA = "faultline.discovery/1"
 
@@ -209,7 +210,7 @@ class Origin(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True):
-    """All of it. `drifts` and what follows are null where they were not asked for.
+    """All of it; `units` are those that people read. `drifts` and what follows are null where they were not asked for.
 
     `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
     there if something set in while it was recorded: a fault rather than a missing effect. `refused` are reasons why the
@@ -220,6 +221,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     model: str
     origin: Origin
     simulated: bool
+    units: Units = Units()
     verdict: Verdict
     evidence: Evidence
     strengths: tuple[Strength, ...]

@@ -12,7 +12,7 @@ from faultline.analysis.discrepancy.find.onset import Onset
 from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
 from faultline.analysis.discrepancy.show import document as told
-from faultline.analysis.discrepancy.show.sizes import readable
+from faultline.analysis.model.display import Units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +81,11 @@ def experiment_told(plan: Plan) -> told.Section:
     return told.Section(sentences=(sentence,), data=data)
 
 
-def gauge_told(gauge: Gauge) -> told.Section:
+def gauge_told(gauge: Gauge, units: Units) -> told.Section:
     """What a gauge would read, by rival."""
+    shown = units.of(gauge.unit)
     values = "; ".join(
-        f"{readable(mean, gauge.unit)} +- {readable(sd, gauge.unit)} if it is {name}"
-        for name, (mean, sd) in gauge.expected.items()
+        f"{shown.short(mean)} +- {shown.difference(sd)} if it is {name}" for name, (mean, sd) in gauge.expected.items()
     )
     where = f"{gauge.description} ({gauge.variable})" if gauge.description else gauge.variable
     absolute = "absolute, " if gauge.unit == "Pa" else ""  # a gauge shows what is above the atmosphere's

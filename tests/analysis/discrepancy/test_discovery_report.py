@@ -25,10 +25,11 @@ from faultline.analysis.discrepancy.show.extras import Extras
 from faultline.analysis.discrepancy.show.page import page
 from faultline.analysis.discrepancy.show.report import files_of
 from faultline.analysis.discrepancy.show.sentences import MOST, sentences
-from faultline.analysis.discrepancy.show.sizes import readable, sizes
+from faultline.analysis.discrepancy.show.sizes import sizes
 from faultline.analysis.discrepancy.show.summary import summary
 from faultline.analysis.discrepancy.show.told import document_of
 from faultline.analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
+from faultline.analysis.model.display import Units
 
 ORIGIN = Origin(
     training=("t-1",), held_out=("v-1",), sources=("simulated by the rig",), vehicle="truck-1", missing=("too short",)
@@ -335,21 +336,20 @@ def test_long_reports_are_cut_for_the_terminal(document: Document) -> None:
 def test_sizes_are_wider_where_more_than_noise_is_left() -> None:
     found = discovery()
     chosen, library = found.outcome.chosen, found.study.library
-    [usual], [wide] = (sizes(dataclasses.replace(chosen, dispersion=left), library) for left in (1.0, 4.0))
+    [usual], [wide] = (sizes(dataclasses.replace(chosen, dispersion=left), library, Units()) for left in (1.0, 4.0))
     assert usual.interval is not None
     assert wide.interval is not None
     assert np.diff(wide.interval) == pytest.approx(2.0 * np.diff(usual.interval))
     outside = dataclasses.replace(chosen, inside=np.zeros(len(chosen.x), bool), curvature=np.eye(len(chosen.x)))
-    [bound] = sizes(outside, library)
+    [bound] = sizes(outside, library, Units())
     assert bound.interval is None
     assert bound.words.endswith("the end of what is possible")
 
 
-def test_values_are_in_units_that_people_read() -> None:
-    assert readable(0.25, "1") == "0.25"
-    assert readable(2.5e4, "Pa") == "0.25 bar"
-    assert readable(1e-7, "m3/s") == "0.1 mL/s"
-    assert readable(0.4, "s") == "0.4 s"
+def test_values_are_in_units_that_people_read(document: Document) -> None:
+    read = [document.units.of(unit).difference(value) for value, unit in ((0.25, "1"), (2.5e4, "Pa"), (1e-7, "m3/s"))]
+    assert read == ["0.25", "0.25 bar", "0.1 mL/s"]
+    assert Units().of("Pa").difference(2.5e4) == "2.5e+04 Pa"
 
 
 def test_the_document_says_what_it_is_of(document: Document) -> None:
