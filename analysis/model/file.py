@@ -21,6 +21,7 @@ Strict: an unknown key, an undeclared name or a wrong type is an error that name
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import sympy as sp
@@ -78,6 +79,24 @@ def load_model(path: str | Path) -> Model:
         raise ModelError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
     beside = file.with_name(SYSTEM)
     return parse_model(text, str(path), beside if beside.is_file() else None, whole=file.name == MODEL)
+
+
+def folder_of(path: str | Path, name: str) -> Path | None:
+    """The folder of the system that the model in a file or folder, or of a shipped name, belongs to.
+
+    It is where the model lies, if that is a system's; else that of the shipped model of the same `name`, which a
+    calibrated one keeps. None where there is neither.
+    """
+    file = Path(path) if Path(path).exists() else shipped_models().get(str(path), Path(path))
+    folder = file if file.is_dir() else file.parent
+    if file.is_dir() or any((folder / beside).is_file() for beside in NO_MODELS):
+        return folder
+    return next((one.parent for one in shipped_models().values() if _name(one) == name), None)
+
+
+@cache
+def _name(file: Path) -> object:
+    return tomllib.loads(file.read_text()).get("name")
 
 
 def shipped_models() -> Mapping[str, Path]:

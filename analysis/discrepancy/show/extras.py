@@ -8,6 +8,7 @@ import msgspec
 from faultline.analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
 from faultline.analysis.discrepancy.add.drift import Drifts
 from faultline.analysis.discrepancy.add.structure_change import StructureChange
+from faultline.analysis.discrepancy.effects.experiments import NO_EXPERIMENTS, Experiments
 from faultline.analysis.discrepancy.find.onset import Onset
 from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
@@ -17,7 +18,7 @@ from faultline.analysis.model.display import Units
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What else may have been found out; of the `plans` the first is the experiment that is proposed.
+    """What else may have been found out; of the `plans` the first of the `experiments` that is proposed.
 
     `refused` are reasons why the effects should not be added to the model, `applied` tells that a model with them is
     written.
@@ -27,6 +28,7 @@ class Extras:
     structure: StructureChange | None = None
     bundle: BundleEffect | None = None
     plans: Sequence[Plan] = ()
+    experiments: Experiments = NO_EXPERIMENTS
     gauge: Gauge | None = None
     onset: Onset | None = None
     refused: Sequence[str] = ()

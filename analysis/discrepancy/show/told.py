@@ -81,6 +81,8 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         drift=section(extras.drifts.sentences()) if extras.drifts else None,
         structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
         bundle=bundle_told(extras.bundle) if extras.bundle else None,
+        experiments=dict(extras.experiments.texts),
+        unplanned=extras.experiments.unplanned,
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
         gauge=gauge_told(extras.gauge, units) if extras.gauge else None,
         onset=section([extras.onset.advice()], extras.onset) if extras.onset else None,

@@ -18,10 +18,9 @@ from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reac
 from faultline.analysis.evaluation.measure.signature import Cell, cells
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.display import Display, fitting
+from faultline.service.logs.recording import is_simulated
 
 SCHEMA: Final = "faultline.evaluation/1"
-SIMULATED = "simulated"
-"""How the rig's recordings begin to say where they are from."""
 
 
 class Judged(msgspec.Struct, frozen=True, kw_only=True):
@@ -114,7 +113,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         sensor_set=manifest.sensor_set,
         made_for=manifest.origin.vehicle,
         model=manifest.origin.model,
-        simulated=all(one.given.recording.source.startswith(SIMULATED) for one in of),
+        simulated=all(is_simulated(one.given.recording.source) for one in of),
         faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},
         modes={mode.name: mode.description for mode in manifest.modes.steady},
         mode_hours={
