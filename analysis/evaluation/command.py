@@ -92,7 +92,7 @@ def _options(argv: list[str]) -> argparse.Namespace:
         help="generators to keep must detect this fault, or isolate it from the other (default: all that they can)",
     )
     add("--events", type=Path, help="judge these events (JSON lines of a live run) instead of its own; one recording")
-    add("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG; one recording")
+    add("--picture", type=Path, help="draw signals, residuals, CUSUM and alarms into this PNG; one recording")
     add("--json", action="store_true", help="print verdicts as JSON, one a line")
     options = parser.parse_args(argv)
     if options.picture and options.picture.suffix != ".png":
