@@ -191,7 +191,8 @@ def _check_networks(tuning: Tuning, runnable: Runnable, where: Path) -> None:
 
 
 def _check_golden(tuning: Tuning, bank: Bank, where: Path) -> None:
-    own = [msgspec.structs.replace(channel, frozen_s=None, largest_step=None) for channel in tuning.inputs]
+    told: dict[str, object] = {"frozen_s": None, "largest_step": None, "label": "", "display": []}
+    own = [msgspec.structs.replace(channel, **told) for channel in tuning.inputs]
     if own != list(bank.inputs):
         raise InputError(f"{where}: inputs: not the model's signals; tune again")
     if not tuning.golden_z or any(len(z) != len(bank.inputs) for z in tuning.golden_z):

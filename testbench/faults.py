@@ -44,6 +44,9 @@ FAULTS = {
 }
 """Name of each fault: what it is, and what its size means."""
 
+UNITS = {_AREA: "1", _FLOW: "1", _PASCAL: "Pa", _LEAK: "mL/s"}
+"""Of what a size means; a kind has none."""
+
 LARGEST_LOSS = 0.98
 """Beyond this a restriction is a plug and a pump is stopped: neither is a fault of this kind."""
 LARGEST_OFFSET = 5e5  # Pa, half the system pressure: beyond it the controller could not run at all

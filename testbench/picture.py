@@ -35,7 +35,8 @@ def draw(recorded: Recorded, truth: Path | None, path: Path) -> None:
     """
     mpl.use("Agg")
     about = _about(truth, recorded.id) if truth else {}
-    faults = [Fault(**fault) for fault in about.get("fault", ())]
+    given = [{key: value for key, value in fault.items() if key != "unit"} for fault in about.get("fault", ())]
+    faults = [Fault(**fault) for fault in given]
     figure = Figure(figsize=(11, 8), layout="constrained")
     rows = figure.subplots(len(PANELS), 1, sharex=True, height_ratios=(1.2, 2, 1.2, 1))
     for axes, (signals, unit, scale) in zip(rows, PANELS, strict=True):

@@ -16,6 +16,7 @@ from faultline.testbench.can_logger import START_TEXT, candump, in_format
 from faultline.testbench.day import CALM
 from faultline.testbench.effects import checked, fitted
 from faultline.testbench.errors import RigError
+from faultline.testbench.faults import FAULTS, UNITS
 from faultline.testbench.request import Request
 from faultline.testbench.second_logger import Clocking, external_csv
 from faultline.testbench.simulation import MARGIN, simulate
@@ -125,6 +126,7 @@ def _truth_toml(request: Request, clocking: Clocking | None) -> str:
 [[fault]]
 name = "{fault.name}"
 size = {fault.size!r}
+unit = "{UNITS.get(FAULTS[fault.name][1], "")}"
 onset_s = {fault.onset_s!r}
 profile = "{fault.profile}"
 """

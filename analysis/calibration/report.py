@@ -17,8 +17,9 @@ from faultline.analysis.calibration.pulses import Pulses
 from faultline.analysis.calibration.pulses import sentences as of_pulses
 from faultline.analysis.calibration.validate import STEADY, Agreement, Validation
 from faultline.analysis.model import Known, Model
+from faultline.analysis.model.display import Units, units_of
+from faultline.service.core.display import Display
 
-BAR = 1e5
 CORRELATED = 0.9
 """Parameters that are correlated more than this are hard to tell apart."""
 
@@ -194,13 +195,14 @@ def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]
     first = next(iter(next(iter(runs.values())).values()))
     outputs = list(first.sections[0].samples)
     inputs = list(first.trajectories[0].system.inputs)
+    units = units_of(model)
     figure = Figure(figsize=(8 * len(runs), 2.2 * len(outputs) + 2.6), layout="constrained")
     rows = [2.0] * len(outputs) + [1.3]
     grid = figure.subplots(len(rows), len(runs), sharex="col", squeeze=False, height_ratios=rows)
     for column, (recording, by_model) in enumerate(runs.items()):
         for axes, name in zip(grid[:, column], outputs, strict=False):
-            _output(axes, name, model.known[name], by_model)
-        _inputs(grid[-1, column], inputs, model, next(iter(by_model.values())))
+            _output(axes, name, units.of(model.known[name].unit, signal=name), by_model)
+        _inputs(grid[-1, column], inputs, model, units, next(iter(by_model.values())))
         grid[0, column].set_title(recording, fontsize=11)
         grid[-1, column].set_xlabel("log time [s]")
     figure.suptitle(f"Free run on {' and '.join(inputs)} alone; {'; '.join(told.sources)}", fontsize=12)
@@ -209,30 +211,29 @@ def draw(told: Report, model: Model, runs: Mapping[str, Mapping[str, Validation]
     return png.getvalue()
 
 
-def _output(axes: Axes, name: str, known: Known, by_model: Mapping[str, Validation]) -> None:
-    scale, unit = (BAR, "bar") if known.unit == "Pa" else (1.0, known.unit)
+def _output(axes: Axes, name: str, shown: Display, by_model: Mapping[str, Validation]) -> None:
     measured = next(iter(by_model.values()))
     for k, section in enumerate(measured.sections):
         s = section.samples[name]
         label = "measured" if k == 0 else None
-        axes.plot(section.start_s + s.t, s.value / scale, ".", color="#9db7d5", markersize=2, label=label)
+        axes.plot(section.start_s + s.t, shown.scaled(s.value), ".", color="#9db7d5", markersize=2, label=label)
     for (title, validation), style in zip(by_model.items(), STYLES, strict=False):
         for k, (section, trajectory) in enumerate(zip(validation.sections, validation.trajectories, strict=True)):
             label = title if k == 0 else None
             inside = section.t > section.samples[name].t[0]
-            y = trajectory.outputs()[name][inside] / scale
+            y = shown.scaled(trajectory.outputs()[name][inside])
             axes.plot(section.start_s + section.t[inside], y, label=label, **style)
-    axes.set_ylabel(f"{name} [{unit}]")
+    axes.set_ylabel(f"{name} [{shown.unit}]")
     axes.grid(visible=True, alpha=0.25)
     axes.margins(x=0)
     axes.legend(loc="upper left", ncols=3, fontsize=8)
 
 
-def _inputs(axes: Axes, names: Sequence[str], model: Model, validation: Validation) -> None:
+def _inputs(axes: Axes, names: Sequence[str], model: Model, units: Units, validation: Validation) -> None:
     for k, (name, color) in enumerate(zip(names, ("#444444", "#6a4c93", "#2e7d32"), strict=False)):
-        side = axes if k == 0 else axes.twinx()
+        side, shown = axes if k == 0 else axes.twinx(), units.of(model.known[name].unit, signal=name)
         for section in validation.sections:
-            side.plot(section.start_s + section.t, section.drive.inputs[:, k], color=color, linewidth=0.9)
-        side.set_ylabel(f"{name} [{model.known[name].unit}]", color=color)
+            side.plot(section.start_s + section.t, shown.scaled(section.drive.inputs[:, k]), color=color, linewidth=0.9)
+        side.set_ylabel(f"{name} [{shown.unit}]", color=color)
     axes.grid(visible=True, alpha=0.25)
     axes.margins(x=0)

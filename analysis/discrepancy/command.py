@@ -19,7 +19,8 @@ from faultline.analysis.discrepancy.add.structure_change import structure_change
 from faultline.analysis.discrepancy.data import Data, load
 from faultline.analysis.discrepancy.discover import Discovery, discover
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.effects.library import beside, is_own, load_library
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
+from faultline.analysis.discrepancy.effects.library import is_own, load_library
 from faultline.analysis.discrepancy.effects.rewrite import applicable
 from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.discrepancy.name.experiment import MANY, Plan, propose
@@ -31,6 +32,7 @@ from faultline.analysis.discrepancy.show.report import DOCUMENT, PICTURES, files
 from faultline.analysis.discrepancy.show.sentences import sentences
 from faultline.analysis.discrepancy.show.told import document_of, origin_of
 from faultline.analysis.model import Model, dump_model
+from faultline.analysis.model.file import folder_of
 from faultline.analysis.progress import Progress
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
@@ -39,12 +41,15 @@ from faultline.service.pages import check_engine
 from faultline.writing import check_folder, write_file, write_files
 
 EXAMPLE = """examples:
-  faultline discover uds logs/truck-training-s1 --held-out logs/truck-validation-s2 --out found --apply
+  faultline discover calibrated.toml logs/training-s1 --held-out logs/validation-s2 --out found --apply
   faultline discover found/model.toml --undo
 
 DIR gets report.html, discovery.json and summary.md; with --apply model.toml, which every other command takes; and
-experiment.toml where an experiment would tell which effect it is: `faultline rig record --cycle DIR/experiment.toml`,
-then call this again with that recording besides. What is done is kept in DIR/work: an interrupted call goes on there.
+experiment.toml where an experiment would tell which effect it is: record it, then call this again with that recording
+besides. What is done is kept in DIR/work: an interrupted call goes on there.
+
+Effects and experiments are those of effects.toml and experiments.toml in the system's folder. That is where MODEL lies,
+or the shipped system that has a model of its name.
 
 It exits with 0 where nothing is missing or what is missing has one name, with 1 where it has several names or none,
 where it looks like a fault, and where --apply is refused.
@@ -72,7 +77,7 @@ def main(argv: list[str]) -> int:
         "--library",
         type=Path,
         metavar="FILE",
-        help="effects of your own, besides the shipped ones (effects.toml beside it)",
+        help="effects of your own, besides those of the system",
     )
     add(
         "--without",
@@ -121,13 +126,17 @@ def _discover(options: argparse.Namespace) -> int:
     check_engine()
     _not_over(options.model, options.out)
     check_folder(options.out)
-    model, library = sound_model(options.model), _library(options.library or beside(options.model), options.without)
+    model = sound_model(options.model)
+    system = folder_of(options.model, model.name)
+    library, experiments = _library(system, options.library, options.without), load_experiments(system)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
         for gap in data.gaps():
             progress.note(gap)
         for gap in _without_place(model, library):
             progress.note(gap)
+        if not library:
+            progress.note(f"{model.name}: neither effects.toml of its system nor --library, so nothing gets a name")
         recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
             found = discover(data, library, executor, options.out / WORK, _Clock(progress.say))
@@ -136,13 +145,15 @@ def _discover(options: argparse.Namespace) -> int:
         new = adoption(data, found, runs)
         set_in = found.onset([log.id for log in data.training], [log.id for log in data.held])
         rivals = found.rivals if set_in is None else ()
-        plans = propose(found.study, found.baseline, rivals, progress.note) if rivals else []
+        planned = experiments.planned
+        plans = propose(found.study, found.baseline, rivals, planned, progress.note) if rivals else []
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
             bundle=_bundles(recordings, found, new, progress),
             plans=plans,
-            gauge=_gauge(found, rivals, plans),
+            experiments=experiments,
+            gauge=_gauge(found, rivals, plans, experiments.gauges),
             onset=set_in,
             refused=new.reasons,
             applied=options.apply and new.model is not None and not new.reasons and set_in is None,
@@ -158,19 +169,21 @@ def _discover(options: argparse.Namespace) -> int:
     return 0 if good and not (options.apply and new.reasons) else 1
 
 
-def _library(path: Path | None, without: Sequence[str]) -> dict[str, Effect]:
-    """The shipped effects and those in the file, but for what the user knows that it is not."""
-    library = load_library(path)
+def _library(system: Path | None, own: Path | None, without: Sequence[str]) -> dict[str, Effect]:
+    """The effects of the system and those in the user's file, but for what the user knows that it is not."""
+    library = load_library(system, own)
     for name in without:
         if name not in library:
             raise InputError(f"--without {name}: the library has no such effect; `discovery.json` lists them")
     return {name: effect for name, effect in library.items() if name not in without}
 
 
-def _gauge(found: Discovery, rivals: Sequence[Attempt], plans: Sequence[Plan]) -> Gauge | None:
+def _gauge(
+    found: Discovery, rivals: Sequence[Attempt], plans: Sequence[Plan], precision: Mapping[str, float]
+) -> Gauge | None:
     """The reading that tells what no experiment does."""
     pairs = plans[0].untold if plans else [*combinations((rival.effects[-1] for rival in rivals[:MANY]), 2)]
-    return gauge(found.study, rivals, pairs)
+    return gauge(found.study, rivals, pairs, precision)
 
 
 def _without_place(model: Model, library: Mapping[str, Effect]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from faultline.analysis.evaluation.measure.facts import Facts, facts, labelled
 from faultline.analysis.evaluation.report.document import isolating
 from faultline.analysis.evaluation.sentence import sentence, summary
 from faultline.analysis.evaluation.story import Story, tell
+from faultline.analysis.model.display import units_of_inputs
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
 from faultline.service.bundle.load import Bundle, load_bundle
@@ -60,7 +61,7 @@ def main(argv: list[str]) -> int:
             judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
                 stories.append(replace(story, events=events))  # of a bus, where those are judged
-        judged = labelled(judged)
+        judged = labelled(judged, units_of_inputs(bundle.manifest.inputs))
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
         unmet: list[str] = []
@@ -91,7 +92,7 @@ def _options(argv: list[str]) -> argparse.Namespace:
         help="generators to keep must detect this fault, or isolate it from the other (default: all that they can)",
     )
     add("--events", type=Path, help="judge these events (JSON lines of a live run) instead of its own; one recording")
-    add("--picture", type=Path, help="draw pressures, residuals, CUSUM and alarms into this PNG; one recording")
+    add("--picture", type=Path, help="draw signals, residuals, CUSUM and alarms into this PNG; one recording")
     add("--json", action="store_true", help="print verdicts as JSON, one a line")
     options = parser.parse_args(argv)
     if options.picture and options.picture.suffix != ".png":

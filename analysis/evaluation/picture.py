@@ -1,4 +1,4 @@
-"""The story of a recording at a glance: pressures, residuals, CUSUM and what was told, over one time axis."""
+"""The story of a recording at a glance: signals, residuals, CUSUM and what was told, over one time axis."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -12,11 +12,9 @@ from matplotlib.figure import Figure
 
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.story import Story
+from faultline.service.core.display import display_of
 from faultline.service.core.records.event import Event
 from faultline.writing import write_file
-
-UNITS = {"Pa": (1e5, "bar"), "1": (0.01, "%")}
-"""What a signal is drawn in, by its unit: how much one is, and its name."""
 
 MEASURED, PREDICTED = ("#1f4e79", "#5b9bd5", "#12355b"), ("#e07b00", "#f4b183", "#8a4b00")
 ALARM, ONSET, INPUTS = "#c62828", "#444444", ("#6a4c93", "#2e7d32")
@@ -86,24 +84,25 @@ def _together(story: Story) -> list[list[int]]:
 def _signals(axes: Axes, story: Story, columns: Sequence[int]) -> None:
     """Measured signals, and what the first test that predicts each of them says while it can tell."""
     inputs, generators = story.bundle.manifest.inputs, story.bundle.manifest.generators
-    one, unit = UNITS.get(inputs[columns[0]].unit, (1.0, inputs[columns[0]].unit))
-    shown = story.z[:, columns] / one
-    shown = shown[np.isfinite(shown)]
-    if shown.size:
-        low, high = shown.min(), shown.max()
-        if low < np.median(shown) / 2:  # building up pressure at the start would flatten all that follows
-            low = np.quantile(shown, 0.1)
+    shown = display_of(inputs[columns[0]])
+    drawn = shown.scaled(story.z[:, columns])
+    drawn = drawn[np.isfinite(drawn)]
+    if drawn.size:
+        low, high = drawn.min(), drawn.max()
+        if low < np.median(drawn) / 2:  # what comes up at the start would flatten all that follows
+            low = np.quantile(drawn, 0.1)
         axes.set_ylim(low - 0.25 * (high - low), high + 0.1 * (high - low) + 1e-9)
     else:
         axes.text(0.5, 0.5, "never received", transform=axes.transAxes, ha="center", va="center")
     for number, column in enumerate(columns):
         signal, shade = inputs[column].signal, number % len(MEASURED)
-        axes.plot(story.t_s, story.z[:, column] / one, color=MEASURED[shade], linewidth=0.8, label=f"{signal} measured")
+        label, measured = f"{signal} measured", shown.scaled(story.z[:, column])
+        axes.plot(story.t_s, measured, color=MEASURED[shade], linewidth=0.8, label=label)
         row = next(k for k, generator in enumerate(generators) if generator.predicts == signal)
         label = f"predicted by {generators[row].test}"
-        told = np.where(story.usable[:, row], story.y_hat[:, row] / one, np.nan)
+        told = np.where(story.usable[:, row], shown.scaled(story.y_hat[:, row]), np.nan)
         axes.plot(story.t_s, told, color=PREDICTED[shade], linewidth=0.8, label=label)
-    axes.set_ylabel(f"[{unit}]")
+    axes.set_ylabel(f"[{shown.unit}]")
     axes.legend(loc="lower right", ncols=len(columns), fontsize=8)
 
 
@@ -116,10 +115,10 @@ def _inputs(axes: Axes, story: Story) -> None:
     shown = dict.fromkeys([*of_modes, *(name for name in names if name not in predicted)])
     for number, name in enumerate([*shown][:2]):
         column = names.index(name)
-        one, unit = UNITS.get(manifest.inputs[column].unit, (1.0, manifest.inputs[column].unit))
+        unit = display_of(manifest.inputs[column])
         side = axes if number == 0 else axes.twinx()
-        side.plot(story.t_s, story.z[:, column] / one, color=INPUTS[number], linewidth=0.9 - 0.2 * number)
-        side.set_ylabel(f"{name} [{unit}]", color=INPUTS[number])
+        side.plot(story.t_s, unit.scaled(story.z[:, column]), color=INPUTS[number], linewidth=0.9 - 0.2 * number)
+        side.set_ylabel(f"{name} [{unit.unit}]", color=INPUTS[number])
 
 
 def _residuals(axes: Axes, story: Story) -> None:

@@ -11,12 +11,13 @@ from faultline.service.core.manifest import Name
 
 
 class TrueFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A fault that was there: size (fraction of area or flow lost, or Pa), onset [s] after the log's first frame."""
+    """A fault that was there: size in `unit` ("1": in parts), onset [s] after the log's first frame."""
 
     name: Name
     size: float
     onset_s: float
     profile: str
+    unit: str = ""
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

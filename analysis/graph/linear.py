@@ -100,7 +100,7 @@ class _Form:
             if opening.free_symbols & roots.keys():
                 raise self._refused("multiplies flows", rest, "write it as a sum of flows")
             if {f.as_base_exp()[0] for f in sp.Mul.make_args(opening)} & argument.free_symbols & set(self.states):
-                raise self._refused("a flow is multiplied by its own pressure", opening, "write it without that factor")
+                raise self._refused("a flow is multiplied by its own state", opening, "write it without that factor")
             scale, argument = self._argument(argument)
             total += self._coefficient(self._held(opening) * scale) * sgsqrt(argument)
         slopes, given = self._tangent(rest.xreplace(dict.fromkeys(roots, sp.Integer(0))))
@@ -129,7 +129,7 @@ class _Form:
         symbols: dict[sp.Expr, sp.Symbol] = {}
         for call in calls:
             if call in inner and call.free_symbols & set(self.states):
-                raise self._refused("a flow is in a root", call, "give the pressure between them a volume")
+                raise self._refused("a flow is in a root", call, "give the state between them a storage")
             argument = expanded(call.args[0])
             known = next((symbol for symbol, other in roots.items() if other == argument), None)
             symbols[call] = known or sp.Symbol(f"root {len(roots)}")

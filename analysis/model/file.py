@@ -22,23 +22,25 @@ Strict: an unknown key, an undeclared name or a wrong type is an error that name
 """
 
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import sympy as sp
 
 from faultline import systems
 from faultline.analysis.model.bench import bench_of
-from faultline.analysis.model.check import check_model, check_name, check_names
+from faultline.analysis.model.check import check_model, check_names
 from faultline.analysis.model.curves import Curve, Curves, trouble
+from faultline.analysis.model.display import units_of
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
+from faultline.analysis.model.faults import code_of, fault_of, listed_fault, residual_of
 from faultline.analysis.model.model import (
     PERIODS,
     WARM_UP_S,
     Differential,
     Equation,
-    Fault,
     Known,
     Model,
     Parameter,
@@ -87,6 +89,24 @@ def model_file(path: str | Path) -> Path:
     return file if file.is_file() else shipped_models().get(str(path), file)
 
 
+def folder_of(path: str | Path, name: str) -> Path | None:
+    """The folder of the system that the model in a file or folder, or of a shipped name, belongs to.
+
+    It is where the model lies, if that is a system's; else that of the shipped model of the same `name`, which a
+    calibrated one keeps. None where there is neither.
+    """
+    file = Path(path) if Path(path).exists() else shipped_models().get(str(path), Path(path))
+    folder = file if file.is_dir() else file.parent
+    if file.is_dir() or any((folder / beside).is_file() for beside in NO_MODELS):
+        return folder
+    return next((one.parent for one in shipped_models().values() if _name(one) == name), None)
+
+
+@cache
+def _name(file: Path) -> object:
+    return tomllib.loads(file.read_text()).get("name")
+
+
 def shipped_models() -> Mapping[str, Path]:
     """The models that come with the program: a system's by its name, its others as `uds/production`."""
     found = sorted(path for path in SYSTEMS.glob("*/*.toml") if path.name not in NO_MODELS)
@@ -119,7 +139,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
     equations = top.tables("equation")
     curves = {name: _curve(table) for name, table in top.named_tables("curve").items()}
     names = check_names([*known], [*unknown], [*parameters], [*curves], where)
-    listed = {name: _listed_fault(table, names) for name, table in top.named_tables("fault").items()}
+    listed = {name: listed_fault(table, names) for name, table in top.named_tables("fault").items()}
     read = [_equation(table, names, curves) for table in equations]
     warm_up_s = _warm_up(top)
     model = Model(
@@ -132,15 +152,17 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         curves=curves,
         equations={equation.name: equation for equation in read},
         differentials=tuple(_differential(table) for table in top.tables("differential")),
-        residuals={name: _residual(table, known, listed) for name, table in top.named_tables("residual").items()},
+        residuals={name: residual_of(table, known, listed) for name, table in top.named_tables("residual").items()},
         listed_faults=listed,
         provenance=tuple(table.rest() for table in top.tables("provenance")),
         modes=modes_of(top, known),
         bench=bench_of(top, {name: each.unit for name, each in known.items()}, parameters),
         warm_up_s=warm_up_s,
         period_s=_period(top, warm_up_s),
+        display=_display(top),
     )
     top.done()
+    units_of(model, where)  # each is of the right dimension
     check_model(model, [equation.name for equation in read], where)
     return model
 
@@ -159,6 +181,13 @@ def _period(top: Table, warm_up_s: float) -> float:
     return min(max((warm_up_s or WARM_UP_S) / PERIODS, SHORTEST_S), LONGEST_S) if seconds is None else seconds
 
 
+def _display(top: Table) -> dict[str, tuple[str, ...]]:
+    table = top.table("display")
+    written = {} if table is None else table.rest()
+    wanted = Table(written, top.at("display"))
+    return {unit: wanted.text_or_texts(unit) for unit in written}
+
+
 def _known(table: Table) -> Known:
     known = Known(
         unit=table.text("unit"),
@@ -171,6 +200,8 @@ def _known(table: Table) -> Known:
         added=table.flag("added"),
         maximum_age_s=table.optional_number("maximum_age_s"),
         lag_s=table.optional_number("lag_s"),
+        label=table.text("label", ""),
+        display=table.text_or_texts("display"),
     )
     table.done()
     for name in ("maximum_age_s", "lag_s"):
@@ -245,8 +276,8 @@ def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
         description=table.text("description", ""),
         text=text,
         expression=parse_expression(text, names, table.at("expr"), curves),
-        fault=None if fault is None else _fault(fault, names, fault.text("component"), *_code(fault)),
-        disturbance=None if disturbance is None else _fault(disturbance, names, ""),
+        fault=None if fault is None else fault_of(fault, names, fault.text("component"), *code_of(fault)),
+        disturbance=None if disturbance is None else fault_of(disturbance, names, ""),
     )
     table.done()
     for what, entering in (("fault", equation.fault), ("disturbance", equation.disturbance)):
@@ -255,81 +286,6 @@ def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
                 f"{what}.enters", f"{entering.enters} is not in `{text}`; a {what} must change its equation"
             )
     return equation
-
-
-def _code(table: Table) -> tuple[int | None, int | None]:
-    """Suspect parameter (19 bits, all ones is none) and failure mode (5 bits) of SAE J1939-73."""
-    spn, fmi = table.optional_whole("spn", 1, 2**19 - 2), table.optional_whole("fmi", 0, 31)
-    if (spn is None) != (fmi is None):
-        raise table.fail("spn" if spn is None else "fmi", "is missing; SPN and FMI are one code: give both, or none")
-    return spn, fmi
-
-
-def _fault(table: Table, names: Sequence[str], component: str, spn: int | None = None, fmi: int | None = None) -> Fault:
-    name, text = table.text("name"), table.text("enters")
-    check_name(name, f"{table.at('name')}: {name!r}")
-    if name in names:
-        raise table.fail("name", f"{name} is declared already; give the fault variable a name of its own")
-    enters, arrow, replacement = (part.strip() for part in text.partition("->"))
-    if not arrow or enters not in names:
-        raise table.fail("enters", f"`{text}` must be like `A -> A + {name}`, with a declared name on the left")
-    fault = Fault(
-        name=name,
-        component=component,
-        description=table.text("description", ""),
-        enters=enters,
-        replacement=parse_expression(replacement, [*names, name], table.at("enters")),
-        enters_text=text,
-        sizes=table.numbers("sizes"),
-        relative_to=table.optional_text("relative_to"),
-        spn=spn,
-        fmi=fmi,
-    )
-    table.done()
-    if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:
-        raise table.fail("enters", f"`{text}` must leave {enters} as it is where {name} = 0")
-    if sp.Symbol(name) not in fault.replacement.free_symbols:
-        raise table.fail("enters", f"{name} is not on the right of `{text}`")
-    if not fault.sizes or 0.0 in fault.sizes:
-        raise table.fail("sizes", "give at least one size, none of them zero")
-    return fault
-
-
-def _listed_fault(table: Table, names: Sequence[str]) -> Fault:
-    """A fault of residuals that another tool computes: what it enters is not known."""
-    name = table.place.rpartition(".")[2]
-    check_name(name, f"{table.place}: {name!r}")
-    if name in names:
-        raise ModelError(f"{table.place}: {name} is declared already; give the fault a name of its own")
-    spn, fmi = _code(table)
-    fault = Fault(
-        name=name,
-        component=table.text("component"),
-        description=table.text("description", ""),
-        enters="",
-        replacement=sp.S.Zero,
-        enters_text="",
-        sizes=(),
-        relative_to=None,
-        spn=spn,
-        fmi=fmi,
-    )
-    table.done()
-    return fault
-
-
-def _residual(table: Table, known: Collection[str], listed: Collection[str]) -> tuple[str, ...]:
-    """The faults that a residual is sensitive to."""
-    signal, faults = table.place.rpartition(".")[2], table.texts("faults")
-    table.done()
-    if signal not in known:
-        raise ModelError(f"{table.place}: {signal} is no known signal; declare [known.{signal}], or correct the name")
-    if not faults:
-        raise table.fail("faults", "is empty; name the faults that the residual is sensitive to")
-    for name in faults:
-        if name not in listed:
-            raise table.fail("faults", f"{name} is not listed; add [fault.{name}] with its component")
-    return faults
 
 
 def _differential(table: Table) -> Differential:

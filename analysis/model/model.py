@@ -28,7 +28,8 @@ class Known:
     change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
     sample that is older than `maximum_age_s` [s] is not used; None stands for five periods. What it shows may be late,
     by a standard deviation of `lag_s` [s]: the sensor's filter, the controller's cycle, the bus; None stands for a
-    tenth of a period.
+    tenth of a period. `label` is its name for people, the description where it is empty; they read it in the units
+    `display`, coarse to fine, where there are any.
     """
 
     unit: str
@@ -41,6 +42,8 @@ class Known:
     added: bool = False
     maximum_age_s: float | None = None
     lag_s: float | None = None
+    label: str = ""
+    display: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +91,7 @@ class Fault:
     It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
     are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. One that is only
     listed, for residuals of another tool, enters nothing and has no sizes. On a J1939 network it is the suspect
-    parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none.
+    parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none. `place` is where to find the component.
     """
 
     name: str
@@ -101,6 +104,7 @@ class Fault:
     relative_to: str | None
     spn: int | None = None
     fmi: int | None = None
+    place: str = ""
 
     def absolute(self, size: float, model: "Model") -> float:
         """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""
@@ -225,7 +229,7 @@ class Model:
 
     A system without equations may be given by `residuals` of another tool instead: known signals that are zero without
     a fault, each with the names of the faults that it is sensitive to (its row of the fault signature matrix), which
-    are among the `listed_faults`.
+    are among the `listed_faults`. `display` has by unit those that people read instead, coarse to fine.
     """
 
     name: str
@@ -244,6 +248,7 @@ class Model:
     warm_up_s: float = WARM_UP_S
     period_s: float = WARM_UP_S / PERIODS
     bench: BenchSetup | None = None
+    display: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     @property
     def faults(self) -> dict[str, Fault]:

@@ -4,12 +4,17 @@ schema = 1
 period_s = 0.2           ticks are so far apart [s]  (a hundredth of the warm-up if absent)
 [signal.y_p_tp]          maximum_age_s: an older sample is not used [s]  (five periods if absent)
       lag_s                  how late it may show, a standard deviation [s]  (a tenth of a period if absent)
+      label, display         its name for people (its description if absent), and units as in [display]
+[display]                Pa = "bar", or ["bar", "mbar"]: units of the model as people read them, coarse to fine
+[fault.fA_t]             spn, fmi: its code on a J1939 network
+[component."tank filter"]  place: where to find it
 [[mode]]                 name, description, instruction, where = {dc_dose = {above = 0.0, below = 0.02}}
 (the first that holds counts; one has no `where` and holds where no other does; none: one mode)
 [edges]                  settle_s, steps = {n_p = 4.0}: how long a step counts, and how large it is
 [bench]                  how it is measured on a test bench (`analysis.model.bench`)
 """
 
+import copy
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +26,10 @@ from faultline.analysis.model.tables import Table, first_repeated
 
 SYSTEM = "system.toml"
 SCHEMA = 1
-OF_SYSTEM = ("period_s", "mode", "edges", "bench")
+OF_SYSTEM = ("period_s", "mode", "edges", "bench", "display")
 """Keys of a model file, and a file that has one of them says all of it itself."""
+OF_FAULTS = ("fault", "component")
+"""Tables that say more of faults, by their names or by those of their components."""
 
 
 def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: bool) -> dict[str, object]:
@@ -46,13 +53,35 @@ def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: b
             signals[name] = {**table.rest(), **signals[name]}
         elif whole:
             raise ModelError(f"{table.place}: {where} has no known signal {name}; those are {', '.join(signals)}")
+    faults = _with_faults(model, top, where, whole=whole)
     rest = top.rest()
     for key in rest:
         if key not in OF_SYSTEM:
-            raise top.fail(key, f"unknown key; allowed here are schema, signal, {', '.join(OF_SYSTEM)}")
+            raise top.fail(
+                key, f"unknown key; allowed here are {', '.join(('schema', 'signal', *OF_FAULTS, *OF_SYSTEM))}"
+            )
     if not whole and not is_measured(rest.get("bench"), signals):
         del rest["bench"]
-    return {**model, **rest, "known": signals}
+    return {**model, **rest, "known": signals, **faults}
+
+
+def _with_faults(model: Mapping[str, object], top: Table, where: str, *, whole: bool) -> dict[str, object]:
+    """The equations and the listed faults, with the codes and places that the system's file gives."""
+    found = copy.deepcopy({key: model[key] for key in ("equation", "fault") if key in model})
+    equations, listed = found.get("equation"), found.get("fault")
+    faults = [e.get("fault") for e in (equations if isinstance(equations, list) else []) if isinstance(e, dict)]
+    named = [(str(fault.get("name")), fault) for fault in faults if isinstance(fault, dict)]
+    named += [(name, fault) for name, fault in (listed if isinstance(listed, dict) else {}).items()]
+    for key in OF_FAULTS:
+        there = [(name if key == "fault" else str(fault.get(key)), fault) for name, fault in named]
+        for name, table in top.named_tables(key).items():
+            more, meant = table.rest(), [fault for its, fault in there if its == name]
+            if whole and not meant:
+                names = ", ".join(its for its, _ in there)
+                raise ModelError(f"{table.place}: {where} has no {key} {name}; those are {names}")
+            for fault in meant:
+                fault.update({**more, **fault})
+    return found
 
 
 def modes_of(top: Table, known: Mapping[str, Known]) -> OperatingModes:

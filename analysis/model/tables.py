@@ -81,6 +81,10 @@ class Table:
                 raise self.fail(f"{key}[{k}]", f"must be a string, not {value!r}")
         return tuple(str(value) for value in values)
 
+    def text_or_texts(self, key: str) -> tuple[str, ...]:
+        """A string or a list of them, empty if absent."""
+        return (self.text(key),) if isinstance(self._data.get(key), str) else self.texts(key)
+
     def table(self, key: str) -> "Table | None":
         """A table within, None if absent."""
         self._allowed[key] = None

@@ -27,6 +27,7 @@ def dump_model(model: Model) -> str:
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
         fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s}
+        fields |= {"label": k.label or None, "display": k.display or None}
         blocks.append(f"[known.{name}]\n" + _pairs(fields))
     for name, u in model.unknown.items():
         fields = {"unit": u.unit, "description": u.description}
@@ -44,6 +45,8 @@ def dump_model(model: Model) -> str:
             "z": c.z or None,
         }
         blocks.append(f"[curve.{name}]\n" + _pairs(fields))
+    if model.display:
+        blocks.append("[display]\n" + _pairs(dict(model.display)))
     blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
     if model.modes.edges:
         blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
@@ -53,7 +56,7 @@ def dump_model(model: Model) -> str:
     blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
     blocks.extend(f"[residual.{name}]\n" + _pairs({"faults": faults}) for name, faults in model.residuals.items())
     for name, f in model.listed_faults.items():
-        code = {"spn": f.spn, "fmi": f.fmi}
+        code = {"spn": f.spn, "fmi": f.fmi, "place": f.place or None}
         blocks.append(f"[fault.{name}]\n" + _pairs({"component": f.component, "description": f.description, **code}))
     blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
     return "\n".join(blocks)
@@ -76,6 +79,7 @@ def _equation(equation: Equation) -> dict[str, object]:
                 **({"component": each.component} if what == "fault" else {}),
                 "description": each.description,
                 **({} if each.spn is None else {"spn": each.spn, "fmi": each.fmi}),
+                **({"place": each.place} if each.place else {}),
                 "enters": each.enters_text,
                 "sizes": each.sizes,
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),

@@ -3,10 +3,15 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 
+import msgspec
+from msgspec import structs
+
 from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
 from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.model import Model
+from faultline.analysis.model.display import units_of
 from faultline.analysis.tuning.file import Tuning
-from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Manifest, Origin, Unit
+from faultline.service.core.manifest import SCHEMA, Disturbance, Equation, Fault, File, Input, Manifest, Origin, Unit
 from faultline.service.core.signals.dbc import NO_BUSES, NOBODY, OWN_NAMES
 
 GOLDEN = "golden.json"
@@ -49,14 +54,11 @@ def manifest_of(
             base=tuning.base,
             vehicle=vehicle_of(bank.model),
         ),
-        inputs=tuning.inputs,
+        inputs=_inputs(bank.model, tuning.inputs),
         generators=list(runnable.generators),
         modes=tuning.modes,
         detectors=tuning.detectors,
-        faults=[
-            Fault(name=f.name, component=f.component, description=f.description, spn=f.spn, fmi=f.fmi)
-            for f in bank.model.faults.values()
-        ],
+        faults=[msgspec.convert(fault, Fault, from_attributes=True) for fault in bank.model.faults.values()],
         disturbances=[
             Disturbance(name=e.disturbance.name, equation=e.name, description=e.disturbance.description)
             for e in bank.model.equations.values()
@@ -70,6 +72,13 @@ def manifest_of(
         signals={each.signal: signals[each.signal] for each in tuning.inputs if each.signal in signals},
         units=list(units),
     )
+
+
+def _inputs(model: Model, tuned: Sequence[Input]) -> list[Input]:
+    """The inputs with the names and units that people read."""
+    units = units_of(model).by
+    labels = {name: known.label or known.description for name, known in model.known.items()}
+    return [structs.replace(one, label=labels[one.signal], display=list(units[one.signal])) for one in tuned]
 
 
 def _equations(runnable: Runnable) -> list[Equation]:

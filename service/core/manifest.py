@@ -2,8 +2,7 @@
 
 `service.bundle.load` reads it from a folder; the core computes with it. Units are SI: Pa, 1/s, 1 for ratios, s.
 
-The types here say what a single value may be, and decoding enforces it; what values must say of each other is in
-`core.decision.consistency`.
+The types say what a single value may be; what values must say of each other is in `core.decision.consistency`.
 """
 
 from typing import Annotated, Final, Literal, TypeVar
@@ -11,6 +10,7 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
+from faultline.service.core.display import Display
 from faultline.service.core.time_scale import TimeScale
 
 SCHEMA: Final = "faultline.bundle/6"
@@ -19,8 +19,6 @@ EDGE: Final = "edge"
 """The first mode of every per-mode list: just after a step, or unknown. Those of the system follow."""
 
 T = TypeVar("T")
-
-
 Name = Annotated[str, Meta(pattern=r"\A\w[\w.-]*\Z", max_length=80)]
 Text = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]*\Z", max_length=1000)]  # it is printed in one line
 Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
@@ -64,11 +62,11 @@ class Origin(_Part, frozen=True):
     vehicle: Text | None = None
 
 
-class Input(_Part, frozen=True):
+class Input(_Part, frozen=True, omit_defaults=True):
     """A column of `z`: a signal of the DBC in the bundle's unit; `lower` and `upper` bound the operating region.
 
     A value that has not changed for `frozen_s` within the operating region, or that lies by more than `largest_step`
-    [unit] from the last one, is not believed; without them any value is.
+    [unit] from the last one, is not believed; without them any value is. People read `label` and `display`'s units.
     """
 
     signal: Name
@@ -78,6 +76,8 @@ class Input(_Part, frozen=True):
     upper: float
     frozen_s: Positive | None = None
     largest_step: Positive | None = None
+    label: Text = ""
+    display: list[Display] = []
 
 
 class GraphFile(_Part, frozen=True):
@@ -204,14 +204,15 @@ class SpreadDetector(_Detector, frozen=True, tag="spread"):
 Detector = CusumDetector | ThresholdDetector | LowPassDetector | AdaptiveDetector | SpreadDetector
 
 
-class Fault(_Part, frozen=True):
-    """A fault and the component it names; on a J1939 network it is the suspect parameter `spn` with the mode `fmi`."""
+class Fault(_Part, frozen=True, omit_defaults=True):
+    """A fault of a component at a `place`; on a J1939 network the suspect parameter `spn` with the mode `fmi`."""
 
     name: Name
     component: Text
     description: Text
     spn: Annotated[int, Meta(ge=1, le=524_286)] | None = None
     fmi: Annotated[int, Meta(ge=0, le=31)] | None = None
+    place: Text = ""
 
 
 class Equation(_Part, frozen=True):

@@ -56,6 +56,15 @@ class Can(_Part, frozen=True):
     messages: dict[str, str] = {}
 
 
+def is_simulated(source: str) -> bool:
+    """Return True if a recording's `source` says that it is simulated.
+
+    >>> is_simulated("simulated by the rig; ingested"), is_simulated("truck 17, winter")
+    (True, False)
+    """
+    return "simulat" in source.lower()
+
+
 class Columns(_Part, frozen=True):
     """A table of values (CSV, Parquet, MF4), relative to the folder: which columns are signals, and its clock.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 from msgspec import inspect
 
+from faultline.service.core.display import Display
 from faultline.service.core.records.context import SCHEMA as CONTEXT
 from faultline.service.core.records.context import Context, LampStates, TroubleCode
 from faultline.service.core.records.discrimination import Separation
@@ -69,7 +70,7 @@ SENT: dict[str, Message] = {
 
 PARTS: tuple[Message, ...] = (
     *(LampStates, TroubleCode, Diagnosis, Fault, Status, Seen, Dtc, Standing, Input, Verdict, Excerpt, Separation),
-    *(StoreStatus, BusStatus, SystemStatus, Signal, GeneratorMeaning, FaultMeaning),
+    *(StoreStatus, BusStatus, SystemStatus, Signal, Display, GeneratorMeaning, FaultMeaning),
     *(EquationMeaning, DisturbanceMeaning, Stand, Refusal),
 )
 BESIDES: tuple[Message, ...] = (

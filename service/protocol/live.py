@@ -5,6 +5,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from faultline.service.core.display import Display
 from faultline.service.core.manifest import EDGE
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis
@@ -24,6 +25,8 @@ class Signal(msgspec.Struct, frozen=True, kw_only=True):
     unit: Annotated[str, Meta(description="its unit")]
     lower: Annotated[float, Meta(description="the model holds from here")] = float("-inf")
     upper: Annotated[float, Meta(description="to here")] = float("inf")
+    label: Annotated[str, Meta(description="its name for people, empty where there is none")] = ""
+    display: Annotated[list[Display], Meta(description="units that people read it in, coarse to fine")] = []
 
 
 class GeneratorMeaning(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,6 +47,7 @@ class FaultMeaning(msgspec.Struct, frozen=True, kw_only=True):
     description: Annotated[str | None, Meta(description="how")] = None
     spn: Annotated[int | None, Meta(description="suspect parameter number (SAE J1939-73)")] = None
     fmi: Annotated[int | None, Meta(description="failure mode identifier")] = None
+    place: Annotated[str, Meta(description="where the component is, empty where that is not said")] = ""
 
 
 class EquationMeaning(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from textwrap import wrap
 
+from faultline.service.core.display import Display, display_of
 from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.health import meaning
 from faultline.service.protocol.live import LiveTick, SystemDescription
@@ -10,7 +11,6 @@ from faultline.service.watching.lines import PLAIN, Line, Look, Piece, Section, 
 from faultline.service.watching.table import NAME, legend, table, widest
 from faultline.service.watching.view_model import ViewModel, at
 
-PA_PER_BAR = 1e5
 MODE_WORDS = {"live": ("LIVE", "good"), "waiting": ("WAITING", "warn"), "away": ("AWAY", "bad")}
 
 
@@ -112,10 +112,11 @@ def _signals(tick: LiveTick | None, system: SystemDescription | None, columns: i
     for k, (each, word) in enumerate(zip(system.inputs, words, strict=True)):
         value = None if tick is None else at(tick.z, k)
         predicted = [] if tick is None else _predictions(tick, system, each.signal)
-        cell = line(f"{each.signal[:NAME]:<{names}} {_value(value, each.unit):>11} ")
+        shown = display_of(each)
+        cell = line(f"{each.signal[:NAME]:<{names}} {shown.text(value):>11} ")
         cell.append(Piece(f"{word:<{max(map(len, words))}}", "" if word == "good" else "warn"))
         is_predicted = any(one.predicts == each.signal for one in system.generators)
-        cell.append(Piece(f"  pred {_span(predicted, each.unit):<14}" if is_predicted else " " * 21))
+        cell.append(Piece(f"  pred {_span(predicted, shown):<14}" if is_predicted else " " * 21))
         cells.append(cell)
     width = max((sum(len(piece.text) for piece in cell) for cell in cells), default=0)
     abreast = max(1, (columns + 3) // (width + 3))
@@ -144,20 +145,8 @@ def _predictions(tick: LiveTick, system: SystemDescription, signal: str) -> list
     return found
 
 
-def _span(values: Sequence[float], unit: str) -> str:
+def _span(values: Sequence[float], shown: Display) -> str:
     if not values:
         return "-"
-    low, high = (_number(each, unit) for each in (min(values), max(values)))
+    low, high = shown.number(min(values)), shown.number(max(values))
     return low if low == high else f"{low} to {high}"
-
-
-def _value(value: float | None, unit: str) -> str:
-    return f"{'-' if value is None else _number(value, unit)} {_unit(unit)}".rstrip()
-
-
-def _number(value: float, unit: str) -> str:
-    return f"{value / PA_PER_BAR:.3f}" if unit == "Pa" else f"{value:.4g}"
-
-
-def _unit(unit: str) -> str:
-    return {"Pa": "bar", "1": ""}.get(unit, unit)

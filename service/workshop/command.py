@@ -37,7 +37,7 @@ from faultline.writing import check_file, write_file
 
 EXAMPLE = """examples:
   faultline workshop
-  faultline workshop --system uds --note "after the filter was changed" --report truck-17.html
+  faultline workshop --system NAME --note "after the repair" --report truck-17.html
   faultline workshop --json > truck-17.json
 
 exit codes: 0 no fault found, 1 a fault, 2 cannot tell or bad input, 130 broken off (the report is written first)

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
+from faultline.service.core.display import display_of, titled
 from faultline.service.core.records.health import KINDS
 from faultline.service.protocol.live import LiveTick, SystemDescription
-from faultline.service.workshop.units import shown
 
 QUALITIES = {
     "missing": "has never come",
@@ -57,7 +57,7 @@ def remedy(kind: str) -> str:
 
 
 class Hindrance(NamedTuple):
-    """A signal that keeps tests from telling: its quality, or where it should be (`lower` to `upper`, in words)."""
+    """A signal, as titled, that keeps tests from telling: its quality, or where it should be (`region`, in words)."""
 
     signal: str
     quality: str | None
@@ -74,11 +74,12 @@ def hindrances(system: SystemDescription, tick: LiveTick) -> list[Hindrance]:
     """Return each signal that cannot be used, or lies outside the operating region."""
     found = []
     for channel, value, quality in zip(system.inputs, tick.z, tick.quality, strict=True):
-        region = f"{shown(channel.lower, channel.unit)} to {shown(channel.upper, channel.unit)}"
+        shown = display_of(channel)
+        region = f"{shown.text(channel.lower)} to {shown.text(channel.upper)}"
         if quality != "good":
-            found.append(Hindrance(channel.signal, quality, "", region))
+            found.append(Hindrance(titled(channel), quality, "", region))
         elif value is not None and not channel.lower <= value <= channel.upper:
-            found.append(Hindrance(channel.signal, None, shown(value, channel.unit), region))
+            found.append(Hindrance(titled(channel), None, shown.text(value), region))
     return found
 
 

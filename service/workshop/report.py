@@ -34,6 +34,7 @@ def page(result: Result, system: SystemDescription, samples: Sequence[Sample]) -
         coverage=_coverage(result),
         tests=_tests(result, system),
         pictures=[*svg.signals(system, samples), svg.sums(system, samples)] if samples else [],
+        shades=svg.shade_by_mode(system.steady).items(),
         before=_conditions(result.conditions_before),
         after=_conditions(result.conditions),
         remembered=_remembered(result.remembered),
@@ -75,7 +76,10 @@ def _described(candidate: Candidate) -> str:
     if not candidate.faults:
         near = f", near {', '.join(candidate.near)}" if candidate.near else ""
         return f"no fault of a component{near}"
-    return " and ".join(f"{name.name}: {name.description or 'not described'}" for name in candidate.faults)
+    return " and ".join(
+        f"{name.name}: {name.description or 'not described'}{f' ({name.place})' if name.place else ''}"
+        for name in candidate.faults
+    )
 
 
 def _steps(result: Result) -> Table:

@@ -4,8 +4,8 @@ import shutil
 import unicodedata
 from typing import Protocol, TextIO
 
+from faultline.service.core.display import display_of
 from faultline.service.workshop.cycle import Cycle
-from faultline.service.workshop.units import shown
 from faultline.service.workshop.words import SILENCE_S, order, so_far
 
 HOME, BELOW, LINE, HIDE, SHOW = "\x1b[H", "\x1b[J", "\x1b[K", "\x1b[?25l", "\x1b[?25h"
@@ -93,7 +93,7 @@ def drawn(cycle: Cycle) -> list[str]:
         return rows
     rows += ["", f"   mode {tick.mode}"]
     rows += [
-        f"   {channel.signal:<12}{shown(value, channel.unit):>14}{'' if quality == 'good' else f'  {quality}'}"
+        f"   {channel.signal:<12}{display_of(channel).text(value):>14}{'' if quality == 'good' else f'  {quality}'}"
         for channel, value, quality in zip(cycle.system.inputs, tick.z, tick.quality, strict=True)
     ]
     rows += ["", f"   {'test':<8}{'now':<13}{'worst':>7}   seconds in {', '.join(cycle.modes)}"]

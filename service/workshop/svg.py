@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from faultline.service.core.display import Display, display_of, titled
 from faultline.service.protocol.live import SystemDescription
 from faultline.service.workshop.trace import Sample
-from faultline.service.workshop.units import scaled, unit_shown
 
 WIDTH, LEFT, RIGHT = 720, 70, 8
 HEIGHT = 150  # of a signal's picture
@@ -60,12 +60,11 @@ def signals(system: SystemDescription, samples: Sequence[Sample]) -> list[Pictur
         rows = [k for k, row in enumerate(system.generators) if row.predicts == channel.signal]
         if not rows:
             continue
-        measured = [(each.t_s, _value(each.z[column], channel.unit)) for each in samples]
-        predicted = [[(each.t_s, _value(each.y_hat[k], channel.unit)) for each in samples] for k in rows]
+        shown = display_of(channel)
+        measured = [(each.t_s, _value(each.z[column], shown)) for each in samples]
+        predicted = [[(each.t_s, _value(each.y_hat[k], shown)) for each in samples] for k in rows]
         tests = ", ".join(f"{system.generators[k].test} {DASHES[n % len(DASHES)]}" for n, k in enumerate(rows))
-        caption = (
-            f"{channel.signal} [{unit_shown(channel.unit)}]: measured (whole line), predicted (dashes in px: {tests})"
-        )
+        caption = f"{titled(channel)} [{shown.unit}]: measured (whole line), predicted (dashes in px: {tests})"
         pictures.append(
             _signal(f"{channel.signal} over the cycle", caption, samples, measured, predicted, system.steady)
         )
@@ -113,8 +112,8 @@ def _signal(
     )
 
 
-def _value(value: float | None, unit: str) -> float | None:
-    return None if value is None else scaled(value, unit)
+def _value(value: float | None, shown: Display) -> float | None:
+    return None if value is None else shown.scaled(value)
 
 
 def _time(samples: Sequence[Sample]) -> Axis:
@@ -122,10 +121,15 @@ def _time(samples: Sequence[Sample]) -> Axis:
     return Axis(*ends, LEFT, WIDTH - RIGHT)
 
 
+def shade_by_mode(modes: Sequence[str]) -> dict[str, str]:
+    """Return the background of each steady mode."""
+    return {mode: SHADES[k % len(SHADES)] for k, mode in enumerate(modes)}
+
+
 def _shades(samples: Sequence[Sample], time: Axis, modes: Sequence[str]) -> list[tuple[float, float, str]]:
     """Return the operating mode as shade of the background, for each visit."""
     starts = [k for k, each in enumerate(samples) if k == 0 or each.mode != samples[k - 1].mode]
-    shade = {mode: SHADES[k % len(SHADES)] for k, mode in enumerate(modes)}
+    shade = shade_by_mode(modes)
     shades = []
     for start, end in zip(starts, [*starts[1:], len(samples) - 1], strict=True):
         left, right = time(samples[start].t_s), time(samples[end].t_s)

@@ -83,7 +83,7 @@ def candidate_line(candidate: Candidate) -> str:
     """Return an explanation in one line."""
     names = " and ".join(
         each.name
-        + (f" ({each.component}: {each.description})" if each.component else "")
+        + (f" ({', '.join(filter(None, (each.component, each.place)))}: {each.description})" if each.component else "")
         + (f" SPN {each.spn}" if each.spn is not None else "")
         + (f" FMI {each.fmi}" if each.fmi is not None else "")
         for each in candidate.faults

@@ -28,10 +28,12 @@ from faultline.analysis.discrepancy.add.gate import adoption
 from faultline.analysis.discrepancy.add.held_out import shown
 from faultline.analysis.discrepancy.data import Data, load
 from faultline.analysis.discrepancy.discover import Discovery, discover
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
 from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.experiment import propose
 from faultline.analysis.model import load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.service.core.manifest import EDGE
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.cycles import CYCLES, Cycle, read_cycle
@@ -68,7 +70,7 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
         held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, case.effects, root, duration_s)
         start, busy = time.monotonic(), time.process_time()
         model = load_model("uds")
-        library = {name: effect for name, effect in load_library().items() if name not in case.without}
+        library = {name: effect for name, effect in load_library(SYSTEMS / "uds").items() if name not in case.without}
         data = load(model, [training], [held], _nothing)
         found = discover(data, library, Inline(), None, _quiet)
         result = {
@@ -128,7 +130,7 @@ def _changed(found: Discovery) -> list[str]:
 
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:
     """Whether the proposed experiment tells which it is."""
-    plans = propose(found.study, found.baseline, found.rivals)
+    plans = propose(found.study, found.baseline, found.rivals, load_experiments(SYSTEMS / "uds").planned)
     if not plans or not plans[0].told:
         return {"proposed": None}
     best = plans[0]
@@ -136,7 +138,7 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     written.write_text(best.experiment.cycle())
     extra = record_case(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
     data = load(load_model("uds"), [training, extra], [held], _nothing)
-    again = discover(data, load_library(), Inline(), None, _quiet)
+    again = discover(data, load_library(SYSTEMS / "uds"), Inline(), None, _quiet)
     return {
         "proposed": best.experiment.name,
         "expected": min(best.told.values()),

@@ -32,6 +32,7 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_of
 from faultline.analysis.discrepancy.name.contest import Outcome, contest
 from faultline.analysis.model import load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.service.core.errors import InputError
 from faultline.testbench.cycles import CYCLES
 
@@ -52,7 +53,7 @@ def wanted() -> list[Case]:
 
 def whole(data: Data) -> Names:
     """The sets that the workflow names."""
-    found = discover(data, load_library(), Inline(), None, lambda *_: None)
+    found = discover(data, load_library(SYSTEMS / "uds"), Inline(), None, lambda *_: None)
     return [list(names) for names in found.verdict.sets] if found.verdict.kind in ("named", "one of") else []
 
 
@@ -87,7 +88,7 @@ def without(part: Callable[[], Any], data: Data) -> Names:
 
 def by_rmse(data: Data) -> Names:
     """The entry with the smallest held-out error, if it is below that of the model as it is."""
-    library = load_library()
+    library = load_library(SYSTEMS / "uds")
     study = Study(data.key, data.model, library, data.training_sections, data.held_sections)
     baseline = baseline_of(study)
     judge = Judge(study, baseline)

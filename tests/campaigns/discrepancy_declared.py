@@ -22,6 +22,7 @@ from faultline.analysis.discrepancy.name.attempt import Judge, Study, baseline_o
 from faultline.analysis.discrepancy.name.contest import LEAST
 from faultline.analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from faultline.analysis.model import load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.testbench.cycles import CYCLES
 
 DECLARED = Path(__file__).with_suffix(".json")
@@ -39,7 +40,7 @@ def of_record(case: Case) -> tuple[dict[str, float], dict[str, tuple[str, ...]]]
             for k, name in enumerate(("training", "validation"))
         )
         data = load(load_model("uds"), [training], [held], lambda _: None)
-        study = Study(data.key, data.model, load_library(), data.training_sections, data.held_sections)
+        study = Study(data.key, data.model, load_library(SYSTEMS / "uds"), data.training_sections, data.held_sections)
         judge = Judge(study, baseline_of(study))
         directions = [judge.direction(name) for name in study.library]
     return dict(smallest_sizes(directions, LEAST)), alike(directions)
@@ -51,7 +52,7 @@ def main() -> None:
     with Pool(2) as pool:
         found = pool.map(of_record, silent)
     declared: dict[str, Any] = {}
-    for name in load_library():
+    for name in load_library(SYSTEMS / "uds"):
         sizes = [min(sizes[name], BEYOND) for sizes, _ in found]
         others = sorted({other for _, same in found for other in same[name]})
         often = [other for other in others if 2 * sum(other in same[name] for _, same in found) > RECORDS]

@@ -14,6 +14,7 @@ from results_page import exact_share, provenance
 from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.model import load_model
+from faultline.analysis.model.file import SYSTEMS
 
 Result = Mapping[str, Any]
 Names = Sequence[str]
@@ -87,7 +88,7 @@ def where(r: Result) -> set[str]:
 def _changed(name: str) -> frozenset[str]:
     """The equations of the model that an entry changes."""
     model = load_model("uds")
-    new = rewritten(model, load_library()[name]).equations
+    new = rewritten(model, load_library(SYSTEMS / "uds")[name]).equations
     return frozenset(e for e, equation in model.equations.items() if new[e].text != equation.text)
 
 

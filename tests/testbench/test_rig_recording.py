@@ -80,7 +80,7 @@ def test_folder_holds_the_four_files_and_names_them(recording: tuple[Path, Path]
 def test_truth_is_apart_and_says_the_fault(recording: tuple[Path, Path]) -> None:
     folder, truth = recording
     assert not truth.is_relative_to(folder)
-    fault = {"name": "fA_du", "size": 0.65, "onset_s": 50.0, "profile": "abrupt"}
+    fault = {"name": "fA_du", "size": 0.65, "unit": "1", "onset_s": 50.0, "profile": "abrupt"}
     expected = {"schema": 1, "recording": "r", "fault": [fault], "effects": {"laminar_filters": 0.06}, "vehicle": {}}
     told = tomllib.loads(truth.read_text())
     assert set(told.pop("logger")) == {*RANGES, "offset_s", "drift"}

@@ -12,10 +12,12 @@ import numpy as np
 from faultline.analysis.calibration.problem import DELAY
 from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.add.adopt import adopted
-from faultline.analysis.discrepancy.add.held_out import Shown
+from faultline.analysis.discrepancy.add.held_out import Gap, Shown
 from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.model import Model
+from faultline.analysis.model.display import units_of
+from faultline.service.core.display import Display
 from faultline.service.core.manifest import EDGE
 
 WORSE = 1.05
@@ -69,24 +71,21 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
     chosen = found.outcome.chosen
     if found.verdict.kind == "unnamed":
         yield f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name"
-    known = found.study.model.known
+    model = found.study.model
+    units = {name: units_of(model).of(known.unit, signal=name) for name, known in model.known.items()}
     steady = [gap for gap in shown.gaps if gap.mode == STEADY]
     grown = np.log([gap.after.rms / gap.before.rms for gap in steady])
     allowed = -np.log(UNEVEN) if steady and grown.max() > np.log(UNEVEN) else np.log(GROWN)
     if steady and grown.mean() > allowed:
-        told = [f"{g.output} {_digits(g.before.rms)} -> {_digits(g.after.rms)} {known[g.output].unit}" for g in steady]
+        told = [f"{gap.output} {_change(gap, units[gap.output])}" for gap in steady]
         yield f"the held-out free run is not better, by its RMS error in steady operation ({', '.join(told)})"
     for gap in shown.gaps:
         if gap.mode != EDGE and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
-            yield (
-                f"the held-out free run of {gap.output} grows worse ({gap.mode}), from {gap.before.rms:.0f} to "
-                f"{gap.after.rms:.0f} {known[gap.output].unit}"
-            )
+            yield (f"the held-out free run of {gap.output} grows worse ({gap.mode}): {_change(gap, units[gap.output])}")
     for name, inside in zip(chosen.unknowns.parameters, chosen.inside.tolist(), strict=False):
         if not inside:
             yield f"{name} has run into its bound"
     nuisance = chosen.unknowns.nuisance(chosen.x)
-    model = found.study.model
     for what, of_each in (
         ("lag", {name: (s, model.lag_s(name)) for name, s in nuisance.lag.items()}),
         ("delay", {name: (s, DELAY * model.period_s) for name, s in nuisance.delay.items()}),
@@ -96,6 +95,6 @@ def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
                 yield f"the {what} of {name} has gone to {seconds:.2g} s, {usual:g} s is usual"
 
 
-def _digits(value: float) -> str:
-    """Four of them, without an exponent where that can be."""
-    return f"{float(f'{value:.4g}'):g}"
+def _change(gap: Gap, shown: Display) -> str:
+    before, after = (float(f"{error.rms / shown.size:.4g}") for error in (gap.before, gap.after))
+    return f"{before:g} -> {after:g} {shown.unit}"

@@ -2,8 +2,8 @@
 
     schema = 1
     [[effect]]               name, statement, component, source, signature
-      rivals, separated_by   entries that look alike; experiments (see EXPERIMENTS) that tell which it is
-      replaces = true        only for an entry that is to stand for a shipped one of its name
+      rivals, separated_by   entries that look alike; experiments of experiments.toml that tell which it is
+      replaces = true        only for an entry that is to stand for one of its name in the system's file
     [effect.roles]           flow = ["q_filt_t", "q_pump"]: a name by model; those of one position go together
     [effect.parameter.g]     unit, description, min, max, and one of
       null, spread             how strong the effect is: null where there is none, spread its prior standard deviation
@@ -25,71 +25,51 @@ from functools import cache
 from pathlib import Path
 
 from faultline.analysis.discrepancy.effects.effect import Change, Effect, EffectEquation, EffectParameter, EffectUnknown
+from faultline.analysis.discrepancy.effects.experiments import FILE as EXPERIMENTS
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
 from faultline.analysis.model import Differential, ModelError
 from faultline.analysis.model.check import check_name
 from faultline.analysis.model.expression import FUNCTIONS, parse_expression
-from faultline.analysis.model.file import SYSTEMS, shipped_models
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.model.model import check_bounds
 from faultline.analysis.model.tables import Table, first_repeated
 
 SCHEMA = 1
 
-SHIPPED = SYSTEMS / "uds" / "effects.toml"
+FILE = "effects.toml"
 GENERAL = Path(__file__).with_name("general.toml")
 
-EXPERIMENTS = {
-    "pressure_ladder": "steps of pressure from 6 to 12.5 bar without dosing",
-    "pump_off_decay": "the pump switched off at a high pressure, and the pressure's fall to the end",
-    "speed_ramp": "rises and falls of pressure without dosing, between 5.5 and 12.5 bar",
-    "dosing_at_pressures": "half dose at pressures from 7.5 to 12 bar",
-    "full_dose_at_pressures": "maximum dose at pressures from 7.5 to 12 bar",
-    "dose_staircase": "the dose in ten steps from almost nothing to maximum",
-    "fast_square": "maximum dose and none in turn, every five seconds",
-    "steady_hold": "the pressure held at 10 bar without dosing",
-    "warm_up": "half an hour from a cold start",
-}
-"""What `separated_by` may name, in words. Cycles in `experiments.toml` are those that can be planned with a model."""
 
-UNPLANNED = ("pump_off_decay", "warm_up")
-"""A pump that is off leaves the range of pressures in which models hold, and half an hour is more than a plan takes."""
-
-
-def load_library(path: Path | None = None) -> dict[str, Effect]:
-    """The shipped effects by name, and those of the file at `path`.
+def load_library(system: Path | None, own: Path | None = None) -> dict[str, Effect]:
+    """The effects of the system in a folder by name, if it has any, and those of the file `own`.
 
     Raises:
-        ModelError: the file cannot be read, or an entry is not valid; the message names file, entry, place and remedy.
+        ModelError: a file cannot be read, or an entry is not valid; the message names file, entry, place and remedy.
     """
-    shipped = _shipped()
-    found = {name: effect for name, (effect, _) in shipped.items()}
-    for name, (effect, replaces) in ({} if path is None else _read(path)).items():
-        if replaces != (name in shipped):
-            remedy = "say `replaces = true`, or rename it" if name in shipped else "remove `replaces`, or correct name"
-            problem = "is a shipped entry too" if name in shipped else "replaces a shipped entry that there is not"
+    shipped = None if system is None or not (system / FILE).is_file() else system / FILE
+    its = {} if shipped is None else (_of_program if shipped.is_relative_to(SYSTEMS) else _read)(shipped)
+    found = {name: effect for name, (effect, _) in its.items()}
+    for name, (effect, replaces) in ({} if own is None or own == shipped else _read(own)).items():
+        if replaces != (name in its):
+            remedy = "say `replaces = true`, or rename it" if name in its else "remove `replaces`, or correct name"
+            problem = "is an entry of the system too" if name in its else "replaces an entry that the system has not"
             raise ModelError(f"{effect.place}: {problem}; {remedy}")
         found[name] = effect
+    experiments = load_experiments(system).texts
     for effect in found.values():
         for k, rival in enumerate(effect.rivals):
             if rival not in found or rival == effect.name:
                 raise ModelError(f"{effect.place}.rivals[{k}]: {rival} is no other entry; name one, or leave it away")
+        for k, name in enumerate(effect.separated_by):
+            if name not in experiments:
+                known = f"none of {', '.join(experiments)}" if experiments else f"not in the system's {EXPERIMENTS}"
+                raise ModelError(f"{effect.place}.separated_by[{k}]: {name} is {known}")
     return found
 
 
-def beside(model: str) -> Path | None:
-    """The effects file of the system that a model file, a folder or a shipped model belongs to, if it has one."""
-    folder = Path(model) if Path(model).is_dir() else shipped_models().get(model, Path(model)).parent
-    file = folder / SHIPPED.name
-    return file if file.is_file() and not file.samefile(SHIPPED) else None
-
-
 def is_own(effect: Effect) -> bool:
-    """True if an effect is of a user's file, and not of the shipped library."""
-    return not effect.place.startswith(str(SHIPPED))
-
-
-@cache
-def _shipped() -> dict[str, tuple[Effect, bool]]:
-    return _read(SHIPPED)
+    """True if an effect is of a user's file, and not of a shipped system."""
+    return not effect.place.startswith(str(SYSTEMS))
 
 
 def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
@@ -112,6 +92,10 @@ def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
     if twice is not None:
         raise ModelError(f"{path}: two effects are named {twice}; rename one")
     return {effect.name: (effect, replaces) for effect, replaces in read}
+
+
+_of_program = cache(_read)
+"""The same of files that do not change."""
 
 
 def _used(use: Table) -> Table:
@@ -167,9 +151,6 @@ def _effect(table: Table, name: str) -> Effect:
         place=table.place,
     )
     table.done()
-    for k, experiment in enumerate(effect.separated_by):
-        if experiment not in EXPERIMENTS:
-            raise table.fail(f"separated_by[{k}]", f"{experiment} is none of {', '.join(EXPERIMENTS)}")
     _check_own_names(effect, table)
     if not effect.strengths:
         raise table.fail("parameter", "none has a null value; give one `null`, where there is no effect, and `spread`")

@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from faultline.analysis.discrepancy.find.features import Feature, Operation
 from faultline.analysis.discrepancy.find.latent import Misfit
+from faultline.analysis.model.display import units_of
+from faultline.service.core.display import Display
 
 Array = npt.NDArray[np.float64]
 
@@ -23,17 +25,15 @@ WORTH = 10.0
 
 NOTABLE = 0.1
 
-UNITS = {"m3/s": (1e6, "mL/s"), "Pa": (1e-5, "bar"), "Pa/s": (1e-5, "bar/s"), "m3": (1e6, "mL")}
-"""What people read: factor and unit."""
-
 
 @dataclass(frozen=True)
 class Part:
-    """A feature with its coefficient, its standard deviation, and in words."""
+    """A feature with its coefficient, its standard deviation, and in words: amounts in the unit `shown`."""
 
     feature: Feature
     value: float
     sd: float
+    shown: Display
 
     @property
     def words(self) -> str:
@@ -42,10 +42,8 @@ class Part:
         if self.feature.relative:
             amount = f"{100 * self.value:+.3g} % +- {100 * self.sd:.2g} % of {term.variable}"
         else:
-            size = term.size / abs(term.factor)
-            factor, unit = UNITS.get(term.unit, (1.0, term.unit))
-            scale = factor * size
-            amount = f"{scale * self.value:+.3g} +- {scale * self.sd:.2g} {unit}".rstrip()
+            scale = term.size / abs(term.factor) / self.shown.size
+            amount = f"{scale * self.value:+.3g} +- {scale * self.sd:.2g} {self.shown.unit}".rstrip()
         return f"{amount} {self.feature.course.words}"
 
 
@@ -75,7 +73,11 @@ def finding_of(operation: Operation, misfit: Misfit, equation: str) -> Finding:
     worth = two[second] - one[first] > max(WORTH, NOTABLE * one[first])
     chosen, evidence = ([first, second], two[second]) if worth else ([first], one[first])
     mean, sd = _coefficients(G, pull, chosen)
-    parts = [Part(features[k], float(a), float(b)) for k, a, b in zip(chosen, mean, sd, strict=True)]
+    units = units_of(operation.model)
+    parts = [
+        Part(features[k], float(a), float(b), units.of(features[k].term.unit))
+        for k, a, b in zip(chosen, mean, sd, strict=True)
+    ]
     return Finding(equation, tuple(parts), float(evidence))
 
 

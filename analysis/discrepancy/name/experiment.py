@@ -1,16 +1,14 @@
-"""The experiment that tells rivals apart: planned on their fitted models, written as a cycle for the rig.
+"""The experiment that tells rivals apart: planned on their fitted models, written as a cycle file.
 
-For every experiment of `experiments.toml` and every rival in turn, the rival's model is run in a closed loop: that is
+For every experiment of the system and every rival in turn, the rival's model is run in a closed loop: that is
 what would be measured if it were the one. Every rival predicts it with what the recordings so far have left uncertain;
 the evidence to expect is the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey
 2003). The best experiment is the one after which the fewest rivals are left to be expected.
 """
 
 import dataclasses
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import exp
 
 import numpy as np
@@ -20,71 +18,23 @@ from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Section, cut, fitting
 from faultline.analysis.discrepancy.data import STEP
 from faultline.analysis.discrepancy.effects.compiled import model_with, system_with
-from faultline.analysis.discrepancy.effects.library import EXPERIMENTS
+from faultline.analysis.discrepancy.effects.experiments import Control, Experiment
 from faultline.analysis.discrepancy.find.quantities import mode_of
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
 from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of
 from faultline.analysis.model import Equation, Known, Model, Unknown
 from faultline.analysis.model.expression import parse_expression
-from faultline.analysis.model.file import SYSTEMS
-from faultline.analysis.model.tables import Table
 from faultline.analysis.recordings.track import Track
 from faultline.analysis.simulation import Drive, System, run, system_of
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-SHIPPED = SYSTEMS / "uds" / "experiments.toml"
-
-BEFORE_S = 40.0
-"""From the start of a recording until its cycle begins: standing still, building pressure, the model's warm-up."""
-
-START_BAR = 10.0
-BAR = 1e5
-
 MANY = 6
 """More rivals than these are not planned for: the experiment is repeated for those that are left."""
 
 RESOLVES = 5.0
 """Evidence [nats] to expect for the right one of a pair, from which they are told apart."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A cycle: `segments` of duration [s], pressure [Pa absolute] and duty cycle [0..1]."""
-
-    name: str
-    text: str
-    segments: tuple[tuple[float, float, float], ...]
-
-    @property
-    def duration_s(self) -> float:
-        """Of the recording, with the pressure's build-up [s]."""
-        return BEFORE_S + sum(duration for duration, _, _ in self.segments)
-
-    def cycle(self) -> str:
-        """As the rig reads cycles."""
-        head = f'schema = 1\nname = "{self.name.replace("_", "-")}"\ntext = "{self.text}"\n'
-        parts = [
-            f"\n[[segment]]\nduration_s = {duration:g}\nsetpoint_bar = {pressure / BAR:g}\nduty = {duty:g}\n"
-            for duration, pressure, duty in self.segments
-        ]
-        return head + "".join(parts)
-
-
-@dataclass(frozen=True)
-class Control:
-    """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and doses with `command`.
-
-    The set point moves by `ramp` [Pa/s] at most, as it does on a vehicle.
-    """
-
-    actuator: str
-    follows: str
-    command: str
-    offset: float
-    gain: float
-    ramp: float
 
 
 @dataclass(frozen=True)
@@ -115,42 +65,25 @@ class Plan:
         return tuple(pair for pair in self.expected if pair[0] < pair[1] and pair not in self.told)
 
 
-@cache
-def experiments() -> tuple[Control, tuple[Experiment, ...]]:
-    """The shipped ones."""
-    top = Table(tomllib.loads(SHIPPED.read_text()), str(SHIPPED), top=True)
-    top.number("schema")
-    control = top.table("control")
-    if control is None:
-        raise top.fail("control", "is missing")
-    how = Control(
-        control.text("actuator"), control.text("follows"), control.text("command"),
-        control.number("offset"), control.number("gain"), control.number("ramp"),
-    )  # fmt: skip
-    found = []
-    for table in top.tables("experiment"):
-        name, rows = table.text("name"), table.rest()["segments"]
-        if not isinstance(rows, list):
-            raise table.fail("segments", "must be a list of [duration_s, bar, duty]")
-        found.append(
-            Experiment(name, EXPERIMENTS[name], tuple((float(s), float(bar) * BAR, float(dc)) for s, bar, dc in rows))
-        )
-    return how, tuple(found)
-
-
 def propose(
-    study: Study, baseline: Baseline, rivals: Sequence[Attempt], note: Callable[[str], None] = lambda _: None
+    study: Study,
+    baseline: Baseline,
+    rivals: Sequence[Attempt],
+    experiments: Sequence[Experiment],
+    note: Callable[[str], None] = lambda _: None,
 ) -> list[Plan]:
     """The experiments by how well they tell the rivals apart, the best first; none where the model is not for them.
 
     `note` hears which could not be planned: a rival's model does not run there, or leaves the range in which it holds.
     """
-    how, all_of_them = experiments()
+    if not experiments:
+        return []
+    how = experiments[0].control
     if not {how.actuator, how.command} <= study.model.known.keys() or how.follows not in study.model.unknown:
         return []
     fitted = [_Rival(study, how, attempt) for attempt in rivals[:MANY]]
     plans = []
-    for experiment in all_of_them:
+    for experiment in experiments:
         try:
             expected = _expected(study, baseline, experiment, fitted)
             plans.append(Plan(experiment, expected, tuple(rival.effects[-1] for rival in rivals[MANY:])))
@@ -174,19 +107,19 @@ class _Rival:
         how, values = self.how, self.attempt.values
         step_s = STEP * self._period_s
         t = np.arange(0.0, experiment.duration_s, step_s)
-        asked = _asked(experiment, t, how.ramp)
+        asked = _asked(experiment, t)
         names = self._loop.inputs
         inputs = np.column_stack([asked[0] if name == SET_POINT else asked[1] for name in names])
-        start = _start(self._loop, values)
-        guess = np.where(start > 0.5 * START_BAR * BAR, asked[0][:, None], start)  # after the pump, or before it
+        start = _start(self._loop, values, how.start)
+        guess = np.where(start > 0.5 * how.start, asked[0][:, None], start)  # what follows, or not
         drive = Drive(step_s, inputs, start, guess)
         trajectory = run(self._loop, drive, values)
-        pressure = trajectory.w[:, self._loop.states.index(how.follows)]
-        speed = _speed(how, asked[0], pressure)
+        followed = trajectory.w[:, self._loop.states.index(how.follows)]
+        actuator = _actuator(how, asked[0], followed)
         sampled = np.arange(0.0, t[-1], self._period_s)
-        restless = TINY * (-1.0) ** np.arange(len(sampled))  # a speed that held still would be taken for a command
+        restless = TINY * (-1.0) ** np.arange(len(sampled))  # one that held still would be taken for a command
         tracks = {
-            how.actuator: Track(sampled, np.interp(sampled, t, speed) + restless),
+            how.actuator: Track(sampled, np.interp(sampled, t, actuator) + restless),
             how.command: Track(sampled, asked[1][np.minimum((sampled / step_s).astype(int), len(t) - 1)]),
         }
         for name, y in trajectory.outputs().items():
@@ -201,7 +134,7 @@ SET_POINT = "set_point_of_the_plan"
 
 
 def _closed(model: Model, how: Control) -> Model:
-    """The model with its actuator following a pressure, which is a new signal."""
+    """The model with its actuator following a set point, which is a new signal."""
     known = {name: k for name, k in model.known.items() if name != how.actuator}
     unit = model.unknown[how.follows].unit
     known[SET_POINT] = Known(unit=unit, description="", min=0.0, max=np.inf, noise=1.0)
@@ -216,33 +149,34 @@ def _closed(model: Model, how: Control) -> Model:
     return dataclasses.replace(model, known=known, unknown=unknown, equations={**model.equations, "plan": law})
 
 
-def _speed(how: Control, set_point: Array, pressure: Array) -> Array:
-    asked = how.offset + how.gain * (set_point - pressure)
+def _actuator(how: Control, set_point: Array, followed: Array) -> Array:
+    asked = how.offset + how.gain * (set_point - followed)
     return np.asarray((asked + np.sqrt(asked**2 + 1.0)) / 2.0)
 
 
-def _asked(experiment: Experiment, t: Array, ramp: float) -> tuple[Array, Array]:
-    """Set point [Pa] and duty cycle at the times `t`; a step of the dose takes one instant, as a log has it."""
-    ends = BEFORE_S + np.cumsum([duration for duration, _, _ in experiment.segments])
+def _asked(experiment: Experiment, t: Array) -> tuple[Array, Array]:
+    """Set point and command at the times `t`; a step of the command takes one instant, as a log has it."""
+    how = experiment.control
+    ends = how.before_s + np.cumsum([duration for duration, _, _ in experiment.segments])
     k = np.searchsorted(ends, t, side="right")
-    pressure = np.array([*(p for _, p, _ in experiment.segments), experiment.segments[-1][1]])[k]
-    duty = np.array([*(d for _, _, d in experiment.segments), experiment.segments[-1][2]])[k]
-    first = t < BEFORE_S
-    wanted = np.where(first, START_BAR * BAR, pressure)
-    most, set_point = ramp * float(t[1] - t[0]), wanted.copy()
+    level = np.array([*(p for _, p, _ in experiment.segments), experiment.segments[-1][1]])[k]
+    command = np.array([*(d for _, _, d in experiment.segments), experiment.segments[-1][2]])[k]
+    first = t < how.before_s
+    wanted = np.where(first, how.start, level)
+    most, set_point = how.ramp * float(t[1] - t[0]), wanted.copy()
     for i in range(1, len(t)):
         set_point[i] = set_point[i - 1] + min(max(wanted[i] - set_point[i - 1], -most), most)
-    return set_point, np.where(first, 0.0, duty)
+    return set_point, np.where(first, 0.0, command)
 
 
-def _start(system: System, values: Mapping[str, float]) -> Array:
-    """The states when the pressure has been built up."""
+def _start(system: System, values: Mapping[str, float], level: float) -> Array:
+    """The states when what follows the set point has come to this level."""
     numbers = {name: p.value for name, p in system.model.parameters.items()} | dict(values)
     found = []
     for state in system.states:
         expressions = system.model.unknown[state].initial
         told = next((e for e in expressions if all(s.name in numbers for s in e.free_symbols)), expressions[0])
-        gauge = {s.name: START_BAR * BAR for s in told.free_symbols if s.name not in numbers}
+        gauge = {s.name: level for s in told.free_symbols if s.name not in numbers}
         found.append(float(told.subs({**numbers, **gauge})))
     return np.array(found)
 

@@ -1,7 +1,7 @@
 """What a reference gauge would read if it were one rival or another: for those that no experiment tells apart.
 
-Two sensors of a vehicle may be off together, and its pressures know no flow. But every rival's fitted model says what
-each pressure and flow is; where two of them differ by more than either is sure of, one reading in the workshop decides.
+Two sensors may be off together, and not everything is measured. But every rival's fitted model says what each unknown
+is; where two of them differ by more than either is sure of, one reading in the workshop decides.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,9 +18,6 @@ from faultline.analysis.discrepancy.name.attempt import Attempt, Study
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
-
-PRECISION = {"Pa": 0.003, "m3/s": 0.01}
-"""Of what a gauge of the workshop reads, as a part of it; of other units nothing is read there."""
 
 DRAWS = 8
 """Of the parameters as they are uncertain: for a standard deviation to a quarter of it."""
@@ -49,15 +46,18 @@ class Gauge:
     told: tuple[tuple[str, str], ...]
 
 
-def gauge(study: Study, rivals: Sequence[Attempt], pairs: Sequence[tuple[str, str]]) -> Gauge | None:
+def gauge(
+    study: Study, rivals: Sequence[Attempt], pairs: Sequence[tuple[str, str]], precision: Mapping[str, float]
+) -> Gauge | None:
     """The reading that tells the most of these pairs apart, by the most; None if none tells any.
 
-    The gauge is put in while the vehicle runs as it did in the training recordings.
+    `precision` has the units that a workshop has a gauge for, with its error as a part of the reading. The gauge is put
+    in while the system runs as it did in the training recordings.
     """
-    if not pairs:
+    if not pairs or not precision:
         return None
     named = {name for pair in pairs for name in pair}
-    by_rival = {rival.effects[-1]: readings(study, rival) for rival in rivals if rival.effects[-1] in named}
+    by_rival = {rival.effects[-1]: readings(study, rival, precision) for rival in rivals if rival.effects[-1] in named}
     best, most = None, (0, 0.0)
     for key in sorted(set.intersection(*({*found} for found in by_rival.values()))):
         apart = {pair: _apart(*(by_rival[name][key] for name in pair)) for pair in pairs}
@@ -70,18 +70,18 @@ def gauge(study: Study, rivals: Sequence[Attempt], pairs: Sequence[tuple[str, st
     return best
 
 
-def readings(study: Study, rival: Attempt) -> Readings:
+def readings(study: Study, rival: Attempt, precision: Mapping[str, float]) -> Readings:
     """What a gauge would read in every mode of the training recordings, of every unknown that one can read."""
     system = system_with(study.model, [study.library[name] for name in rival.effects])
     problem = Problem(system, [fitting(section, system) for section in study.training], lagging=True)
     mode = np.concatenate([mode_of(study.model, system, section) for section in problem.sections])
-    names = [name for name, unknown in study.model.unknown.items() if unknown.unit in PRECISION]
+    names = [name for name, unknown in study.model.unknown.items() if unknown.unit in precision]
     drawn = [found for x in _draws(problem, rival) if (found := _means(problem, x, names, mode))]
     first = _means(problem, rival.x, names, mode)
     spread = {
         key: float(np.std([found[key] for found in drawn], ddof=1)) if len(drawn) > 1 else np.inf for key in first
     }
-    exact = {key: PRECISION[study.model.unknown[key[0]].unit] * abs(mean) for key, mean in first.items()}
+    exact = {key: precision[study.model.unknown[key[0]].unit] * abs(mean) for key, mean in first.items()}
     return {key: (mean, float(np.hypot(spread[key], exact[key]))) for key, mean in first.items()}
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 
 from faultline.analysis.discrepancy.discover import Kind
+from faultline.analysis.model.display import Units
+from faultline.service.logs.recording import is_simulated
 
 SCHEMA = "faultline.discovery/1"
 
@@ -204,12 +206,15 @@ class Origin(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def simulated(self) -> bool:
-        """Whether any says that it is."""
-        return any("simulat" in source.lower() for source in self.sources)
+        """True if there are recordings and every one says that it is."""
+        return bool(self.sources) and all(map(is_simulated, self.sources))
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True):
-    """All of it. `drifts` and what follows are null where they were not asked for.
+    """All of it; `units` are those that people read.
+
+    `experiments` are the system's in words, `unplanned` those without a plan. `drifts` and what follows are
+    null where they were not asked for.
 
     `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
     there if something set in while it was recorded: a fault rather than a missing effect. `refused` are reasons why the
@@ -220,6 +225,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     model: str
     origin: Origin
     simulated: bool
+    units: Units = Units()
     verdict: Verdict
     evidence: Evidence
     strengths: tuple[Strength, ...]
@@ -232,6 +238,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     drift: Section | None = None
     structure: Section | None = None
     bundle: Section | None = None
+    experiments: dict[str, str] = {}
+    unplanned: tuple[str, ...] = ()
     experiment: Section | None = None
     gauge: Section | None = None
     onset: Section | None = None

@@ -12,16 +12,6 @@ BEFORE, AFTER, ALSO, INK, QUIET, BAND = "#D55E00", "#0072B2", "#56B4E9", "#22222
 
 IS, WAS = "model as it is", "model as it was"
 
-SMALL_PA = 4e3
-"""Pressures that keep within this are drawn in mbar."""
-
-
-def unit_of(unit: str, size: float) -> tuple[float, str]:
-    """How much one of the drawn unit is, and its name, for values up to `size`."""
-    if unit == "Pa":
-        return (1e2, "mbar") if size < SMALL_PA else (1e5, "bar")
-    return 1.0, unit
-
 
 def simulated(document: Document) -> str:
     """What titles end with."""

@@ -8,16 +8,17 @@ import msgspec
 from faultline.analysis.discrepancy.add.bundle_effect import Bundled, BundleEffect
 from faultline.analysis.discrepancy.add.drift import Drifts
 from faultline.analysis.discrepancy.add.structure_change import StructureChange
+from faultline.analysis.discrepancy.effects.experiments import NO_EXPERIMENTS, Experiments
 from faultline.analysis.discrepancy.find.onset import Onset
 from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
 from faultline.analysis.discrepancy.show import document as told
-from faultline.analysis.discrepancy.show.sizes import readable
+from faultline.analysis.model.display import Units
 
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What else may have been found out; of the `plans` the first is the experiment that is proposed.
+    """What else may have been found out; of the `plans` the first of the `experiments` that is proposed.
 
     `refused` are reasons why the effects should not be added to the model, `applied` tells that a model with them is
     written.
@@ -27,6 +28,7 @@ class Extras:
     structure: StructureChange | None = None
     bundle: BundleEffect | None = None
     plans: Sequence[Plan] = ()
+    experiments: Experiments = NO_EXPERIMENTS
     gauge: Gauge | None = None
     onset: Onset | None = None
     refused: Sequence[str] = ()
@@ -81,11 +83,11 @@ def experiment_told(plan: Plan) -> told.Section:
     return told.Section(sentences=(sentence,), data=data)
 
 
-def gauge_told(gauge: Gauge) -> told.Section:
+def gauge_told(gauge: Gauge, units: Units) -> told.Section:
     """What a gauge would read, by rival."""
+    shown = units.of(gauge.unit)
     values = "; ".join(
-        f"{readable(mean, gauge.unit)} +- {readable(sd, gauge.unit)} if it is {name}"
-        for name, (mean, sd) in gauge.expected.items()
+        f"{shown.short(mean)} +- {shown.difference(sd)} if it is {name}" for name, (mean, sd) in gauge.expected.items()
     )
     where = f"{gauge.description} ({gauge.variable})" if gauge.description else gauge.variable
     absolute = "absolute, " if gauge.unit == "Pa" else ""  # a gauge shows what is above the atmosphere's

@@ -19,7 +19,6 @@ from faultline.analysis.discrepancy.show.drawing import (
     WAS,
     png,
     simulated,
-    unit_of,
     with_effects,
 )
 from faultline.analysis.model import Model
@@ -47,7 +46,7 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
     _run(grid[0], shown, document, widest, model)
     for axes, name in zip(grid[1:-1], outputs, strict=True):
         _left(axes, shown, document, name, model)
-    _inputs(grid[-1], shown.after, model)
+    _inputs(grid[-1], shown.after, document, model)
     for axes in grid:
         axes.set_xlim(begin, last)
         axes.grid(visible=True, alpha=0.25)
@@ -65,34 +64,34 @@ def free_run(shown: Shown, document: Document, model: Model) -> bytes:
 
 
 def _run(axes: Axes, shown: Shown, document: Document, name: str, model: Model) -> None:
-    one, unit = unit_of(model.known[name].unit, np.inf)
+    shown_in = document.units.of(model.known[name].unit, signal=name)
     for k, section in enumerate(_first(shown.after)):
         s = section.samples[name]
         label = None if k else "measured"
-        told = (s.value + shown.after.zeros[0].get(name, 0.0)) / one
+        told = shown_in.scaled(s.value + shown.after.zeros[0].get(name, 0.0))
         axes.plot(section.start_s + s.t, told, ".", color=QUIET, markersize=2.5, label=label)
     for found, color, title in _models(shown, document):
         for k, section in enumerate(_first(found)):
             inside = section.t > section.samples[name].t[0]
-            y = (found.trajectories[k].outputs()[name][inside] + found.zeros[0].get(name, 0.0)) / one
+            y = shown_in.scaled(found.trajectories[k].outputs()[name][inside] + found.zeros[0].get(name, 0.0))
             axes.plot(section.start_s + section.t[inside], y, color=color, linewidth=1.4, label=None if k else title)
-    axes.set_ylabel(f"{name} [{unit}]")
+    axes.set_ylabel(f"{name} [{shown_in.unit}]")
     axes.legend(loc="upper left", ncols=3, fontsize=9)
     axes.margins(y=0.18)
 
 
 def _left(axes: Axes, shown: Shown, document: Document, name: str, model: Model) -> None:
     largest = max(float(np.quantile(np.abs(errors[name]), 0.99)) for errors in shown.before.errors)
-    one, unit = unit_of(model.known[name].unit, largest)
+    unit = document.units.of(model.known[name].unit, largest, name)
     for found, color, _ in _models(shown, document):
         for section, errors in zip(_first(found), found.errors, strict=False):
-            t, e = _means(section.samples[name].t / (SMOOTH * section.time.period_s), errors[name] / one)
+            t, e = _means(section.samples[name].t / (SMOOTH * section.time.period_s), errors[name] / unit.size)
             axes.plot(section.start_s + t, e, color=color, linewidth=1.1)
-    expected = 2.0 * _of_means(shown, name) / one
+    expected = 2.0 * _of_means(shown, name) / unit.size
     if np.isfinite(expected):
         axes.axhspan(-expected, expected, color=BAND, linewidth=0, zorder=0)
     axes.axhline(0.0, color=INK, linewidth=0.6)
-    axes.set_ylabel(f"left of\n{name} [{unit}]", fontsize=9)
+    axes.set_ylabel(f"left of\n{name} [{unit.unit}]", fontsize=9)
 
 
 def _of_means(shown: Shown, name: str) -> float:
@@ -113,13 +112,14 @@ def _means(t: Array, e: Array) -> tuple[Array, Array]:
     return np.insert(middle, gap, np.nan), np.insert(mean, gap, np.nan)
 
 
-def _inputs(axes: Axes, found: FreeRun, model: Model) -> None:
+def _inputs(axes: Axes, found: FreeRun, document: Document, model: Model) -> None:
     names = [name for name in found.trajectories[0].system.inputs if name in model.known]
     for k, (name, color) in enumerate(zip(names, ("#444444", "#7b3fa0"), strict=False)):
-        side = axes if k == 0 else axes.twinx()
+        side, unit = axes if k == 0 else axes.twinx(), document.units.of(model.known[name].unit, signal=name)
         for section in _first(found):
-            side.plot(section.start_s + section.t, section.drive.inputs[:, k], color=color, linewidth=0.9)
-        side.set_ylabel(f"{name} [{model.known[name].unit}]", color=color, fontsize=9)
+            value = unit.scaled(section.drive.inputs[:, k])
+            side.plot(section.start_s + section.t, value, color=color, linewidth=0.9)
+        side.set_ylabel(f"{name} [{unit.unit}]", color=color, fontsize=9)
 
 
 def _models(shown: Shown, document: Document) -> list[tuple[FreeRun, str, str]]:

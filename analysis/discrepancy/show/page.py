@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from faultline.analysis.discrepancy.show.document import Document, Entry, Regime, White
-from faultline.analysis.discrepancy.show.sizes import readable
 from faultline.analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
+from faultline.analysis.model.display import Units
+from faultline.service.core.display import Display
 from faultline.service.pages import Table, render
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
@@ -69,18 +70,16 @@ def _evidence(d: Document) -> Table:
 
 def _regimes(d: Document) -> Table:
     head = ["output", "mode", "RMS before", "after", "bias before", "after", "floor", "expected", "gap closed"]
-    return Table(head, [_regime(r) for r in d.regimes], text=(1,))
+    return Table(head, [_regime(r, d.units.of(r.unit, 0.0, r.output)) for r in d.regimes], text=(1,))
 
 
-def _regime(r: Regime) -> list[str]:
-    one, unit = (100.0, "mbar") if r.unit == "Pa" else (1.0, r.unit)
-
+def _regime(r: Regime, shown: Display) -> list[str]:
     def told(value: float | None) -> str:
-        return "-" if value is None else f"{value / one:z.1f}" if unit == "mbar" else f"{value:.3g}"
+        return "-" if value is None else f"{value / shown.size:z.3g}"
 
     closed = "-" if r.closure is None else f"{100 * r.closure:.0f} %"
     values = [told(v) for v in (r.rms_before, r.rms_after, r.bias_before, r.bias_after, r.floor, r.expected)]
-    return [f"{r.output} [{unit}]", r.mode, *values, closed]
+    return [f"{r.output} [{shown.unit}]", r.mode, *values, closed]
 
 
 def _whiteness(d: Document) -> Table:
@@ -100,12 +99,12 @@ def _entries(d: Document) -> Table:
     head = ["entry", "evidence [nats]", "training", "held out", "smallest visible", "looks the same here"]
     chosen = {c.name for place in d.verdict.places for c in place.candidates} if d.named else set()
     marked = [k for k, entry in enumerate(d.entries) if entry.name in chosen]
-    return Table(head, [_entry(entry) for entry in d.entries], text=(5,), chosen=marked)
+    return Table(head, [_entry(entry, d.units) for entry in d.entries], text=(5,), chosen=marked)
 
 
-def _entry(e: Entry) -> list[str]:
+def _entry(e: Entry, units: Units) -> list[str]:
     if e.no_place is not None:
         return [e.name, "-", "-", "-", "-", f"no place in this model: {e.no_place}"]
     gains = ["-" if gain is None else f"{gain:.1f}" for gain in (e.gain, e.gain_training, e.gain_held_out)]
-    smallest = "cannot be shown" if e.smallest is None else readable(e.smallest, e.unit)
+    smallest = "cannot be shown" if e.smallest is None else units.of(e.unit).difference(e.smallest)
     return [e.name, *gains, smallest, ", ".join(e.alike)]

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from faultline.analysis.discrepancy.add.held_out import Shown
-from faultline.analysis.discrepancy.find.operating_space import UNITS
 from faultline.analysis.discrepancy.show.abscissa import Abscissa
 from faultline.analysis.discrepancy.show.document import Course, Document, Regime
 from faultline.analysis.discrepancy.show.drawing import (
@@ -26,7 +25,6 @@ from faultline.analysis.discrepancy.show.drawing import (
     WAS,
     png,
     simulated,
-    unit_of,
     with_effects,
 )
 from faultline.analysis.discrepancy.show.free_run import free_run
@@ -56,9 +54,9 @@ def regimes(document: Document) -> bytes:
 
 def _bars(axes: Axes, of: Sequence[Regime], document: Document) -> None:
     changed = bool(document.strengths)
-    one, unit = unit_of(of[0].unit, max(regime.rms_before for regime in of))
+    shown = document.units.of(of[0].unit, max(regime.rms_before for regime in of), of[0].output)
     place, width = np.arange(len(of)), 0.36 if changed else 0.6
-    was, now = (np.array([getattr(regime, name) for regime in of]) / one for name in ("rms_before", "rms_after"))
+    was, now = (np.array([getattr(regime, name) for regime in of]) / shown.size for name in ("rms_before", "rms_after"))
     shift = 0.5 * width if changed else 0.0
     color, label = (BEFORE, WAS) if changed else (AFTER, IS)
     axes.bar(place - shift, was, width, color=color, label=label)
@@ -67,10 +65,10 @@ def _bars(axes: Axes, of: Sequence[Regime], document: Document) -> None:
     for k, (name, style, label) in enumerate(
         (("floor", "-", "noise floor of the sensor"), ("expected", ":", "with the inputs' noise"))
     ):
-        level = np.array([np.nan if (v := getattr(regime, name)) is None else v / one for regime in of])
+        level = np.array([np.nan if (v := getattr(regime, name)) is None else v / shown.size for regime in of])
         axes.hlines(level, place - 0.45, place + 0.45, color=INK, linestyle=style, linewidth=1.6 - 0.3 * k, label=label)
     axes.set_xticks(place, [f"{regime.mode}\n{regime.samples}" for regime in of], fontsize=8)
-    axes.set_title(f"{of[0].output} [{unit}], and samples", fontsize=10)
+    axes.set_title(f"{of[0].output} [{shown.unit}], and samples", fontsize=10)
     axes.grid(visible=True, axis="y", alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -85,14 +83,14 @@ def unknown_input(document: Document, abscissa: Abscissa | None) -> bytes | None
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     for course, color, title in courses:
-        scale, unit = _amount(course)
+        scale, unit = _amount(document, course)
         t, value, sd = (np.array(part) for part in (course.t_s, course.value, course.sd))
         t, value, sd = _broken(t, scale * value, 2.0 * scale * sd)
         left.fill_between(t, value - sd, value + sd, color=color, alpha=0.2, linewidth=0)
         left.plot(t, value, color=color, linewidth=1.2, label=title)
         left.set_ylabel(f"what {course.equation} misses [{unit}]")
         if abscissa is not None and len(abscissa.value) == len(course.value):
-            _over(right, abscissa.value, course, np.array(before.sd), color)
+            _over(right, abscissa.value, course, np.array(before.sd), color, scale)
     left.set_xlabel("log time of the training recordings [s]")
     if abscissa is not None:
         right.set_xlabel(textwrap.fill(abscissa.words, 48))
@@ -106,9 +104,9 @@ def unknown_input(document: Document, abscissa: Abscissa | None) -> bytes | None
     return png(figure)
 
 
-def _over(axes: Axes, x: Array, course: Course, usual: Array, color: str) -> None:
+def _over(axes: Axes, x: Array, course: Course, usual: Array, color: str, scale: float) -> None:
     """The cells that the data tell of, by their `usual` standard deviations: not those of the model's warm-up."""
-    scale, told = _amount(course)[0], usual <= TOLD * np.median(usual)
+    told = usual <= TOLD * np.median(usual)
     y, sd = scale * np.array(course.value)[told], 2.0 * scale * np.array(course.sd)[told]
     axes.errorbar(x[told], y, sd, fmt="o", color=color, markersize=3.5, elinewidth=0.8, alpha=0.6)
 
@@ -158,11 +156,12 @@ def evidence(document: Document) -> bytes | None:
     return png(figure)
 
 
-def _amount(course: Course) -> tuple[float, str]:
+def _amount(document: Document, course: Course) -> tuple[float, str]:
     """Factor and unit in which an unknown input is drawn: a part of what it adds to, where that has a size."""
     if course.variable and course.size > 0.0:
         return 100.0 / course.size, f"% of the RMS {course.variable}"
-    return UNITS.get(course.unit, (1.0, course.unit))
+    shown = document.units.of(course.unit)
+    return 1.0 / shown.size, shown.unit
 
 
 def _broken(t: Array, *values: Array) -> tuple[Array, ...]:

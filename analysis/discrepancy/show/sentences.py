@@ -4,8 +4,6 @@ from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.show.document import Document, Regime
 from faultline.analysis.discrepancy.show.verdicts import confidence, halted, next_steps
 
-BAR = 1e5
-
 MOST = 25
 """Lines."""
 
@@ -40,15 +38,15 @@ def gap_lines(d: Document) -> list[str]:
     if not steady:
         return []
     head = "held-out free run, RMS error in steady operation" + (": before -> after" if d.strengths else "")
-    return [head, *(f"  {regime.output}: {gap_words(regime, changed=bool(d.strengths))}" for regime in steady)]
+    return [head, *(f"  {regime.output}: {gap_words(regime, d)}" for regime in steady)]
 
 
-def gap_words(r: Regime, *, changed: bool) -> str:
+def gap_words(r: Regime, d: Document) -> str:
     """For example "0.276 -> 0.031 bar (expected from the noise: 0.046); the gap is closed by 100 %"."""
-    one, unit = (BAR, "bar") if r.unit == "Pa" else (1.0, r.unit)
-    told = (
-        f"{r.rms_before / one:.3g} -> {r.rms_after / one:.3g} {unit}" if changed else f"{r.rms_before / one:.3g} {unit}"
-    )
+    shown, changed = d.units.of(r.unit, signal=r.output), bool(d.strengths)
+    one = shown.size
+    after = f" -> {r.rms_after / one:.3g}" if changed else ""
+    told = f"{r.rms_before / one:.3g}{after} {shown.unit}"
     if r.expected is not None:
         told += f" (noise lets expect {r.expected / one:.3g})"
     if changed:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.find.operating_space import UNITS
 from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.model.display import Units
+from faultline.service.core.display import Display
 
 SURE = 1.96
 """Standard deviations either way, for 95 %."""
@@ -17,7 +18,7 @@ SURE = 1.96
 class Size:
     """A parameter that an effect brings, with its 95 % interval, None for one at its bound; `null` is no effect.
 
-    Of a parameter that has no null value, a time constant for example, `null` is None.
+    People read it in the unit `shown`. Of a parameter without a null value, a time constant for example, it is None.
     """
 
     effect: str
@@ -27,18 +28,20 @@ class Size:
     value: float
     interval: tuple[float, float] | None
     null: float | None
+    shown: Display
 
     @property
     def words(self) -> str:
         """For example "additional flow when held open, as a fraction: 0.17 (95 %: 0.16 to 0.18)"."""
+        value = f"{self.description}: {self.shown.short(self.value)}"
         if self.interval is None:
-            return f"{self.description}: {readable(self.value, self.unit)}, the end of what is possible"
-        low, high = (readable(value, self.unit) for value in self.interval)
-        return f"{self.description}: {readable(self.value, self.unit)} (95 %: {low} to {high})"
+            return f"{value}, the end of what is possible"
+        low, high = map(self.shown.short, self.interval)
+        return f"{value} (95 %: {low} to {high})"
 
 
-def sizes(attempt: Attempt, library: Mapping[str, Effect]) -> tuple[Size, ...]:
-    """Of all effects in an attempt.
+def sizes(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tuple[Size, ...]:
+    """Of all effects in an attempt, in the `units` that people read.
 
     What is left even of the best model may be more than the noise; then the intervals are as much wider.
     """
@@ -62,6 +65,7 @@ def sizes(attempt: Attempt, library: Mapping[str, Effect]) -> tuple[Size, ...]:
                         value=attempt.values[name],
                         interval=(low, high) if attempt.inside[k] else None,
                         null=p.null,
+                        shown=units.of(p.unit, shifted=False),
                     )
                 )
     return tuple(found)
@@ -73,12 +77,3 @@ def _moved(attempt: Attempt, k: int, by: float, least: float | None, most: float
     x[k] += by
     value = attempt.unknowns.theta(x)[attempt.unknowns.parameters[k]]
     return float(np.clip(value, -np.inf if least is None else least, np.inf if most is None else most))
-
-
-MORE_UNITS = {"m2": (1e6, "mm2"), "m3/(s Pa)": (1e11, "mL/(s bar)")}
-
-
-def readable(value: float, unit: str) -> str:
-    """A value in a unit that people read."""
-    factor, shown = {**UNITS, **MORE_UNITS}.get(unit, (1.0, unit))
-    return f"{factor * value:.3g} {'' if shown == '1' else shown}".rstrip()

@@ -66,7 +66,7 @@ def _gap(d: Document) -> list[str]:
     steady = [regime for regime in d.regimes if regime.mode == STEADY]
     if not steady:
         return []
-    said = [f"{regime.output}: {gap_words(regime, changed=bool(d.strengths))}" for regime in steady]
+    said = [f"{regime.output}: {gap_words(regime, d)}" for regime in steady]
     nearest = "" if d.named else " with the nearest effects, none of which is its name"
     head = "The model run freely over the held-out recordings, on the inputs alone, is off in steady operation by (RMS"
     return [f"{head}{f', before -> after{nearest}' if d.strengths else ''}):", *_bullets(said)]

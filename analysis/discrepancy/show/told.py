@@ -25,6 +25,7 @@ from faultline.analysis.discrepancy.show.extras import (
 from faultline.analysis.discrepancy.show.sizes import sizes
 from faultline.analysis.discrepancy.show.verdicts import sentence_of
 from faultline.analysis.model import Model
+from faultline.analysis.model.display import units_of
 
 
 def origin_of(data: Data, without: Sequence[str] = ()) -> told.Origin:
@@ -42,12 +43,13 @@ def origin_of(data: Data, without: Sequence[str] = ()) -> told.Origin:
 def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Extras | None = None) -> told.Document:
     """The document of a discovery, with the free runs over its held-out recordings."""
     extras = extras or Extras()
-    outcome, library = found.outcome, found.study.library
+    outcome, library, units = found.outcome, found.study.library, units_of(found.study.model)
     first = found.before.members[0] if found.before.members else found.before.suspects[0].equation
     return told.Document(
         model=found.study.model.name,
         origin=origin,
         simulated=origin.simulated,
+        units=units,
         verdict=_verdict(found, extras),
         evidence=told.Evidence(
             training_before=outcome.nominal.training,
@@ -68,7 +70,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
                 no_effect=size.null,
                 words=size.words,
             )
-            for size in sizes(outcome.chosen, library)
+            for size in sizes(outcome.chosen, library, units)
         ),
         located=_located(found.study.model, found.before, first),
         left=_left(found, first),
@@ -79,8 +81,10 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         drift=section(extras.drifts.sentences()) if extras.drifts else None,
         structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
         bundle=bundle_told(extras.bundle) if extras.bundle else None,
+        experiments=dict(extras.experiments.texts),
+        unplanned=extras.experiments.unplanned,
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
-        gauge=gauge_told(extras.gauge) if extras.gauge else None,
+        gauge=gauge_told(extras.gauge, units) if extras.gauge else None,
         onset=section([extras.onset.advice()], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
         applied=extras.applied,

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from faultline.analysis.discrepancy.add.drift import MOVED
 from faultline.analysis.discrepancy.discover import REMAINDER, Kind
-from faultline.analysis.discrepancy.effects.library import EXPERIMENTS, UNPLANNED
 from faultline.analysis.discrepancy.show.document import Candidate, Document, Entry, Place
 
 MANY = 6
@@ -151,8 +150,8 @@ def next_steps(d: Document) -> list[str]:
         read = d.gauge.sentences if d.gauge else ()
         if d.experiment and d.experiment.data.get("tells"):
             return [*d.experiment.sentences, *read, *taken]
-        named = [name for name in experiments(d) if d.experiment is None or name in UNPLANNED]
-        record = [f"record what may tell them apart: {'; or '.join(EXPERIMENTS[name] for name in named)}"]
+        named = [name for name in experiments(d) if d.experiment is None or name in d.unplanned]
+        record = [f"record what may tell them apart: {'; or '.join(d.experiments.get(name, name) for name in named)}"]
         planned = (
             d.experiment.sentences if d.experiment else () if named else ("no experiment is known that tells them",)
         )

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import msgspec
 
-from faultline.analysis.evaluation.truth import Truth
+from faultline.analysis.evaluation.truth import TrueFault, Truth
+from faultline.analysis.model.display import Units
 
 SIZES = 3
 """A fault recorded in more sizes than this is one case: a column for each would hold a recording each."""
@@ -22,11 +23,11 @@ class Case(msgspec.Struct, frozen=True):
         return " ".join(filter(None, ["+".join(self.faults) or "fault-free", self.size]))
 
 
-def cases_of(truths: Sequence[Truth]) -> dict[str, Case]:
-    """The case of each recording, by its id."""
+def cases_of(truths: Sequence[Truth], units: Units) -> dict[str, Case]:
+    """The case of each recording, by its id; sizes are in the `units` that people read."""
     by_name = {truth.recording: sorted(truth.fault, key=lambda fault: fault.name) for truth in truths}
     names = {recording: tuple(fault.name for fault in there) for recording, there in by_name.items()}
-    sizes = {recording: " ".join(size_text(fault.size) for fault in there) for recording, there in by_name.items()}
+    sizes = {recording: " ".join(size_text(fault, units) for fault in there) for recording, there in by_name.items()}
     found = {}
     for recording, faults in names.items():
         alike = {sizes[other] for other, theirs in names.items() if theirs == faults}
@@ -34,10 +35,8 @@ def cases_of(truths: Sequence[Truth]) -> dict[str, Case]:
     return found
 
 
-def size_text(size: float) -> str:
-    """A size with its unit: fractions are below 1, an error of a sensor is in pascal.
-
-    >>> size_text(0.65), size_text(-20000.0)
-    ('65 %', '-200 mbar')
-    """
-    return f"{100 * size:g} %" if abs(size) <= 1.0 else f"{size / 100:g} mbar"
+def size_text(fault: TrueFault, units: Units) -> str:
+    """A size with its unit: parts in per cent, nothing where the truth says no unit."""
+    if fault.unit == "1":
+        return f"{100 * fault.size:g} %"
+    return units.of(fault.unit, abs(fault.size)).difference(fault.size)

@@ -15,6 +15,7 @@ from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.metrics import Told, told
 from faultline.analysis.evaluation.story import Story
+from faultline.analysis.model.display import Units
 from faultline.service.core.records.event import Event
 from faultline.service.core.signals.values import Mask
 
@@ -65,9 +66,9 @@ class Facts:
         return self.told.free_ticks * self.period_s / 3600.0
 
 
-def labelled(of: Sequence[Facts]) -> list[Facts]:
+def labelled(of: Sequence[Facts], units: Units) -> list[Facts]:
     """All recordings with their cases, whose labels say sizes where another recording has another one."""
-    cases = cases_of([one.given.truth for one in of])
+    cases = cases_of([one.given.truth for one in of], units)
     return [replace(one, case=cases[one.given.recording.id]) for one in of]
 
 

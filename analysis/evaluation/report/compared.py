@@ -1,4 +1,4 @@
-"""Measured, by equations and by a network of the same test, around maximum dose (thesis fig. 6.17)."""
+"""Measured, by equations and by a network of the same test, in the last mode (thesis fig. 6.17)."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from faultline.analysis.evaluation.measure.facts import Facts
 from faultline.analysis.evaluation.report.document import Evaluation
-from faultline.analysis.evaluation.report.traces import UNITS
 from faultline.analysis.evaluation.story import Story
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.time_scale import Span
@@ -30,14 +29,14 @@ def draw(e: Evaluation, drawn: Sequence[tuple[Story, Facts]]) -> Iterator[Drawn]
     part = _around(story)
     for (panel, errors), name in zip(axes, several, strict=True):
         rows = [row for row, test in enumerate(names) if test == name]
-        by, unit = (1e5, "bar") if e.tests[rows[0]].unit in UNITS else (1.0, e.tests[rows[0]].unit)
-        measured = (story.y_hat + story.r)[part, rows[0]] / by
+        shown = e.tests[rows[0]].shown(np.inf)
+        measured = shown.scaled((story.y_hat + story.r)[part, rows[0]])
         panel.plot(story.t_s[part], measured, color="#1f4e79", linewidth=1.0, label="measured")
         for colour, row in zip(COLOURS, rows, strict=False):
-            predicted = np.where(story.usable[part, row], story.y_hat[part, row] / by, np.nan)
+            predicted = np.where(story.usable[part, row], shown.scaled(story.y_hat[part, row]), np.nan)
             panel.plot(story.t_s[part], predicted, color=colour, linewidth=1.0, label=e.tests[row].generator)
             errors.plot(story.t_s[part], measured - predicted, color=colour, linewidth=0.8)
-        panel.set_ylabel(f"{e.tests[rows[0]].predicts} [{unit}]", fontsize=8)
+        panel.set_ylabel(f"{e.tests[rows[0]].predicts} [{shown.unit}]", fontsize=8)
         panel.legend(loc="best", ncols=1, fontsize=7)
         errors.axhline(0.0, color="#444444", linewidth=0.6)
         for one_of in (panel, errors):

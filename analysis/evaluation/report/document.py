@@ -17,10 +17,10 @@ from faultline.analysis.evaluation.measure.metrics import Scores, scores
 from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
 from faultline.analysis.evaluation.measure.signature import Cell, cells
 from faultline.service.bundle.load import Bundle
+from faultline.service.core.display import Display, fitting
+from faultline.service.logs.recording import is_simulated
 
 SCHEMA: Final = "faultline.evaluation/1"
-SIMULATED = "simulated"
-"""How the rig's recordings begin to say where they are from."""
 
 
 class Judged(msgspec.Struct, frozen=True, kw_only=True):
@@ -42,13 +42,15 @@ class Test(msgspec.Struct, frozen=True, kw_only=True):
     """One generator on fault-free data.
 
     `alarms`: episodes of its detector for each hour in which it could tell; `blocks`: blocks with an alarm. `rms` is
-    that of the residual [`unit`]. `equals` is the first generator that is numerically the same signal, itself or other.
+    that of the residual [`unit`], which people read in `display`. `equals` is the first generator that is numerically
+    the same signal, itself or other.
     """
 
     generator: str
     test: str
     predicts: str
     unit: str
+    display: list[Display]
     faults: list[str]
     states: int
     rms: float | None
@@ -56,6 +58,10 @@ class Test(msgspec.Struct, frozen=True, kw_only=True):
     blocks: Share
     cannot_tell: float
     equals: str
+
+    def shown(self, size: float) -> Display:
+        """Return the unit in which people read values up to `size`."""
+        return fitting(self.display or [Display(unit=self.unit)], size)
 
 
 class Told(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,7 +113,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         sensor_set=manifest.sensor_set,
         made_for=manifest.origin.vehicle,
         model=manifest.origin.model,
-        simulated=all(one.given.recording.source.startswith(SIMULATED) for one in of),
+        simulated=all(is_simulated(one.given.recording.source) for one in of),
         faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},
         modes={mode.name: mode.description for mode in manifest.modes.steady},
         mode_hours={
@@ -145,7 +151,7 @@ def _judged(one: Facts) -> Judged:
 
 def _tests(bundle: Bundle, of: Sequence[Facts]) -> list[Test]:
     generators = bundle.manifest.generators
-    units = {channel.signal: channel.unit for channel in bundle.manifest.inputs}
+    inputs = {channel.signal: channel for channel in bundle.manifest.inputs}
     blocks = joined([one.blocks for one in of])
     ticks = sum(int(one.ticks[0]) for one in of)
     equal = equal_groups([part for one in of for part in one.products])
@@ -159,7 +165,8 @@ def _tests(bundle: Bundle, of: Sequence[Facts]) -> list[Test]:
                 generator=generator.name,
                 test=generator.test,
                 predicts=generator.predicts,
-                unit=units[generator.predicts],
+                unit=inputs[generator.predicts].unit,
+                display=inputs[generator.predicts].display,
                 faults=generator.faults,
                 states=len(generator.states),
                 rms=float(np.sqrt(square / usable)) if usable else None,

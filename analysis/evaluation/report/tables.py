@@ -112,7 +112,7 @@ def fault_free(e: Evaluation) -> Table:
         [
             test.generator,
             test.predicts,
-            _physical(test.rms, test.unit),
+            NONE if test.rms is None else test.shown(test.rms).difference(test.rms),
             Td(f"{test.alarms.events} in {test.alarms.hours:.2f} h", hourly(test.alarms)),
             Td(percent(test.blocks.p), between(test.blocks), tint=test.blocks.p or 0.0),
             percent(test.cannot_tell),
@@ -126,12 +126,6 @@ def fault_free(e: Evaluation) -> Table:
     )
     head = ["generator", "predicts", "residual, RMS", "alarms", "blocks with an alarm", "cannot tell", "same signal as"]
     return Table(head, rows, caption)
-
-
-def _physical(rms: float | None, unit: str) -> str:
-    if rms is None:
-        return NONE
-    return f"{rms / 100.0:.1f} mbar" if unit == "Pa" else f"{rms:.3g} {unit}"
 
 
 def signature(e: Evaluation) -> Table:
@@ -232,11 +226,11 @@ def several(e: Evaluation) -> bool:
 
 def methods(e: Evaluation) -> Table:
     """Equations beside networks."""
-    units = {test.generator: test.unit for test in e.tests}
+    tests = {test.generator: test for test in e.tests}
     rows: list[Row] = [
         [
             f"{m.test}: {m.generator}",
-            _physical(m.rms, units[m.generator]) if m.rms is not None else NONE,
+            NONE if m.rms is None else tests[m.generator].shown(m.rms).difference(m.rms),
             Td(percent(m.false.p), between(m.false)),
             Td(percent(m.found.p), between(m.found)),
             Td(percent(m.crossed.p), between(m.crossed)),

@@ -15,7 +15,6 @@ from faultline.service.core.signals.values import Mask
 
 SHADES, EDGE_SHADE = ("#dcefe3", "#ffffff", "#fbe3cf", "#e3e0f3", "#f6f0cd"), "#d3d6da"
 RESIDUAL, ALARM, ONSET = "#1f4e79", "#c62828", "#222222"
-UNITS = {"Pa": (100.0, "mbar")}
 
 Drawn = tuple[Figure, str, str]
 
@@ -33,13 +32,13 @@ def draw(e: Evaluation, story: Story, one: Facts) -> Drawn:
     axes = [[figure.add_subplot(grid[line, column], sharex=last) for column in (0, 1)] for line in range(len(rows))]
     for line, row in enumerate(rows):
         test, (left, right) = e.tests[row], axes[line]
-        by, unit = UNITS.get(test.unit, (1.0, test.unit))
+        shown = test.shown(test.rms or 0.0)
         tells, alarm = story.usable[:, row], story.alarm[:, row]
-        _trace(left, story.t_s, np.where(tells, story.r[:, row] / by, np.nan), alarm)
+        _trace(left, story.t_s, np.where(tells, story.r[:, row] / shown.size, np.nan), alarm)
         _trace(right, story.t_s, abs(story.sums[:, row]), alarm)
         right.axhline(1.0, color="black", linestyle="--", linewidth=0.9)
         right.set_ylim(0.0, 2.2)
-        left.set_ylabel(f"{test.generator}\n[{unit}]", fontsize=8)
+        left.set_ylabel(f"{test.generator}\n[{shown.unit}]", fontsize=8)
         sees = bool(sensitive(test, one.case.faults, [*e.faults])) if one.case.faults else False
         for panel in (left, right):
             _behind(panel, story, one.verdict.onset_s)

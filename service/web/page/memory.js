@@ -132,8 +132,8 @@ export class Memory {
   _frame(which, frame, charts) {
     const title = `Freeze frame, ${which === "first" ? "when it was told first" : "the latest time"}`;
     const where = `${wallClock(frame.wall) || frame.event}, ${clock(frame.t_s)} into the drive, mode ${frame.mode}${frame.complete ? "" : "; the service was stopped before its end"}`;
-    const inputs = table(["signal", "last good value", "quality", "age"], frame.inputs.map((each) => [signalName(each.signal), withUnit(each.value, each.unit), each.quality, each.age_s === null ? "never" : `${each.age_s.toFixed(1)} s`]));
-    const tests = table(["test", "verdict", "residual", "CUSUM"], frame.tests.map((each) => [each.generator, each.verdict, withUnit(each.residual, this._unit(each.predicts)), each.sum.toFixed(2)]));
+    const inputs = table(["signal", "last good value", "quality", "age"], frame.inputs.map((each) => [signalName(this.system, each.signal), this._read(each.signal, "value", each.value), each.quality, each.age_s === null ? "never" : `${each.age_s.toFixed(1)} s`]));
+    const tests = table(["test", "verdict", "residual", "CUSUM"], frame.tests.map((each) => [each.generator, each.verdict, this._read(each.predicts, "residual", each.residual), each.sum.toFixed(2)]));
     const host = el("div", {});
     this._excerpt(host, frame, charts);
     const conditions = frame.conditions.length ? [el("p", {}, `Standing then: ${frame.conditions.join("; ")}`)] : [];
@@ -145,18 +145,18 @@ export class Memory {
     const test = frame.tests.find((each) => each.verdict === "alarm") ?? frame.tests[0];
     if (!test) return;
     const { first_tick: first, period_s: period, signals, residuals, sums } = frame.excerpt;
-    const { unit, factor } = shown(this._unit(test.predicts));
+    const as = shown(this.system, test.predicts);
     const t = signals[test.predicts].map((_, k) => (first + k) * period);
-    const measured = signals[test.predicts].map((value) => (value === null ? null : value * factor));
-    const predicted = measured.map((value, k) => (value === null || residuals[test.generator][k] === null ? null : value - residuals[test.generator][k] * factor));
-    const name = signalName(test.predicts);
+    const measured = signals[test.predicts].map(as.value);
+    const predicted = measured.map((value, k) => (value === null || residuals[test.generator][k] === null ? null : value - as.residual(residuals[test.generator][k])));
+    const name = signalName(this.system, test.predicts);
     const draw = (options, data, values, text) => {
       const chart = new Chart(host, options);
       charts.push(chart);
       chart.set(data, frame.t_s, values, text);
     };
     requestAnimationFrame(() => {  // once it has a width
-      draw({ title: name, unit, series: [{ colour: "predicted", dash: [6, 4] }, { colour: "measured" }] }, [t, predicted, measured],
+      draw({ title: name, unit: as.unit, series: [{ colour: "predicted", dash: [6, 4] }, { colour: "measured" }] }, [t, predicted, measured],
         [el("span", { class: "measured" }, "measured"), el("span", { class: "predicted" }, `predicted by ${test.generator}`)],
         `${name} around the time of the freeze frame, measured, and as ${test.generator} predicts it`);
       draw({ title: `CUSUM of ${test.generator}`, unit: "parts of the threshold", series: [{ colour: "measured" }], limits: [-1, 1] },
@@ -164,8 +164,10 @@ export class Memory {
     });
   }
 
-  _unit(signal) {
-    return this.system.inputs.find((each) => each.signal === signal)?.unit ?? "";
+  /** A `value` or `residual` of a signal as people read it. */
+  _read(signal, kind, number) {
+    const as = shown(this.system, signal);
+    return withUnit(as[kind](number), as);
   }
 
   _eraser(path, item) {

@@ -1,9 +1,5 @@
 // How things read: units, names, verdicts. Pure.
 
-const SIGNALS = {
-  y_p_tp: "Pressure between tank filter and pump", y_p_ap: "Pressure after the pump", y_p_du: "Pressure in the dosing unit",
-  n_p: "Pump speed", dc_dose: "Dose",
-};
 const CHANGES = {
   pending: "is pending", confirmed: "is confirmed", failed: "is there again", refined: "has other candidates",
   withdrawn: "was not it", revoked: "is erased: it was another one, or rested on samples that are doubted", passed: "is not there any more", settled: "was not there for a cycle", aged: "is forgotten",
@@ -15,18 +11,27 @@ const TRANSITIONS = {
   withdrawn: "withdrawn: it rested on samples that are doubted",
 };
 
-export const signalName = (signal) => SIGNALS[signal] ?? signal;
+const input = (system, signal) => system.inputs.find((each) => each.signal === signal);
 
-/** How a unit is shown: its name, the factor, and digits. Pressures are in bar, ratios in percent. */
-export function shown(unit) {
-  if (unit === "Pa") return { unit: "bar", factor: 1e-5, digits: 3 };
-  if (unit === "1") return { unit: "%", factor: 100, digits: 0 };
-  return { unit, factor: 1, digits: 2 };
+/** A signal by its label, as the bundle has it, or by its name. */
+export function signalName(system, signal) {
+  const label = input(system, signal)?.label;
+  return label ? label[0].toUpperCase() + label.slice(1) : signal;
 }
 
-export function withUnit(value, unit) {
-  const as = shown(unit);
-  return value === null || value === undefined ? "no value" : `${(value * as.factor).toFixed(as.digits)} ${as.unit}`;
+/** The unit that people read a signal in, and what a value and a residual of the bundle's unit are in it. */
+export function shown(system, signal) {
+  const known = input(system, signal);
+  const { unit, size = 1, zero = 0, digits = null } = known?.display?.[0] ?? { unit: known?.unit ?? "" };
+  const of = (none) => (value) => (value === null || value === undefined ? null : (value - none) / size);
+  return { unit, digits, value: of(zero), residual: of(0) };
+}
+
+/** A number in the unit of `as`, as `shown` gives it. */
+export function withUnit(number, as) {
+  if (number === null) return "no value";
+  const text = as.digits === null ? String(Number(number.toPrecision(6))) : number.toFixed(as.digits);
+  return `${text} ${as.unit === "1" ? "" : as.unit}`.trimEnd();
 }
 
 /** A duration since the log's first tick. */
@@ -50,7 +55,7 @@ export function candidate(system, diagnosis) {
 
 export function fault(system, name) {
   const known = system.faults.find((each) => each.name === name);
-  return known ? `${known.component}: ${known.description}` : name;
+  return known ? `${known.component}${known.place ? ` (${known.place})` : ""}: ${known.description}` : name;
 }
 
 export function component(system, name) {

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -99,3 +100,8 @@ def test_hidden_friction_is_named_among_what_the_system_binds_to_its_roles(
     assert [one["effect"] for one in found["strengths"]] == ["coulomb_friction"]
     assert found["strengths"][0]["value"] == pytest.approx(F_C, rel=0.05)
     assert "simulated" in capsys.readouterr().out or found["simulated"]
+    page = (out / "report.html").read_text()
+    assert "velocity" in page
+    assert "y_v [m/s]" in page
+    told = {*re.findall(r"[a-z]+", re.sub(r"base64,[^\"]+", "", page))}
+    assert not {"bar", "mbar", "dose", "dosing", "pump", "hose"} & told

@@ -89,6 +89,15 @@ def test_the_file_is_read_as_it_is_written(boiler: Boiler) -> None:
     assert parse_model(dump_model(model), "again") == model
 
 
+def test_the_system_says_more_of_listed_faults(boiler: Boiler, tmp_path: Path) -> None:
+    for name in ("model.toml", "system.toml"):
+        (tmp_path / name).write_text((boiler.system / name).read_text())
+    with (tmp_path / "system.toml").open("a") as file:
+        file.write('[fault.f_pump]\nspn = 520200\nfmi = 7\n[component."valve"]\nplace = "behind the cover"\n')
+    faults = load_model(tmp_path).faults
+    assert (faults["f_pump"].spn, faults["f_pump"].fmi, faults["f_valve"].place) == (520200, 7, "behind the cover")
+
+
 def test_structure_shows_what_the_signatures_tell_apart(boiler: Boiler, capsys: pytest.CaptureFixture[str]) -> None:
     assert structure([str(boiler.system)]) == 0
     assert "f_sensor  not isolable from f_pump" in capsys.readouterr().out

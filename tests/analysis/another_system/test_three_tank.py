@@ -1,22 +1,35 @@
 """A system that no line of the product knows goes from its recordings to isolated faults, by the commands alone."""
 
 import json
+import re
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import recorded_tanks
 
 from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.evaluation.command import main as evaluate
 from faultline.analysis.export import main as export
-from faultline.analysis.model import load_model
+from faultline.analysis.model import Model, dump_model, load_model
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.files import BundleError
 from faultline.service.bundle.load import load_bundle, verify_golden
+from faultline.service.core.display import display_of
 from faultline.service.core.errors import InputError
 from faultline.service.diagnose.command import main as diagnose
+from faultline.service.protocol.client import ControlClient
+from faultline.service.protocol.live import SystemDescription
+from faultline.service.protocol.questions import Question
+from faultline.service.recorded.command import served
+from faultline.service.workshop import svg
+from faultline.service.workshop.plan import plan
+from faultline.service.workshop.trace import Sample
+from faultline.service.workshop.words import instruction
 from faultline.testbench import tanks
 
 DURATION_S, ONSET_S = 480.0, 270.0
@@ -73,6 +86,59 @@ def test_the_bundle_keeps_the_dbcs_own_name_and_the_models_units(bench: Bench) -
     assert manifest.dbc == "tanks.dbc"
     assert {channel.unit for channel in manifest.inputs} == {"1", "m"}
     assert manifest.generators[0].warm_up_s == load_model("three-tank").warm_up_s == manifest.settling_s
+
+
+def words(*values: object) -> set[str]:
+    """Words of all strings within, names of fields not counted."""
+    found: set[str] = set()
+    for value in values:
+        if isinstance(value, str):
+            found |= {word.lower() for word in re.findall(r"[A-Za-z_]\w+", value)}
+        elif isinstance(value, dict):
+            found |= words(*value.values())
+        elif isinstance(value, list):
+            found |= words(*value)
+    return found
+
+
+def said_of(model: Model) -> set[str]:
+    """Every name, label, description and unit of a model and its system."""
+    return words(tomllib.loads(dump_model(model))) | words([*model.known, *model.faults, *model.display])
+
+
+def test_no_word_of_another_system_is_in_the_bundle(bench: Bench) -> None:
+    bundle = load_bundle(bench.bundle)
+    told = words(msgspec.to_builtins(bundle.manifest)) | words([channel.signal for channel in bundle.manifest.inputs])
+    foreign = said_of(load_model("uds")) - said_of(load_model("three-tank")) - {"as", "faults"}  # of any claim and file
+    assert {"dose", "urea", "bar", "filter", "y_p_du", "idle"} <= foreign
+    assert sorted(foreign & told) == []
+    assert {"level", "tank", "pump", "cm", "pipe", "leak"} <= told
+
+
+def test_page_workshop_and_report_speak_of_tanks_and_centimetres(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = recorded_tanks.record(bench.folder / "shown", 9, DURATION_S)
+    with served(recording, bench.bundle, lambda _: None) as (control, _), ControlClient(control) as asked:
+        system = asked.ask(Question(ask="system", name="three_tank"), SystemDescription)
+    assert [channel.label for channel in system.inputs] == [
+        "pump", "level of tank 1", "level of tank 2", "level of tank 3",
+    ]  # fmt: skip
+    assert [display_of(channel).text(0.25) for channel in system.inputs] == ["25.0 %", *["25.00 cm"] * 3]
+    assert [step.mode for step in plan(system.steady, 60.0)] == ["operation", "operation"]
+    assert instruction(system, "operation") == "bring the system into its mode 'operation'"
+    blind: list[float | None] = [None] * len(system.generators)
+    sample = Sample(0.0, "operation", [0.5, 0.3, 0.2, 0.1], blind, blind)
+    captions = [picture.caption for picture in svg.signals(system, [sample])]
+    assert captions[0].startswith("level of tank 1 (y1) [cm]: measured")
+    report, truth = bench.folder / "report", bench.folder / "truth.toml"
+    truth.write_text('schema = 1\nrecording = "shown"\n')
+    assert evaluate([str(bench.bundle), str(recording), "--truth", str(truth), "--report", str(report)]) == 0
+    page = (report / "report.html").read_text()
+    assert " cm</td>" in page
+    assert "All data are simulated" in page
+    foreign = said_of(load_model("uds")) - said_of(load_model("three-tank"))
+    assert not {"dose", "dosing", "bar", "mbar", "urea", "filter"} & words(page) & foreign
 
 
 def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> None:

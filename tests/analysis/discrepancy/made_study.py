@@ -11,8 +11,9 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.attempt import Study
 from faultline.analysis.model import Model, load_model
+from faultline.analysis.model.file import SYSTEMS
 
-LIBRARY = load_library()
+LIBRARY = load_library(SYSTEMS / "uds")
 UDS1 = load_model("uds/production")
 
 

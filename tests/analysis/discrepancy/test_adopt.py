@@ -10,8 +10,9 @@ from faultline.analysis.calibration.provenance import recordings_of, vehicle_of
 from faultline.analysis.discrepancy.add.adopt import adopted, undone
 from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.model import Model, ModelError, dump_model, load_model, parse_model
+from faultline.analysis.model.file import SYSTEMS
 
-LIBRARY = load_library()
+LIBRARY = load_library(SYSTEMS / "uds")
 FACTS: Mapping[str, object] = {
     "recordings": ("1" * 64, "2" * 64),
     "held_out": ["3" * 64],

@@ -22,9 +22,10 @@ from faultline.analysis.discrepancy import command
 from faultline.analysis.discrepancy.add.held_out import Shown, shown
 from faultline.analysis.discrepancy.command import main
 from faultline.analysis.discrepancy.effects.effect import Effect
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
 from faultline.analysis.discrepancy.effects.library import load_library
-from faultline.analysis.discrepancy.name.experiment import experiments
 from faultline.analysis.model import dump_model, load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.structure.command import main as structure
 from faultline.service.core.errors import InputError
 from faultline.service.logs import open_log
@@ -48,8 +49,9 @@ def recording(folder: Path, effects: Mapping[str, float], seed: int, *, zero: fl
 def few_entries() -> Iterator[None]:
     """The shipped library takes minutes; one of one's own is read as ever."""
 
-    def some(path: Path | None = None) -> dict[str, Effect]:
-        return load_library(path) if path else {name: LIBRARY[name] for name in ENTRIES}
+    def some(system: Path | None, own: Path | None) -> dict[str, Effect]:
+        assert system == SYSTEMS / "uds"
+        return load_library(system, own) if own else {name: LIBRARY[name] for name in ENTRIES}
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command, "load_library", some)
@@ -158,8 +160,8 @@ def test_what_makes_the_held_out_free_run_worse_is_not_written(
     [reason] = told["refused"]
     assert reason.startswith("the held-out free run is not better, by its RMS error in steady operation (")
     for regime in (r for r in told["regimes"] if r["mode"] == "steady"):
-        before, after = (float(f"{regime[key]:.4g}") for key in ("rms_before", "rms_after"))
-        assert f"{regime['output']} {before:g} -> {after:g} Pa" in reason
+        before, after = (float(f"{regime[key] / 1e5:.4g}") for key in ("rms_before", "rms_after"))
+        assert f"{regime['output']} {before:g} -> {after:g} bar" in reason
     assert f"not added: {reason}" in printed
     assert reason in (out / "summary.md").read_text()
 
@@ -233,7 +235,7 @@ def test_what_has_several_names_is_said_with_exit_code_1(tmp_path: Path) -> None
     [place] = told["verdict"]["places"]
     assert {c["name"] for c in place["candidates"]} == {"offset_p_du", "offset_p_ap"}
     assert "offset_p_ap" in printed
-    assert told["experiment"]["data"]["name"] in {e.name for e in experiments()[1]}
+    assert told["experiment"]["data"]["name"] in {e.name for e in load_experiments(SYSTEMS / "uds").planned}
     assert not (tmp_path / "out" / "model.toml").exists()
     again = ("uds/production", training, "--held-out", held, "--out", tmp_path / "out", "--without", "offset_p_ap")
     code, printed = run(*again)
@@ -282,7 +284,7 @@ def test_what_is_wrong_with_the_bundles_recordings_is_said_before_a_minute_is_sp
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tmp_path / "own.toml"
-    shipped = Path(load_library()["pump_slip"].place.split(":")[0]).read_text()
+    shipped = Path(load_library(SYSTEMS / "uds")["pump_slip"].place.split(":")[0]).read_text()
     entry = shipped[shipped.index('[[effect]]\nname = "leak_laminar"') :].split("\n[[effect]]")[0]
     own.write_text("schema = 1\n" + entry.replace('"leak_laminar"', '"mine"').replace('"q_pump"', '"q_pumpe"'))
     said = refused(

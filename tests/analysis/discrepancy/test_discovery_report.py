@@ -16,8 +16,9 @@ from faultline.analysis.discrepancy.add.held_out import Shown, shown
 from faultline.analysis.discrepancy.add.structure_change import structure_change
 from faultline.analysis.discrepancy.discover import Discovery, Kind, verdict_of
 from faultline.analysis.discrepancy.effects.compiled import model_with
+from faultline.analysis.discrepancy.effects.experiments import Experiment, load_experiments
 from faultline.analysis.discrepancy.find.onset import Onset
-from faultline.analysis.discrepancy.name.experiment import Experiment, Plan
+from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
 from faultline.analysis.discrepancy.show.abscissa import abscissa_of
 from faultline.analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
@@ -25,11 +26,14 @@ from faultline.analysis.discrepancy.show.extras import Extras
 from faultline.analysis.discrepancy.show.page import page
 from faultline.analysis.discrepancy.show.report import files_of
 from faultline.analysis.discrepancy.show.sentences import MOST, sentences
-from faultline.analysis.discrepancy.show.sizes import readable, sizes
+from faultline.analysis.discrepancy.show.sizes import sizes
 from faultline.analysis.discrepancy.show.summary import summary
 from faultline.analysis.discrepancy.show.told import document_of
 from faultline.analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
+from faultline.analysis.model.display import Units
+from faultline.analysis.model.file import SYSTEMS
 
+UDS_EXPERIMENTS = load_experiments(SYSTEMS / "uds")
 ORIGIN = Origin(
     training=("t-1",), held_out=("v-1",), sources=("simulated by the rig",), vehicle="truck-1", missing=("too short",)
 )
@@ -48,6 +52,7 @@ def told() -> tuple[Document, Shown]:
     nominal, chosen = found.outcome.nominal, found.outcome.chosen
     entries = [found.study.library[name] for name in chosen.effects]
     extras = Extras(
+        experiments=UDS_EXPERIMENTS,
         drifts=drifts(found.study.model, nominal, chosen),
         structure=structure_change(found.study.model, model_with(found.study.model, entries), chosen),
     )
@@ -217,7 +222,7 @@ def test_what_is_left_in_the_held_out_recordings_has_a_place_too() -> None:
 
 def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     found = discovery()
-    steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),))
+    steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),), UDS_EXPERIMENTS.planned[0].control)
     plan = Plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
     onset = Onset(100.0, "e04", (), "t-1")
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
@@ -335,24 +340,24 @@ def test_long_reports_are_cut_for_the_terminal(document: Document) -> None:
 def test_sizes_are_wider_where_more_than_noise_is_left() -> None:
     found = discovery()
     chosen, library = found.outcome.chosen, found.study.library
-    [usual], [wide] = (sizes(dataclasses.replace(chosen, dispersion=left), library) for left in (1.0, 4.0))
+    [usual], [wide] = (sizes(dataclasses.replace(chosen, dispersion=left), library, Units()) for left in (1.0, 4.0))
     assert usual.interval is not None
     assert wide.interval is not None
     assert np.diff(wide.interval) == pytest.approx(2.0 * np.diff(usual.interval))
     outside = dataclasses.replace(chosen, inside=np.zeros(len(chosen.x), bool), curvature=np.eye(len(chosen.x)))
-    [bound] = sizes(outside, library)
+    [bound] = sizes(outside, library, Units())
     assert bound.interval is None
     assert bound.words.endswith("the end of what is possible")
 
 
-def test_values_are_in_units_that_people_read() -> None:
-    assert readable(0.25, "1") == "0.25"
-    assert readable(2.5e4, "Pa") == "0.25 bar"
-    assert readable(1e-7, "m3/s") == "0.1 mL/s"
-    assert readable(0.4, "s") == "0.4 s"
+def test_values_are_in_units_that_people_read(document: Document) -> None:
+    read = [document.units.of(unit).difference(value) for value, unit in ((0.25, "1"), (2.5e4, "Pa"), (1e-7, "m3/s"))]
+    assert read == ["0.25", "0.25 bar", "0.1 mL/s"]
+    assert Units().of("Pa").difference(2.5e4) == "2.5e+04 Pa"
 
 
 def test_the_document_says_what_it_is_of(document: Document) -> None:
     assert document.simulated
     assert encoded(document).endswith(b"}\n")
-    assert not Origin(training=("a",), held_out=("b",), sources=("a truck of ours",)).simulated
+    for sources in (("a truck of ours",), ("simulated by the rig", "a truck of ours"), ()):
+        assert not Origin(training=("a",), held_out=("b",), sources=sources).simulated

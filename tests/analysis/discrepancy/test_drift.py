@@ -12,6 +12,7 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.model import Model, load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.simulation import system_of
 
 UDS4 = load_model("uds")
@@ -49,7 +50,7 @@ def attempt(model: Model, at: Mapping[str, float]) -> Attempt:
 
 
 def found(without: Mapping[str, float], with_it: Mapping[str, float]) -> Drifts:
-    after = rewritten(SHIFTED, load_library()["full_open_gain"])
+    after = rewritten(SHIFTED, load_library(SYSTEMS / "uds")["full_open_gain"])
     return drifts(SHIFTED, attempt(SHIFTED, without), attempt(after, with_it))
 
 

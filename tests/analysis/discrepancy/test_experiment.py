@@ -9,13 +9,16 @@ import pytest
 from made_study import study
 from scipy.stats import multivariate_normal
 
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from faultline.analysis.discrepancy.name.experiment import BEFORE_S, Plan, divergence, experiments, propose
+from faultline.analysis.discrepancy.name.experiment import Plan, divergence, propose
 from faultline.analysis.model import load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.testbench.cycles import DOSING_FROM, Segment, read_cycle
 
 RIVALS = ("full_open_gain", "valve_shuts_late")
 LONGEST_S = 120.0
+SHIPPED = load_experiments(SYSTEMS / "uds").planned
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +31,14 @@ def fitted() -> tuple[Study, Baseline, list[Attempt]]:
 
 @pytest.fixture(scope="module")
 def plans(fitted: tuple[Study, Baseline, list[Attempt]]) -> list[Plan]:
-    return propose(*fitted)
+    return propose(*fitted, SHIPPED)
 
 
 def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_path: Path) -> None:
-    how, shipped = experiments()
-    assert len({e.name for e in shipped}) == len(shipped) >= 7
-    assert (how.actuator, how.command) == ("n_p", "dc_dose")
-    assert BEFORE_S == DOSING_FROM
-    for e in shipped:
+    assert len({e.name for e in SHIPPED}) == len(SHIPPED) >= 7
+    how = SHIPPED[0].control
+    assert (how.actuator, how.command, how.before_s) == ("n_p", "dc_dose", DOSING_FROM)
+    for e in SHIPPED:
         assert 60.0 <= e.duration_s <= LONGEST_S, e.name
         text = e.cycle()
         table = tomllib.loads(text)
@@ -50,11 +52,11 @@ def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_
         for found, (duration, pressure, duty) in zip(segments, e.segments, strict=False):
             assert dataclasses.astuple(found) == pytest.approx(dataclasses.astuple(Segment(duration, pressure, duty)))
         assert len(segments) - len(e.segments) in (0, 1)  # of no length, where the rig holds the pressure
-        assert sum(segment.duration for segment in segments) == pytest.approx(e.duration_s - BEFORE_S)
+        assert sum(segment.duration for segment in segments) == pytest.approx(e.duration_s - how.before_s)
 
 
 def test_every_experiment_is_planned_the_best_first(plans: list[Plan]) -> None:
-    assert {plan.experiment.name for plan in plans} == {e.name for e in experiments()[1]}
+    assert {plan.experiment.name for plan in plans} == {e.name for e in SHIPPED}
     assert [plan.left for plan in plans] == sorted(plan.left for plan in plans)
     for plan in plans:
         assert {*plan.expected} == {RIVALS, RIVALS[::-1]}
@@ -88,4 +90,5 @@ def test_evidence_to_expect_is_the_divergence_of_predictions() -> None:
 
 def test_a_model_of_something_else_has_no_experiments(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
     found, baseline, rivals = fitted
-    assert propose(dataclasses.replace(found, model=load_model("three-tank")), baseline, rivals) == []
+    assert propose(dataclasses.replace(found, model=load_model("three-tank")), baseline, rivals, SHIPPED) == []
+    assert propose(*fitted, ()) == []

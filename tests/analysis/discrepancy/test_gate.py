@@ -89,9 +89,8 @@ def test_a_worse_free_run_is_refused_also_in_one_mode(data: Data, found: Discove
     limit = max(WORSE * was.rms, was.expected)
     worse = {"y_p_du": {"rms": 1.01 * limit, "expected": was.expected}}
     [reason] = adoption(data, found, with_after(runs, worse, mode)).reasons
-    assert reason == (
-        f"the held-out free run of y_p_du grows worse ({mode}), from {was.rms:.0f} to {1.01 * limit:.0f} Pa"
-    )
+    before, after = (float(f"{rms / 1e5:.4g}") for rms in (was.rms, 1.01 * limit))
+    assert reason == f"the held-out free run of y_p_du grows worse ({mode}): {before:g} -> {after:g} bar"
     good = {"y_p_du": {"rms": 0.99 * limit, "expected": was.expected}}
     assert adoption(data, found, with_after(runs, good, mode)).reasons == ()
 
@@ -119,7 +118,7 @@ def test_a_held_out_error_that_grows_is_refused_whatever_noise_lets_expect(
     for reason in reasons:
         assert reason.startswith("the held-out free run is not better, by its RMS error in steady operation (y_p_tp ")
         for name, rms in was.items():
-            assert f"{name} {float(f'{rms:.4g}'):g} -> {float(f'{factor * rms:.4g}'):g} Pa" in reason
+            assert f"{name} {float(f'{rms / 1e5:.4g}'):g} -> {float(f'{factor * rms / 1e5:.4g}'):g} bar" in reason
 
 
 def test_a_bound_is_refused(data: Data, found: Discovery, runs: Shown) -> None:

@@ -7,9 +7,11 @@ import pytest
 import sympy as sp
 
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.effects.library import GENERAL, beside, load_library
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
+from faultline.analysis.discrepancy.effects.library import GENERAL, load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.model import Model, ModelError, load_model
+from faultline.analysis.model.file import SYSTEMS, folder_of
 
 EMPS = load_model("emps")
 BOUND = """schema = 1
@@ -68,7 +70,7 @@ def without(model: Model, effect: Effect) -> dict[str, sp.Expr]:
 
 @pytest.mark.parametrize("name", USES)
 def test_each_is_nothing_at_its_null_and_changes_its_equation_else(name: str, tmp_path: Path) -> None:
-    effect = load_library(bound(tmp_path, use(name)))[name]
+    effect = load_library(None, bound(tmp_path, use(name)))[name]
     before = {key: equation.expression for key, equation in EMPS.equations.items()}
     after = without(EMPS, effect)
     for key, expression in before.items():
@@ -83,7 +85,7 @@ def test_all_that_the_library_has_are_tried_here() -> None:
 
 
 def test_friction_is_what_coulomb_says_far_from_rest(tmp_path: Path) -> None:
-    model = rewritten(EMPS, load_library(bound(tmp_path, BOUND))["coulomb"])
+    model = rewritten(EMPS, load_library(None, bound(tmp_path, BOUND))["coulomb"])
     values = {"F": 100.0, "coulomb_F_c": 20.0, "coulomb_v_0": 0.002, "M": 10.0, "Fv": 30.0, "F_0": 0.0, "dv": 0.0}
     for velocity in (0.5, -0.5):
         given = {sp.Symbol(key): value for key, value in {**values, "v": velocity}.items()}
@@ -107,16 +109,20 @@ def test_friction_is_what_coulomb_says_far_from_rest(tmp_path: Path) -> None:
 )
 def test_what_a_use_lacks_is_told_with_its_place(old: str, new: str, told: str, tmp_path: Path) -> None:
     with pytest.raises(ModelError) as error:
-        load_library(bound(tmp_path, BOUND.replace(old, new, 1)))
+        load_library(None, bound(tmp_path, BOUND.replace(old, new, 1)))
     assert told in str(error.value)
 
 
-def test_the_effects_beside_a_model_are_those_of_its_system(tmp_path: Path) -> None:
-    assert beside("uds") is None
-    found = beside("emps")
-    assert found is not None
-    assert "coulomb_friction" in load_library(found)
-    assert beside(str(tmp_path)) is None
+def test_effects_and_experiments_are_those_of_the_models_system(tmp_path: Path) -> None:
+    emps = SYSTEMS / "emps"
+    for name, found in (("uds", "uds"), ("uds/production", "uds"), ("emps", "emps"), ("three-tank", "three-tank")):
+        assert folder_of(name, load_model(name).name) == SYSTEMS / found
+    assert folder_of(emps / "model.toml", "") == folder_of(emps, "") == emps
+    assert folder_of(tmp_path / "calibrated.toml", "emps") == emps  # a calibrated model keeps its name
+    assert folder_of(tmp_path / "calibrated.toml", "mine") is None
     bound(tmp_path, BOUND)
-    assert beside(str(tmp_path)) == tmp_path / "effects.toml"
-    assert beside(str(tmp_path / "model.toml")) == tmp_path / "effects.toml"
+    assert folder_of(tmp_path / "calibrated.toml", "emps") == tmp_path
+    assert [*load_library(emps)] != [*load_library(tmp_path)] == ["coulomb"]
+    assert load_library(SYSTEMS / "three-tank") == load_library(None) == {}
+    assert load_experiments(SYSTEMS / "three-tank") == load_experiments(None)
+    assert not any("uds" in effect.place for effect in load_library(emps).values())

@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from faultline.analysis.discrepancy.effects.library import EXPERIMENTS, load_library
+from faultline.analysis.discrepancy.effects.experiments import load_experiments
+from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.model import ModelError
+from faultline.analysis.model.file import SYSTEMS
 
+UDS = SYSTEMS / "uds"
 CREEPING_HOSE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "creeping_hose.toml"
 
 MINE = """schema = 1
@@ -58,18 +61,18 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_the_shipped_entries_say_what_a_mechanic_understands_and_what_tells_them_apart() -> None:
-    library = load_library()
+    library = load_library(UDS)
     assert len(library) >= 28
     for effect in library.values():
         assert all((effect.statement, effect.component, effect.source, effect.signature)), effect.name
         assert effect.rivals, effect.name
         assert effect.separated_by, effect.name
-        assert set(effect.separated_by) <= set(EXPERIMENTS), effect.name
+        assert set(effect.separated_by) <= {*load_experiments(UDS).texts}, effect.name
         assert all(effect.name in library[rival].rivals for rival in effect.rivals), effect.name
 
 
 def test_every_strength_has_a_size_and_two_physical_bounds() -> None:
-    for effect in load_library().values():
+    for effect in load_library(UDS).values():
         for name, p in effect.strengths.items():
             assert name.startswith(f"{effect.name}_")
             assert p.min is not None, name
@@ -79,12 +82,12 @@ def test_every_strength_has_a_size_and_two_physical_bounds() -> None:
 
 
 def test_every_experiment_separates_something() -> None:
-    assert {e for effect in load_library().values() for e in effect.separated_by} == set(EXPERIMENTS)
+    assert {e for effect in load_library(UDS).values() for e in effect.separated_by} == {*load_experiments(UDS).texts}
 
 
 def test_a_users_file_adds_to_what_ships(tmp_path: Path) -> None:
-    library = load_library(write(tmp_path, MINE))
-    assert [*library] == [*load_library(), "mine"]
+    library = load_library(UDS, write(tmp_path, MINE))
+    assert [*library] == [*load_library(UDS), "mine"]
     mine = library["mine"]
     assert [*mine.strengths] == ["mine_g"]
     assert mine.roles == {"B": ("B_ap", "B_du"), "dp": ("dp_ap", "dp_du")}
@@ -95,17 +98,17 @@ def test_a_users_file_adds_to_what_ships(tmp_path: Path) -> None:
 
 def test_a_users_entry_replaces_a_shipped_one_only_if_it_says_so(tmp_path: Path) -> None:
     named = MINE.replace('"mine"', '"pump_slip"')
-    with pytest.raises(ModelError, match=r"own\.toml: effect pump_slip: is a shipped entry too; say `replaces = true`"):
-        load_library(write(tmp_path, named))
+    with pytest.raises(ModelError, match=r"effect pump_slip: is an entry of the system too; say `replaces = true`"):
+        load_library(UDS, write(tmp_path, named))
     said = write(tmp_path, named.replace('source = "seen"', 'source = "seen"\nreplaces = true'))
-    assert load_library(said)["pump_slip"].component == "hose"
-    with pytest.raises(ModelError, match="effect mine: replaces a shipped entry that there is not; remove `replaces`"):
-        load_library(write(tmp_path, MINE.replace('source = "seen"', 'source = "seen"\nreplaces = true')))
+    assert load_library(UDS, said)["pump_slip"].component == "hose"
+    with pytest.raises(ModelError, match="effect mine: replaces an entry that the system has not; remove `replaces`"):
+        load_library(UDS, write(tmp_path, MINE.replace('source = "seen"', 'source = "seen"\nreplaces = true')))
 
 
 def test_the_example_in_the_documentation_is_in_no_shipped_library() -> None:
-    assert "creeping_hose" not in load_library()
-    assert load_library(CREEPING_HOSE)["creeping_hose"].parameters["tau"].prior == 0.7
+    assert "creeping_hose" not in load_library(UDS)
+    assert load_library(UDS, CREEPING_HOSE)["creeping_hose"].parameters["tau"].prior == 0.7
 
 
 @pytest.mark.parametrize(
@@ -149,27 +152,27 @@ def test_the_example_in_the_documentation_is_in_no_shipped_library() -> None:
 def test_a_bad_entry_is_refused_with_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in MINE
     with pytest.raises(ModelError, match=re.escape(message)) as caught:
-        load_library(write(tmp_path, MINE.replace(old, new, 1)))
+        load_library(UDS, write(tmp_path, MINE.replace(old, new, 1)))
     assert "\n" not in str(caught.value)
 
 
 def test_an_entry_without_a_change_is_refused(tmp_path: Path) -> None:
     start, end = MINE.index("[[effect.change]]"), MINE.index("[[effect.equation]]")
     with pytest.raises(ModelError, match=r"effect mine\.change: there is none, so the model stays as it is"):
-        load_library(write(tmp_path, MINE[:start] + MINE[end:]))
+        load_library(UDS, write(tmp_path, MINE[:start] + MINE[end:]))
 
 
 def test_two_entries_of_a_name_are_refused(tmp_path: Path) -> None:
     twice = MINE + MINE.removeprefix("schema = 1\n")
     with pytest.raises(ModelError, match=r"own\.toml: two effects are named mine; rename one"):
-        load_library(write(tmp_path, twice))
+        load_library(UDS, write(tmp_path, twice))
 
 
 def test_what_is_no_file_or_no_toml_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be read; give a library file"):
-        load_library(tmp_path / "none.toml")
+        load_library(UDS, tmp_path / "none.toml")
     with pytest.raises(ModelError, match=r"own\.toml: not TOML"):
-        load_library(write(tmp_path, "effect ="))
+        load_library(UDS, write(tmp_path, "effect ="))
     (tmp_path / "own.toml").write_bytes(b"\xff")
     with pytest.raises(ModelError, match=r"own\.toml: not TOML"):
-        load_library(tmp_path / "own.toml")
+        load_library(UDS, tmp_path / "own.toml")

@@ -16,6 +16,7 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import applicable, rewritten, substituted
 from faultline.analysis.graph.bank import build_bank
 from faultline.analysis.model import Model, ModelError, dump_model, load_model, parse_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.simulation import Drive, System, run, system_of
 from faultline.analysis.structure.command import main as structure
 from faultline.analysis.structure.lint import lint
@@ -23,7 +24,7 @@ from faultline.analysis.structure.lint import lint
 Array = npt.NDArray[np.float64]
 
 CREEPING_HOSE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "creeping_hose.toml"
-LIBRARY = load_library(CREEPING_HOSE)
+LIBRARY = load_library(SYSTEMS / "uds", CREEPING_HOSE)
 
 STEP_S = 0.2
 START = {"p_tp": 98e3, "p_bp": 95e3, "p_ap": 950e3, "p_du": 940e3, "z": 950e3}
@@ -88,7 +89,7 @@ def with_entry(tmp_path: Path, **changed: str) -> Effect:
         f'[effect.parameter.g]\n{lines["unit"]}\ndescription = "d"\n{lines["null"]}\nspread = 0.1\n'
         f"[[effect.change]]\n{lines['where']}\n{lines['replace']}\n{lines['more']}"
     )
-    return load_library(path)["mine"]
+    return load_library(SYSTEMS / "uds", path)["mine"]
 
 
 @pytest.mark.parametrize(("model", "name"), pairs())

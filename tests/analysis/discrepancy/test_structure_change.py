@@ -15,11 +15,12 @@ from faultline.analysis.discrepancy.effects.library import load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.model import Model, load_model
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.simulation import system_of
 
 UDS4 = load_model("uds")
 NOTHING = Diagnosed((), (), (), ())
-LIBRARY = load_library()
+LIBRARY = load_library(SYSTEMS / "uds")
 WELL = 0.1
 """Standard deviation of what the data tell, of the prior's."""
 

@@ -13,6 +13,9 @@ from made_set import BUNDLE, Made, clogged, edited
 from faultline.analysis.evaluation.command import detailed, main
 from faultline.analysis.evaluation.given import check_reportable, given
 from faultline.analysis.evaluation.measure.cases import size_text
+from faultline.analysis.evaluation.truth import TrueFault
+from faultline.analysis.model import load_model
+from faultline.analysis.model.display import units_of
 from faultline.service.bundle.files import SEAL, seal
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
@@ -263,6 +266,10 @@ def test_what_no_generator_does_is_said_and_the_work_is_kept(
     assert "Required, and done by no generator in these recordings: fA_du isol" in (report / "report.html").read_text()
 
 
-@pytest.mark.parametrize(("size", "words"), [(0.65, "65 %"), (1.0, "100 %"), (5000.0, "50 mbar"), (-0.1, "-10 %")])
-def test_sizes_have_units(size: float, words: str) -> None:
-    assert size_text(size) == words
+@pytest.mark.parametrize(
+    ("size", "unit", "words"),
+    [(0.65, "1", "65 %"), (-0.1, "1", "-10 %"), (3000.0, "Pa", "30 mbar"), (-2e4, "Pa", "-0.2 bar"), (2.0, "", "2")],
+)
+def test_sizes_are_in_units_that_people_read(size: float, unit: str, words: str) -> None:
+    fault = TrueFault(name="f", size=size, onset_s=1.0, profile="abrupt", unit=unit)
+    assert size_text(fault, units_of(load_model("uds"))) == words

@@ -15,6 +15,7 @@ from faultline.analysis.evaluation.measure.signature import cells, sensitive
 from faultline.analysis.evaluation.sentence import summary
 from faultline.analysis.evaluation.story import Array, Story, tell
 from faultline.analysis.evaluation.truth import TrueFault, Truth
+from faultline.analysis.model.display import Units
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.signals.modes import EDGE
@@ -215,15 +216,15 @@ def test_methods_of_one_test_are_compared_alone_and_together() -> None:
 
 def test_sizes_of_a_fault_are_cases_of_their_own_unless_they_are_many() -> None:
     def truth(name: str, *faults: tuple[str, float]) -> Truth:
-        there = [TrueFault(name=fault, size=size, onset_s=1.0, profile="abrupt") for fault, size in faults]
+        there = [TrueFault(name=fault, size=size, onset_s=1.0, profile="abrupt", unit="1") for fault, size in faults]
         return Truth(schema=1, recording=name, fault=there)
 
     few = [truth("a", ("fA", 0.2)), truth("b", ("fA", 0.5)), truth("c", ("fB", 0.5)), truth("d")]
-    found = cases_of(few)
+    found = cases_of(few, Units())
     assert [found[name].label for name in "abcd"] == ["fA 20 %", "fA 50 %", "fB", "fault-free"]
     many = [truth(str(k), ("fA", 0.1 * k)) for k in range(1, 5)]
-    assert {case.label for case in cases_of(many).values()} == {"fA"}
-    assert cases_of([truth("p", ("fB", 0.5), ("fA", 0.2))])["p"] == Case(("fA", "fB"), "")
+    assert {case.label for case in cases_of(many, Units()).values()} == {"fA"}
+    assert cases_of([truth("p", ("fB", 0.5), ("fA", 0.2))], Units())["p"] == Case(("fA", "fB"), "")
 
 
 def test_the_modes_are_in_the_manifests_order() -> None:

@@ -90,7 +90,7 @@ def test_the_page_says_what_was_judged(tree: ElementTree.Element, data: Evaluati
 
 FIELDS = {
     "recordings": "id source vehicle cycle case fault_free_hours faulty_hours detection_s isolation_s verdict",
-    "tests": "generator test predicts unit faults states rms alarms blocks cannot_tell equals",
+    "tests": "generator test predicts unit display faults states rms alarms blocks cannot_tell equals",
     "cells": "generator case sensitive alarm recordings standing delays_s median_delay_s cannot_tell auc",
     "isolation": "case true recordings detected delays_s median_delay_s contained alone ranks p sizes told scores",
     "told": "false_alarms scores shared",

@@ -21,6 +21,7 @@ from faultline.analysis.graph.formula import write_formulas
 from faultline.analysis.graph.linear import expanded
 from faultline.analysis.graph.writer import Writer
 from faultline.analysis.model import Model, load_model, sgsqrt
+from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.simulation import Drive, run, system_of
 from faultline.analysis.structure import integral_tests
 from faultline.service.core.errors import InputError
@@ -31,7 +32,7 @@ PERIOD_S = 0.2  # of the dosing system
 
 Array = npt.NDArray[np.float64]
 
-LIBRARY = load_library()
+LIBRARY = load_library(SYSTEMS / "uds")
 UDS4 = load_model("uds")
 
 EFFECTS = [

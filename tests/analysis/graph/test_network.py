@@ -106,7 +106,7 @@ def stepped(bank: Bank, u: Array, p0: float) -> Array:
             model(flow="q - A*sgsqrt(p + sgsqrt(p))"),
             "a flow is in a root, sgsqrt(p); the implicit step cannot solve it",
         ),
-        (model(flow="q - A*p*sgsqrt(p)"), "a flow is multiplied by its own pressure, -p*(A + fA); the implicit"),
+        (model(flow="q - A*p*sgsqrt(p)"), "a flow is multiplied by its own state, -p*(A + fA); the implicit"),
         (model(rate="k*u - q - q*q"), "multiplies flows, "),
         (model(flow="q - A*u**(1/3)*sgsqrt(p)"), "a graph has roots of second, fourth, eighth order only, u**(1/3)"),
         (model(flow="q*q - A*p"), "no test can be run (t01: with residual e3, e1 cannot be solved for q"),
@@ -176,12 +176,12 @@ fault = {name = "fu", component = "second sensor", description = "", enters = "k
 """
     unsolvable = model(flow="q - A*p*sgsqrt(p)")
     text = MODEL.format(flow="q - A*p*sgsqrt(p)", rate="k*u - q", sensor="y - p", enters="A -> A + fA", initial='["y"]')
-    with pytest.raises(InputError, match=r"t01: a flow is multiplied by its own pressure"):
+    with pytest.raises(InputError, match=r"t01: a flow is multiplied by its own state"):
         build_bank(unsolvable)
     bank = build_bank(parse_model(text + second, "tank"))
     assert [(test.name, test.predicts) for test in bank.tests] == [("t01", "u2")]
     [note] = bank.notes()
-    assert note.startswith("left out: t02: a flow is multiplied by its own pressure, ")
+    assert note.startswith("left out: t02: a flow is multiplied by its own state, ")
 
 
 def test_a_model_that_no_sensor_watches_is_refused() -> None:

@@ -12,7 +12,10 @@ SYSTEM: dict[str, Any] = {
     "name": "uds",
     "bundle": "ab",
     "period_s": 0.2,
-    "inputs": [{"signal": "y_p_du", "unit": "Pa"}, {"signal": "dc_dose", "unit": "1"}],
+    "inputs": [
+        {"signal": "y_p_du", "unit": "Pa", "display": [{"unit": "bar", "size": 1e5, "digits": 3}]},
+        {"signal": "dc_dose", "unit": "1"},
+    ],
     "generators": [
         {"test": "t02", "predicts": "y_p_du", "faults": ["fA_du", "fy_p_du"]},
         {"test": "t05", "predicts": "y_p_du", "faults": ["fA_du"]},

@@ -23,7 +23,13 @@ SYSTEM: dict[str, Any] = {
     "modes": ["edge", "idle", "partial", "maximum"],
     "instructions": {"idle": "hold the pressure and do not dose", "partial": "dose some", "maximum": "dose at maximum"},
     "inputs": [
-        {"signal": "y_p_du", "unit": "Pa", "lower": 5e5, "upper": 16e5},
+        {
+            "signal": "y_p_du",
+            "unit": "Pa",
+            "lower": 5e5,
+            "upper": 16e5,
+            "display": [{"unit": "bar", "size": 1e5, "digits": 3}],
+        },
         {"signal": "dc_dose", "unit": "1", "lower": 0.0, "upper": 1.0},
     ],
     "generators": [
