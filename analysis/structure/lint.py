@@ -162,7 +162,6 @@ def _under_determined(structure: Structure) -> Iterator[tuple[str, str]]:
 def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
     """Faults in no redundant part, and the sensors that would change that."""
     parts = dulmage_mendelsohn(structure)
-    rows = structure.unknown_rows
     if not parts.over.equations:
         # A sensor is redundant where what it measures can be computed already: in M0, as M+ is empty.
         just = {name for component in parts.just for name in component.unknowns}
@@ -172,12 +171,15 @@ def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
         return
     if not structure.faults:
         yield "fault", "there is none, so no test is sensitive to a fault; let faults enter the equations they change"
-    with_sensor = {x: Matching([*rows, 1 << i]).over_determined() for i, x in enumerate(structure.unknowns)}
-    for fault in structure.faults:
+    over = set(structure.rows(parts.over.equations))
+    hidden = [fault for fault in structure.faults if structure.fault_rows[fault] not in over]
+    if not hidden:
+        return
+    matching, under = Matching(structure.unknown_rows), {*parts.under.unknowns}
+    with_sensor = {x: {*matching.over_determined_by(i)} for i, x in enumerate(structure.unknowns) if x not in under}
+    for fault in hidden:
         row = structure.fault_rows[fault]
-        if structure.equations[row] in parts.over.equations:
-            continue
-        helpful = [x for x, over in with_sensor.items() if row in over]
+        helpful = [x for x, rows in with_sensor.items() if row in rows]
         remedy = f"a sensor of {_some(helpful, 'or')} would give one" if helpful else "no single sensor would give one"
         yield f"fault.{fault}", f"is not detectable: no test contains {structure.equations[row]}; {remedy}"
 

@@ -34,7 +34,7 @@ _PAIRS = 1 << 18
 """Pairs of rows that are compared at once: what fits the cache."""
 
 
-def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
+def minimal_sets(rows: Sequence[int], removable: Collection[int], most: int | None = None) -> Flags:
     """Sets of rows, (sets, rows), in the order of the search, which prefers to keep later removable rows.
 
     A set is over-determined, and removing any of its `removable` rows leaves none of these over-determined.
@@ -42,6 +42,7 @@ def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
     Args:
         rows: bit x of a row is set where unknown x occurs in it.
         removable: the numbers of these rows.
+        most: the search ends with so many sets; there may be more.
     """
     matching = Matching(rows)
     over = matching.over_determined()
@@ -53,17 +54,18 @@ def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
     sets = np.zeros((len(rows), 1), dtype=np.bool_)
     sets[over] = True
     if removals > 0:
-        found = _exact([rows[i] for i in over], np.array([i in removable for i in over]), removals, uncounted + 1)
+        may_go = np.array([i in removable for i in over])
+        found = _exact([rows[i] for i in over], may_go, removals, uncounted + 1, most)
         sets = np.zeros((len(rows), found.shape[1]), dtype=np.bool_)
         sets[over] = found
-    return np.ascontiguousarray(sets.T)
+    return np.ascontiguousarray(sets.T[:most])
 
 
-def _exact(rows: Sequence[int], removable: Flags, removals: int, surplus: int) -> Flags:
+def _exact(rows: Sequence[int], removable: Flags, removals: int, surplus: int, most: int | None) -> Flags:
     """The sets of this surplus, (rows, sets), after so many removals of a class from an over-determined part."""
     for seed in itertools.count():
         try:
-            sets = _search(null_vectors(rows, seed), removable, removals)
+            sets = _search(null_vectors(rows, seed), removable, removals, most)
         except UnluckyNumbersError:
             continue
         if np.all(sets.sum(axis=0) - _unknowns(rows, sets) == surplus):
@@ -96,8 +98,8 @@ class _Nodes(NamedTuple):
     allowed: Flags
 
 
-def _search(vectors: Field, removable: Flags, removals: int) -> Flags:
-    """The sets found, (rows, sets), for the rows' vectors, (coordinates, rows)."""
+def _search(vectors: Field, removable: Flags, removals: int, most: int | None) -> Flags:
+    """The first `most` sets found or some more, (rows, sets), for the rows' vectors, (coordinates, rows)."""
     whole = np.ones((1, vectors.shape[1]), dtype=np.bool_)
     order = np.argsort(~removable, kind="stable")  # classes come in the order of their first removable rows
     points = _affine(vectors[:, None, order], whole)
@@ -107,7 +109,12 @@ def _search(vectors: Field, removable: Flags, removals: int) -> Flags:
     may_go = np.zeros(len(groups), dtype=np.bool_)
     may_go[group[: np.count_nonzero(removable)]] = True
     whole = whole[:, groups]
-    found = [whole[:0], *_removed(_Nodes(points[:, :, groups], whole, whole), may_go, removals)]
+    found, count = [whole[:0]], 0
+    for sets in _removed(_Nodes(points[:, :, groups], whole, whole), may_go, removals):
+        found.append(sets)
+        count += len(sets)
+        if most is not None and count >= most:
+            break
     return np.concatenate(found).T[group[np.argsort(order)]]
 
 

@@ -11,7 +11,8 @@ from test_diagnosability import structures
 
 from faultline.analysis.model import Differential, load_model, parse_model
 from faultline.analysis.structure import Structure, Test, find_tests, integral_tests, mso_sets, structure_of
-from faultline.analysis.structure.causality import integral_residuals, residual_causality, solving_order
+from faultline.analysis.structure.causality import IntegralCausality, residual_causality, solving_order
+from faultline.analysis.structure.matching import mask_of
 
 
 def random_structure(seed: int) -> Structure:
@@ -50,10 +51,11 @@ def test_a_residual_is_integral_exactly_if_the_rest_determines_all_but_the_state
     seen = {True: 0, False: 0}
     for seed in range(150):
         structure = random_structure(seed)
+        integral = IntegralCausality(structure)
         for mso in mso_sets(structure):
             states = structure.states_in(mso)
             algebraic = [e for e in mso if e not in structure.differentials]
-            chosen = integral_residuals(structure, mso)
+            chosen = structure.names(mask_of(integral.residuals(structure.rows(mso))))
             for equation, causality in residual_causality(structure, mso).items():
                 if equation in structure.differentials:
                     continue
