@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from faultline.options import Parser
+from faultline.testbench import tanks
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.can_logger import FORMATS
 from faultline.testbench.cycles import CYCLES
@@ -22,6 +23,7 @@ from faultline.testbench.options import add_logger, add_run, number, requested
 from faultline.testbench.recording import record, truth_of
 from faultline.testbench.request import Kind
 from faultline.testbench.sizes import frozen
+from faultline.testbench.tanks import FAULTS as TANK_FAULTS
 from faultline.testbench.vehicles import VEHICLES
 from faultline.writing import write_file
 
@@ -34,6 +36,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle drive --kind instrumented --profile everyday --seed 2 --out logs --truth truth
   faultline rig play --cycle drive --vehicle truck --bus udp_multicast:239.74.163.2:43113 --speed 20
   faultline rig picture recordings/bench-training-s1 --truth truth/bench-training-s1.toml --out training.png
+  faultline rig tanks --out tanks/leak --seed 7 --fault f_leak2 --size 5e-6 --onset 240
   faultline rig record --cycle drive --logger starts_s=-87.3 --logger drift_ppm=150 --out recordings --truth truth
 """
 
@@ -42,7 +45,9 @@ def main(argv: list[str]) -> int:
     """Runs `faultline rig ARGV`; returns 0, or 2 after an error in one line on stderr."""
     arguments = _parser().parse_args(argv)
     try:
-        return {"list": _list, "record": _record, "play": _play, "picture": _picture}[arguments.action](arguments)
+        return {"list": _list, "record": _record, "play": _play, "picture": _picture, "tanks": _tanks}[
+            arguments.action
+        ](arguments)
     except RigError as error:
         print(f"faultline rig: error: {error}", file=sys.stderr)
         return 2
@@ -91,6 +96,19 @@ def _parser() -> argparse.ArgumentParser:
     live.add_argument("--bus", required=True, help="socketcan:NAME or udp_multicast:GROUP:PORT; it must be there")
     live.add_argument("--speed", type=number, default=1.0, help="how many times real time (default: 1)")
     live.add_argument("--truth", type=Path, help="file to write the truth to")
+    other = action(
+        "tanks", "another system: three tanks", "Write a log of a bench of three tanks (docs/your-system.md)."
+    )
+    other.add_argument("--out", type=Path, required=True, help="folder to write log.csv into")
+    other.add_argument("--can", action="store_true", help="write can.log and tanks.dbc instead")
+    other.add_argument("--seed", type=int, default=1, help="of the commands and the noise (1)")
+    other.add_argument("--duration", type=number, default=480.0, help="s (480)")
+    other.add_argument("--fault", choices=TANK_FAULTS, help="without one there is none")
+    other.add_argument(
+        "--size", type=number, help="of the fault: " + "; ".join(f"{k}: {v}" for k, v in TANK_FAULTS.items())
+    )
+    other.add_argument("--onset", type=number, help="s after which it is there (half of the duration)")
+    other.add_argument("--force", action="store_true", help="replace what is already there")
     drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
     drawn.add_argument("recording", type=Path, help="its folder")
     drawn.add_argument("--out", type=Path, required=True, help="PNG file to write")
@@ -160,6 +178,18 @@ def _picture(arguments: argparse.Namespace) -> int:
 
 def _say(text: str) -> None:
     print(f"faultline rig: {text}", file=sys.stderr, flush=True)
+
+
+def _tanks(arguments: argparse.Namespace) -> int:
+    if (arguments.fault is None) != (arguments.size is None):
+        raise RigError("--fault and --size go together; give both or none")
+    if arguments.out.exists() and not arguments.force:
+        raise RigError(f"{arguments.out} exists; give another folder or --force")
+    onset_s = arguments.duration / 2 if arguments.onset is None else arguments.onset
+    fault = None if arguments.fault is None else tanks.Fault(arguments.fault, arguments.size, onset_s)
+    for path in tanks.write(arguments.out, tanks.run(arguments.seed, arguments.duration, fault), can=arguments.can):
+        print(path)
+    return 0
 
 
 @contextmanager

@@ -210,7 +210,7 @@ def inputs_of(model: Model) -> tuple[Input, ...]:
 
 def _generator(model: Model, test: Test) -> Generator:
     return Generator(
-        name=f"{test.name}.ode",
+        name=f"{test.name}.{'ode' if test.equations else 'given'}",
         test=test.name,
         graph=GRAPH,
         predicts=test.predicts,

@@ -45,8 +45,12 @@ def check_model(model: Model, equation_names: Sequence[str], where: str) -> None
     Raises:
         ModelError: the first thing that does not hold.
     """
-    if not model.equations:
-        raise ModelError(f"{where}: equation: there is none; a model needs at least one")
+    if model.equations and model.residuals:
+        raise ModelError(f"{where}: residual: there are equations too; give one of the two, and the other in a model")
+    if not (model.equations or model.residuals):
+        raise ModelError(f"{where}: equation: there is none; a model needs at least one, or residuals of another tool")
+    if stray := set(model.listed_faults).difference(*model.residuals.values()):
+        raise ModelError(f"{where}: fault.{min(stray)}: no residual is sensitive to it; name it in one, or remove it")
     rows = [*equation_names, *(d.name for d in model.differentials)]
     twice = first_repeated(rows)
     if twice is not None:
@@ -108,7 +112,7 @@ def _check_differentials(model: Model, where: str) -> None:
 
 def _check_states(model: Model, where: str) -> None:
     states = {d.state for d in model.differentials}
-    signals = [sp.Symbol(name) for name in model.known]
+    signals = {sp.Symbol(name) for name in model.known}
     for name, unknown in model.unknown.items():
         if name in states and not unknown.initial:
             raise ModelError(
@@ -117,16 +121,16 @@ def _check_states(model: Model, where: str) -> None:
         if name not in states and unknown.initial:
             raise ModelError(f"{where}: unknown.{name}.initial: only a state starts somewhere; {name} is none")
         for k, expression in enumerate(unknown.initial):
-            slopes = [sp.diff(expression, signal) for signal in signals]
-            if any(slope.free_symbols & set(signals) for slope in slopes) or _bent(expression, signals):
+            slopes = [sp.diff(expression, signal) for signal in signals & expression.free_symbols]
+            if any(slope.free_symbols & signals for slope in slopes) or _bent(expression, signals):
                 raise ModelError(
                     f"{where}: unknown.{name}.initial[{k}]: `{unknown.initial_text[k]}` is not affine in known signals"
                 )
 
 
-def _bent(expression: sp.Expr, signals: Sequence[sp.Symbol]) -> bool:
+def _bent(expression: sp.Expr, signals: set[sp.Symbol]) -> bool:
     """Whether a signal is inside a function, where a derivative may look constant (the sign in that of abs)."""
-    return any(call.free_symbols & set(signals) for call in expression.atoms(sp.Function))
+    return any(call.free_symbols & signals for call in expression.atoms(sp.Function))
 
 
 def _check_used(model: Model, where: str) -> None:

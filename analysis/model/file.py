@@ -11,6 +11,8 @@
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
       disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
     [[differential]]         name, state, derivative
+    [residual.r1]            faults: instead of equations, a known signal that another tool computes, zero without them
+    [fault.f_leak]           component, description: what these faults are
     [[provenance]]           any keys: what calibration did
 
 What stands in `system.toml` beside it may stand here as well (`analysis.model.system`); a file that has a period or
@@ -20,7 +22,7 @@ Strict: an unknown key, an undeclared name or a wrong type is an error that name
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import sympy as sp
@@ -43,6 +45,7 @@ from faultline.analysis.model.model import (
     Unknown,
     check_bounds,
 )
+from faultline.analysis.model.older import as_written_today
 from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
 
@@ -95,7 +98,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         ModelError: the text is no valid model.
     """
     try:
-        written = tomllib.loads(text)
+        written = as_written_today(tomllib.loads(text), where)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ModelError(f"{where}: not TOML: {error}") from error
     if marked := list(unfilled(written)):
@@ -111,6 +114,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
     equations = top.tables("equation")
     curves = {name: _curve(table) for name, table in top.named_tables("curve").items()}
     names = check_names([*known], [*unknown], [*parameters], [*curves], where)
+    listed = {name: _listed_fault(table, names) for name, table in top.named_tables("fault").items()}
     read = [_equation(table, names, curves) for table in equations]
     warm_up_s = _warm_up(top)
     model = Model(
@@ -123,6 +127,8 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         curves=curves,
         equations={equation.name: equation for equation in read},
         differentials=tuple(_differential(table) for table in top.tables("differential")),
+        residuals={name: _residual(table, known, listed) for name, table in top.named_tables("residual").items()},
+        listed_faults=listed,
         provenance=tuple(table.rest() for table in top.tables("provenance")),
         modes=modes_of(top, known),
         warm_up_s=warm_up_s,
@@ -281,6 +287,43 @@ def _fault(table: Table, names: Sequence[str], component: str, spn: int | None =
     if not fault.sizes or 0.0 in fault.sizes:
         raise table.fail("sizes", "give at least one size, none of them zero")
     return fault
+
+
+def _listed_fault(table: Table, names: Sequence[str]) -> Fault:
+    """A fault of residuals that another tool computes: what it enters is not known."""
+    name = table.place.rpartition(".")[2]
+    check_name(name, f"{table.place}: {name!r}")
+    if name in names:
+        raise ModelError(f"{table.place}: {name} is declared already; give the fault a name of its own")
+    spn, fmi = _code(table)
+    fault = Fault(
+        name=name,
+        component=table.text("component"),
+        description=table.text("description", ""),
+        enters="",
+        replacement=sp.S.Zero,
+        enters_text="",
+        sizes=(),
+        relative_to=None,
+        spn=spn,
+        fmi=fmi,
+    )
+    table.done()
+    return fault
+
+
+def _residual(table: Table, known: Collection[str], listed: Collection[str]) -> tuple[str, ...]:
+    """The faults that a residual is sensitive to."""
+    signal, faults = table.place.rpartition(".")[2], table.texts("faults")
+    table.done()
+    if signal not in known:
+        raise ModelError(f"{table.place}: {signal} is no known signal; declare [known.{signal}], or correct the name")
+    if not faults:
+        raise table.fail("faults", "is empty; name the faults that the residual is sensitive to")
+    for name in faults:
+        if name not in listed:
+            raise table.fail("faults", f"{name} is not listed; add [fault.{name}] with its component")
+    return faults
 
 
 def _differential(table: Table) -> Differential:

@@ -85,8 +85,9 @@ class Fault:
     """A fault variable, zero when there is no fault; that of a disturbance has no component.
 
     It replaces the name `enters` of its equation by `replacement` (`enters_text` is how the file writes that). `sizes`
-    are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. On a J1939 network it
-    is the suspect parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none.
+    are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. One that is only
+    listed, for residuals of another tool, enters nothing and has no sizes. On a J1939 network it is the suspect
+    parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none.
     """
 
     name: str
@@ -220,6 +221,10 @@ class Model:
 
     `provenance` tells what was done to the parameters, oldest first: tables of the commands' own making. After
     `warm_up_s` [s] the slowest state has forgotten where it was assumed to start. Ticks are `period_s` [s] apart.
+
+    A system without equations may be given by `residuals` of another tool instead: known signals that are zero without
+    a fault, each with the names of the faults that it is sensitive to (its row of the fault signature matrix), which
+    are among the `listed_faults`.
     """
 
     name: str
@@ -232,14 +237,16 @@ class Model:
     differentials: tuple[Differential, ...]
     provenance: tuple[Mapping[str, object], ...]
     curves: Curves = dataclasses.field(default_factory=dict)
+    residuals: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    listed_faults: Mapping[str, Fault] = dataclasses.field(default_factory=dict)
     modes: OperatingModes = ONE_MODE
     warm_up_s: float = WARM_UP_S
     period_s: float = WARM_UP_S / PERIODS
 
     @property
     def faults(self) -> dict[str, Fault]:
-        """The faults by name, in the order of their equations."""
-        return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None}
+        """The faults by name, in the order of their equations, or as they are listed."""
+        return {e.fault.name: e.fault for e in self.equations.values() if e.fault is not None} | {**self.listed_faults}
 
     @property
     def disturbances(self) -> dict[str, Fault]:

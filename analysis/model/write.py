@@ -49,6 +49,10 @@ def dump_model(model: Model) -> str:
         blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
     blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
     blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
+    blocks.extend(f"[residual.{name}]\n" + _pairs({"faults": faults}) for name, faults in model.residuals.items())
+    for name, f in model.listed_faults.items():
+        code = {"spn": f.spn, "fmi": f.fmi}
+        blocks.append(f"[fault.{name}]\n" + _pairs({"component": f.component, "description": f.description, **code}))
     blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
     return "\n".join(blocks)
 

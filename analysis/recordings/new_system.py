@@ -7,12 +7,13 @@ marked FILL IN is checked by name when the model is loaded.
 import argparse
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from faultline.analysis.model.fill_in import MARK
+from faultline.analysis.recordings.signatures import name_of, read_signatures
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
@@ -25,10 +26,13 @@ from faultline.writing import check_folder, write_files
 
 EXAMPLE = """examples:
   faultline new system house --from logs/week.csv
+  faultline new system boiler --from residuals.csv --signatures signatures.csv
   faultline new system pump --from drive.blf --dbc truck.dbc --signals speed pressure --out systems/pump
 """
 PERIODS = 5.0
 """Of a signal, after which a sample is too old."""
+BEYOND = 1e4
+"""How far a residual may go with a fault, in parts of what it does without."""
 DIGITS = 2
 """Of ranges and noise: they are proposals."""
 
@@ -47,6 +51,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--from", dest="log", type=Path, required=True, help="a log, or a recording's folder")
     parser.add_argument("--dbc", type=Path, help="the DBC of a CAN log")
     parser.add_argument("--signals", nargs="+", metavar="NAME", help="these alone (all that the log has)")
+    parser.add_argument(
+        "--signatures",
+        type=Path,
+        metavar="CSV",
+        help="the fault signature matrix of residuals that are in the log: a row for each, a column for every fault",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="the folder to write (NAME)")
     parser.add_argument("--force", action="store_true", help="write over the files of a folder that is there")
     options = parser.parse_args(argv)
@@ -59,7 +69,9 @@ def main(argv: list[str]) -> int:
     tracks = {name: track for name, track in _tracks(log, options.dbc, units).items() if len(track.t) > 2}
     if not tracks:
         raise InputError(f"{options.log}: none of its signals has values: {', '.join(units) or 'give its --dbc'}")
-    files = {"model.toml": model_text(options.name, log.id, tracks, units), "system.toml": system_text(tracks)}
+    signatures = None if options.signatures is None else read_signatures(options.signatures, tracks)
+    model = model_text(options.name, log.id, tracks, units, signatures)
+    files = {"model.toml": model, "system.toml": system_text(tracks)}
     write_files({out / name: text for name, text in files.items()})
     silent = [name for name in units if name not in tracks]
     if silent:
@@ -99,8 +111,14 @@ def _tracks(log: Log, dbc: Path | None, units: Mapping[str, str]) -> dict[str, T
     return tracks_of(log.signals(table), units)
 
 
-def model_text(name: str, log: str, tracks: Mapping[str, Track], units: Mapping[str, str]) -> str:
-    """The model file: signals as the log has them, and places for the equations."""
+def model_text(
+    name: str,
+    log: str,
+    tracks: Mapping[str, Track],
+    units: Mapping[str, str],
+    signatures: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """The model file: signals as the log has them, and places for the equations, or residuals by their signatures."""
     head = [
         "schema = 1",
         f"name = {json.dumps(name)}",
@@ -110,8 +128,23 @@ def model_text(name: str, log: str, tracks: Mapping[str, Track], units: Mapping[
         "",
         f"# Signals, as they were in {log}: ranges and noise are proposals.",
     ]
-    signals = [_known(signal, track, units[signal]) for signal, track in tracks.items()]
-    rest = f"""
+    given = signatures or {}
+    signals = [_known(signal, track, units[signal], given=signal in given) for signal, track in tracks.items()]
+    return "\n".join(head) + "\n" + "".join(signals) + (_given(given) if given else EQUATIONS)
+
+
+def _given(signatures: Mapping[str, Sequence[str]]) -> str:
+    """The residuals, and the faults that they are sensitive to."""
+    faults = dict.fromkeys(fault for each in signatures.values() for fault in each)
+    text = "\n# Residuals of another tool: zero without a fault, and moved by these.\n"
+    for signal, row in signatures.items():
+        text += f"\n[residual.{signal}]\nfaults = {json.dumps([name_of(fault) for fault in row])}\n"
+    for fault in faults:
+        text += f"\n[fault.{name_of(fault)}]\ncomponent = {json.dumps(fault)}  # what a technician would replace\n"
+    return text
+
+
+EQUATIONS = f"""
 # Everything else is unknown: flows, pressures, temperatures inside. A state has initial values and a derivative.
 
 [unknown.x]
@@ -147,17 +180,17 @@ name = "e2"
 state = "x"
 derivative = "dx"
 """
-    return "\n".join(head) + "\n" + "".join(signals) + rest
 
 
-def _known(name: str, track: Track, unit: str) -> str:
+def _known(name: str, track: Track, unit: str, *, given: bool) -> str:
+    """A signal as it was; a `given` residual may become much larger, as faults move it."""
     low, high = float(track.value.min()), float(track.value.max())
-    margin = 0.1 * (high - low) or 0.1 * abs(high) or 1.0
+    margin = (BEYOND if given else 0.1) * ((high - low) or abs(high) or 10.0)
     bent = track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:]
     noise = 1.4826 * float(np.median(np.abs(bent))) / math.sqrt(6.0) or 1e-3 * margin
     return (
         f"\n[known.{name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
-        f'unit = {json.dumps(unit)}\ndescription = "{MARK}"\n'
+        f'unit = {json.dumps(unit)}\ndescription = "{"residual of another tool" if given else MARK}"\n'
         f"min = {_rounded(low - margin, math.floor)}\nmax = {_rounded(high + margin, math.ceil)}\n"
         f"noise = {_rounded(noise, round)}\n"
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import networkx as nx
 
-from faultline.analysis.structure.matching import Matching, bits, equivalence_classes, mask_of, union
+from faultline.analysis.structure.matching import Matching, bits, mask_of, union
 from faultline.analysis.structure.structure import Structure
 
 
@@ -59,7 +59,7 @@ def dulmage_mendelsohn(structure: Structure) -> Decomposition:
     under_rows = [matching.owner[x] for x in bits(under) if x in matching.owner]
     over_unknowns = union(rows[row] for row in over)
     middle = sorted(set(range(len(rows))) - {*over, *under_rows})
-    classes = equivalence_classes(rows)
+    classes = structure.classes
     return Decomposition(
         under=_part(structure, under_rows, under),
         just=tuple(_part(structure, *component) for component in _hall_components(rows, middle, matching)),

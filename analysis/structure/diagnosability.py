@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, get_args
 
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.structure.matching import bits, equivalence_classes, mask_of, transposed
+from faultline.analysis.structure.matching import bits, mask_of, transposed
 from faultline.analysis.structure.structure import Constraint, Structure
 
 Interpretation = Literal["mixed", "integral", "derivative"]
@@ -39,7 +39,7 @@ def isolability_of(structure: Structure, causality: Interpretation) -> dict[str,
     whole = parts.without()
     # Removing an equation that is in no test takes no test away; those of a class are in the same ones.
     faulty = {row for row in structure.fault_rows.values() if whole >> row & 1}
-    classes = [faulty.intersection(rows) for rows, _ in equivalence_classes(structure.unknown_rows)]
+    classes = [faulty.intersection(rows) for rows, _ in structure.classes]
     rest = {row: part for rows in classes if rows for part in [parts.without(1 << min(rows))] for row in rows}
     without = {fault: rest.get(row, whole) for fault, row in structure.fault_rows.items()}
     return {

@@ -19,7 +19,7 @@ from faultline.analysis.structure.decomposition import dulmage_mendelsohn
 from faultline.analysis.structure.matching import Matching
 from faultline.analysis.structure.placement import MANY_POSITIONS, place_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
-from faultline.analysis.structure.supports import Test, find_tests
+from faultline.analysis.structure.supports import Support, Test, find_tests
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,11 @@ class Finding:
     message: str
 
 
-def lint(model: Model) -> list[Finding]:
+def lint(model: Model, tests: Sequence[Support] | None = None) -> list[Finding]:
     """All findings of a model: its parts, its units, and the structure they make; errors first.
 
-    A model made in Python may break what a file is checked for when it loads; the first such thing is then the only
+    `tests` are those of the model; whether faults are in none that can be run is left open where none are given. A
+    model made in Python may break what a file is checked for when it loads; the first such thing is then the only
     finding.
     """
     undeclared = list(_undeclared(model))
@@ -45,8 +46,15 @@ def lint(model: Model) -> list[Finding]:
     if undeclared:
         return undeclared
     elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
-    structural = [finding for finding in lint_structure(structure_of(model)) if finding.place not in elsewhere]
-    found = [*_empty(model), *unit_findings(model), *_unused_parts(model), *structural, *_not_run(model)]
+    structural = [] if model.residuals else lint_structure(structure_of(model))
+    structural = [finding for finding in structural if finding.place not in elsewhere]
+    found = [
+        *_empty(model),
+        *unit_findings(model),
+        *_unused_parts(model),
+        *structural,
+        *_not_run(model, find_tests(model) if tests is None else tests),
+    ]
     return sorted(found, key=lambda finding: finding.severity)
 
 
@@ -57,7 +65,7 @@ def sound_model(path: str | Path) -> Model:
         ModelError: there is none, it is not valid, or it has a finding that is an error.
     """
     model = load_model(path)
-    for finding in lint(model):
+    for finding in lint(model, tests=()):  # which tests there are makes no error
         if finding.severity == "error":
             raise ModelError(f"{path}: {finding.place}: {finding.message}")
     return model
@@ -90,18 +98,17 @@ def _empty(model: Model) -> Iterator[Finding]:
             yield Finding("error", f"equation.{name}", f"{problem}; remove it, or write what it is about")
 
 
-def _not_run(model: Model) -> Iterator[Finding]:
+def _not_run(model: Model, tests: Sequence[Support]) -> Iterator[Finding]:
     """Faults that some test sees, but none of those that can be run."""
-    tests = find_tests(model)
     run = {fault for test in tests if isinstance(test, Test) for fault in test.faults}
     if tests and not run:
         problem = f"none can be run; {tests[0].name}: {tests[0].obstacle}"
         yield Finding("warning", "test", f"{problem} (--tests says it of every test)")
         return
     for fault in model.faults:
-        seeing = [test for test in tests if fault in test.faults]
+        seeing = next((test for test in tests if fault in test.faults), None)
         if seeing and fault not in run:
-            problem = f"no test that sees it can be run; {seeing[0].name}: {seeing[0].obstacle}"
+            problem = f"no test that sees it can be run; {seeing.name}: {seeing.obstacle}"
             yield Finding("warning", f"fault.{fault}", problem)
 
 

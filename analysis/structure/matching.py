@@ -7,6 +7,8 @@ Sources: augmenting paths after Berge (1957); the over-determined part M+ after 
 alternating paths from unmatched rows reach.
 """
 
+import functools
+import operator
 from collections.abc import Iterable, Iterator, Sequence
 
 
@@ -146,10 +148,7 @@ def equivalence_classes(rows: Sequence[int]) -> list[tuple[list[int], int]]:
 
 def union(masks: Iterable[int]) -> int:
     """The bits that are set in any of the masks."""
-    together = 0
-    for mask in masks:
-        together |= mask
-    return together
+    return functools.reduce(operator.or_, masks, 0)
 
 
 def transposed(rows: Sequence[int], chosen: int, unknowns: int) -> list[int]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from faultline.analysis.model import Differential, Model
-from faultline.analysis.structure.matching import Matching, bits
+from faultline.analysis.model import Differential, Model, ModelError
+from faultline.analysis.structure.matching import Matching, bits, equivalence_classes
 
 
 class Constraint(NamedTuple):
@@ -50,6 +50,11 @@ class Structure:
             if name in self.differentials
         }
 
+    @cached_property
+    def classes(self) -> list[tuple[list[int], int]]:
+        """The equivalence classes of the over-determined part: rows, and private unknowns (a bit each)."""
+        return equivalence_classes(self.unknown_rows)
+
     def names(self, rows: int) -> tuple[str, ...]:
         """The equations in a set of rows."""
         return tuple(self.equations[row] for row in bits(rows))
@@ -82,9 +87,16 @@ def structure_of(model: Model | Structure) -> Structure:
 
     Equations are sorted by name (e2 before e10), because the numbers of the tests follow from this order: a model file
     whose parts are rearranged keeps its numbers.
+
+    Raises:
+        ModelError: the model has residuals instead of equations.
     """
     if isinstance(model, Structure):
         return model
+    if model.residuals:
+        raise ModelError(
+            f"{model.name}: is given by residuals of another tool: it has no equations that could be analysed or run"
+        )
     contents = {name: {s.name for s in e.expression.free_symbols} for name, e in model.equations.items()}
     contents |= {d.name: {d.state, d.derivative} for d in model.differentials}
     equations = tuple(sorted(contents, key=_natural))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from faultline.analysis.model import Model
 from faultline.analysis.structure.causality import IntegralCausality, solving_order
-from faultline.analysis.structure.matching import bits, mask_of, union
+from faultline.analysis.structure.matching import bits, union
 from faultline.analysis.structure.minimal import minimal_sets
 from faultline.analysis.structure.structure import Structure, structure_of
 
@@ -78,8 +78,11 @@ def mtes_sets(structure: Structure, most: int | None = None) -> list[tuple[str, 
 def find_tests(model: Model | Structure, most: int = MOST_SETS, say: Say = lambda _: None) -> tuple[Support, ...]:
     """The first `most` minimal test equation supports, numbered from 1; those that can be run are `Test` objects.
 
-    A structure has no formulas: whether its equations have one solution only is then left open.
+    A structure has no formulas: whether its equations have one solution only is then left open. Residuals of another
+    tool are a test each, of the signal alone.
     """
+    if isinstance(model, Model) and model.residuals:
+        return tuple(_given(number, *each) for number, each in enumerate(model.residuals.items(), start=1))
     say("searching for tests")
     structure, supports = structure_of(model), _Supports(model)
     found = minimal_sets(structure.unknown_rows, sorted({*structure.fault_rows.values()}), most)
@@ -91,9 +94,45 @@ def find_tests(model: Model | Structure, most: int = MOST_SETS, say: Say = lambd
     return tuple(tests)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """The tests and MSO sets of a model; `more_tests` or `more_mso` where there are more than were searched for."""
+
+    tests: tuple[Support, ...]
+    mso: list[tuple[str, ...]]
+    most: int
+    more_tests: bool
+    more_mso: bool
+
+
+def find_all(model: Model | Structure, most: int = MOST_SETS, say: Say = lambda _: None) -> Found:
+    """At most `most` tests and MSO sets of a model; residuals of another tool are of no such set."""
+    tests, mso = find_tests(model, most + 1, say), list[tuple[str, ...]]()
+    if isinstance(model, Structure) or not model.residuals:
+        say("searching for MSO sets")
+        mso = mso_sets(structure_of(model), most + 1)
+    return Found(tests=tests[:most], mso=mso[:most], most=most, more_tests=len(tests) > most, more_mso=len(mso) > most)
+
+
 def integral_tests(model: Model | Structure) -> tuple[Test, ...]:
     """The tests that need no differentiation and no algebraic loop, with the numbers that `find_tests` gives them."""
     return tuple(test for test in find_tests(model) if isinstance(test, Test))
+
+
+def _given(number: int, signal: str, faults: tuple[str, ...]) -> Test:
+    """The test of a residual that another tool computes: the signal is predicted to be zero."""
+    return Test(
+        number=number,
+        name=signal,
+        equations=(),
+        faults=faults,
+        known=(signal,),
+        states=(),
+        obstacle=None,
+        residual="",
+        predicts=signal,
+        sequence=(),
+    )
 
 
 def _named(equations: Sequence[str], sets: NDArray[np.bool_]) -> list[tuple[str, ...]]:
@@ -110,6 +149,10 @@ class _Supports:
         self._one_solution = functools.cache(self._has_one_solution)
         self._signal = functools.cache(self._predicted)
         self._integral = IntegralCausality(self._structure)
+        constraints = sorted(self._structure.constraints.values(), key=lambda c: c.state)
+        self._faults = [(fault, self._structure.fault_rows[fault]) for fault in self._structure.faults]
+        self._states = [(self._structure.unknowns[c.state], c.row) for c in constraints]
+        self._signals = {row: known for row, known in enumerate(self._structure.known_rows) if known}
 
     def support(self, number: int, rows: Sequence[int]) -> Support:
         """A test if any minimal set within has one; with redundancy one there is only the support itself."""
@@ -132,15 +175,14 @@ class _Supports:
 
     def _described(self, number: int, rows: Sequence[int], obstacle: str | None) -> Support:
         structure, inside = self._structure, {*rows}
-        known = union(structure.known_rows[row] for row in rows)
-        states = mask_of([c.state for c in structure.constraints.values() if c.row in inside])
+        known = union(mask for row, mask in self._signals.items() if row in inside)
         return Support(
             number=number,
             name=f"t{number:02d}",
-            equations=tuple(structure.equations[row] for row in rows),
-            faults=tuple(fault for fault in structure.faults if structure.fault_rows[fault] in inside),
+            equations=tuple([structure.equations[row] for row in rows]),
+            faults=tuple([fault for fault, row in self._faults if row in inside]),
             known=tuple(structure.known[z] for z in bits(known)),
-            states=tuple(structure.unknowns[x] for x in bits(states)),
+            states=tuple([state for state, row in self._states if row in inside]),
             obstacle=obstacle,
         )
 

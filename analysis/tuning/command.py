@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     also = [(_runnable(model, None), [Path(path) for path in paths]) for model, *paths in options.also]
     with Progress(f"tuning {runnable.bank.model.name}") as progress:
         for path in (options.model, *(path for path, *_ in options.also)):
-            if not is_fitted(sound_model(path)):
+            if (model := sound_model(path)).parameters and not is_fitted(model):
                 progress.note(
                     f"{path}: calibrated on no recording: its residuals are off by as much as its parameters; give "
                     "the model that `faultline calibrate` wrote"

@@ -4,7 +4,7 @@ How long a number ever rested, and how far two in a row ever were apart. A senso
 never rests for long; one that does, or a command, is no witness: it may rest for as long as it likes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import msgspec
 import numpy as np
@@ -44,24 +44,27 @@ class _Range:
         self.rest = max(self.rest, float((t - since[1:]).max()))
         self._last, self._at, self._since = float(value[-1]), float(t[-1]), float(since[-1])
 
-    def limited(self) -> Input:
-        """The signal with the limits that its numbers set."""
+    def limited(self, *, steps: bool) -> Input:
+        """The signal with the limits that its numbers set, that of its `steps` where they are judged."""
         restless_s = RESTLESS * self._channel.maximum_age_s
         return msgspec.structs.replace(
             self._channel,
             frozen_s=max(RESTS * self.rest, restless_s) if self.rest < restless_s else None,
-            largest_step=STEPS * self.step if self.step > 0.0 else None,
+            largest_step=STEPS * self.step if steps and self.step > 0.0 else None,
         )
 
 
-def limited(inputs: Sequence[Input], signals: Signals) -> list[Input]:
-    """The inputs, each with the limits that its numbers in a log set."""
+def limited(inputs: Sequence[Input], signals: Signals, residuals: Collection[str] = ()) -> list[Input]:
+    """The inputs, each with the limits that its numbers in a log set.
+
+    Of `residuals` that another tool computes any step is believed: a fault makes them jump.
+    """
     ranges = {channel.signal: _Range(channel) for channel in inputs}
     for piece in signals.pieces(judged=False):
         for signal, column in piece.columns.items():
             good = are_good(column.quality)
             ranges[signal].take(piece.time[column.row[good]], column.value[good])
-    return [ranges[channel.signal].limited() for channel in inputs]
+    return [ranges[channel.signal].limited(steps=channel.signal not in residuals) for channel in inputs]
 
 
 def widest(limits: Sequence[Sequence[Input]]) -> list[Input]:

@@ -83,7 +83,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         progress.say(log.id)
         signals = log.signals(log.table(units, str(path)))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
-        inputs = limited(runnable.bank.inputs, signals)
+        inputs = limited(runnable.bank.inputs, signals, model.residuals)
         drives.append(Drive(log.drive, ticks, seen(log.id, ticks, modes_of(model).names, time_of(model)), inputs))
     return Vehicle(runnable, drives)
 

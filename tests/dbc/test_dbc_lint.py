@@ -7,9 +7,10 @@ import pytest
 from cantools.database.can import Database
 
 from faultline import dbc
+from faultline.testbench import tanks
 
 SHIPPED = sorted(Path(dbc.__file__).parent.glob("*.dbc"))
-FILES = [*SHIPPED, Path(__file__).parents[1] / "analysis" / "another_system" / "tanks.dbc"]
+FILES = [*SHIPPED, Path(tanks.__file__).with_name("tanks.dbc")]
 
 
 def _load(path: Path) -> Database:

@@ -18,11 +18,12 @@ from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.diagnose.command import main as diagnose
 from faultline.service.logs import open_log
+from faultline.testbench import tanks
 from faultline.training.command import main as train
 from faultline.training.recipe import DEFAULT, Phase
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
-import tanks
+import recorded_tanks
 
 QUICK = replace(DEFAULT, hidden=(8,), phases=(Phase(4, 0, 64, 50), Phase(30, 10, 16, 100)))
 """Every xdist worker makes its own: seconds instead of a minute."""
@@ -41,7 +42,7 @@ class Made:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("networks")
-    logs = tuple(tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
+    logs = tuple(recorded_tanks.record(folder / f"steps-{seed}", seed, 400.0) for seed in (1, 2, 3))
     networks, tuning, bundle = folder / "networks", folder / "tuning.json", folder / "bundle"
     with patch.dict("faultline.training.command.RECIPES", {"default": QUICK}):
         assert train(["three-tank", str(logs[0]), "--out", str(networks), "--members", "2"]) == 0
@@ -68,8 +69,8 @@ def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> N
 
 def test_a_leak_keeps_its_name_beside_networks(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It brings the tanks where networks err: their alarms are no conflicts, which would cost the right name."""
-    healthy = tanks.record(tmp_path / "healthy", 4, 300.0)
-    leak = tanks.record(tmp_path / "leak", 5, 480.0, tanks.Fault(0, 270.0, leak=5e-6))
+    healthy = recorded_tanks.record(tmp_path / "healthy", 4, 300.0)
+    leak = recorded_tanks.record(tmp_path / "leak", 5, 480.0, tanks.Fault("f_leak1", 5e-6, 270.0))
     assert diagnose([str(healthy), "--bundle", str(made.bundle), "--json"]) == 0
     capsys.readouterr()
     assert diagnose([str(leak), "--bundle", str(made.bundle), "--json"]) == 1
@@ -102,7 +103,7 @@ def test_networks_of_another_model_or_damaged_are_refused(made: Made, tmp_path: 
 
 
 def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_path: Path) -> None:
-    short = tanks.record(tmp_path / "short", 7, 160.0)
+    short = recorded_tanks.record(tmp_path / "short", 7, 160.0)
     given = ["three-tank", str(short), "--from", str(made.networks), "--out", str(tmp_path / "adapted")]
     with patch("faultline.training.saved.PHASES", QUICK.phases):
         assert train(given) == 0
@@ -128,7 +129,7 @@ def test_networks_are_adapted_and_remember_what_they_have_seen(made: Made, tmp_p
 
 
 def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_path: Path) -> None:
-    short = tanks.record(tmp_path / "short", 6, 60.0)
+    short = recorded_tanks.record(tmp_path / "short", 6, 60.0)
     out = ["--out", str(tmp_path / "never")]
     with pytest.raises(InputError, match=r"short: \d+ s in which all signals can be used .*; \d+ s more are needed"):
         train(["three-tank", str(short), *out])
@@ -142,7 +143,7 @@ def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_pa
     u = np.interp(t, [0.0, 60.0, 120.0, 200.0], [0.5, 0.7, 0.45, 0.6])
     levels = tanks.levels(t, u, None)
     levels[:, 1] = 0.31
-    stuck = tanks.write(tmp_path / "stuck", t, u, levels)
+    stuck = recorded_tanks.write(tmp_path / "stuck", tanks.Run(t, u, levels))
     with pytest.raises(InputError, match=r"stuck: y2 hardly moves .*: a sensor that is stuck, or an input"):
         train(["three-tank", str(stuck), *out])
     assert not (tmp_path / "never").exists()

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from faultline.service.core.decision.explaining import Explainer
-from faultline.service.core.decision.hypotheses import Hypotheses, Look
+from faultline.service.core.decision.hypotheses import Hypotheses, Look, without_sizes
 from faultline.service.core.decision.intermittence import BLOCK, Intermittence
 from faultline.service.core.decision.unlike import Unlike
 from faultline.service.core.decision.window import Blocks
@@ -88,7 +88,8 @@ class Decision:
             max(g.warm_up_s for g in manifest.generators if g.name in manifest.evidence.generators), time.period_s
         )
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
-        self._hypotheses = Hypotheses(manifest.evidence, alone={each.name for each in manifest.disturbances})
+        alone = {each.name for each in manifest.disturbances}
+        self._hypotheses = Hypotheses(manifest.evidence, alone, without_sizes(manifest))
         self._explainer = Explainer(manifest)
         self._unlike = Unlike(manifest.evidence, names, self._hypotheses, time)
         self._window = Blocks(manifest.evidence, names, time)

@@ -73,11 +73,11 @@ def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, 
     """The misfits of what fits and hits every conflict: single faults, else the best two at once, else nothing."""
     single = confined(conflicts, {(fault,): q for fault, q in look.faults.items()})
     best = min(single.values(), default=np.inf)
-    if best <= look.limit:
-        return {faults: q for faults, q in single.items() if q <= max(look.limit, best + TIE)}
+    if any(look.fits(faults, q) for faults, q in single.items()):
+        return {faults: q for faults, q in single.items() if look.fits(faults, q) or q <= best + TIE}
     pairs = confined(conflicts, look.pairs)
     least = min(pairs.values(), default=np.inf)
-    if least > min(look.limit, best - OF_TWO):
+    if least > best - OF_TWO or not any(look.fits(faults, q) for faults, q in pairs.items()):
         return {}
     return {faults: q for faults, q in pairs.items() if q <= least + TIE}
 

@@ -11,6 +11,11 @@ between those that are assumed. Without a fault mu is zero. Means of a generator
 
 Of two faults at once the shifts are added, and both sizes are free. A disturbance (what is no component's fault) is
 weighed as a fault is, but not as one of two.
+
+A fault without assumed sizes, of residuals that another tool computes, may shift the m means of the generators that are
+sensitive to it by anything. Its misfit is -2 log of the marginal likelihood under Zellner's g-prior, with the g that is
+likeliest (Liang et al. 2008): q_rest + m (1 + ln(Q/m)), where q_rest is the misfit of no fault in the other means, and
+Q = q_0 - q_rest. The second term is the price of a free shift; it is no part of what has to fit.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -21,13 +26,16 @@ from typing import NamedTuple
 import numpy as np
 
 from faultline.service.core.decision.straying import Level, Means, Straying
-from faultline.service.core.manifest import Evidence
+from faultline.service.core.manifest import Evidence, Manifest
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 GAMMA = 0.1
 
 UNLIKELY = 3.72
 """Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
+
+
+NO_SIGNATURES: Mapping[str, Collection[str]] = {}
 
 
 class Segments(NamedTuple):
@@ -42,6 +50,10 @@ class Segments(NamedTuple):
     end: Indices
 
 
+Signatures = Mapping[str, Mask]
+"""The generators of the evidence (K,) that are sensitive to a fault without assumed sizes, by its name."""
+
+
 class Fitted(NamedTuple):
     """A fault at its best size: so far along a row of the segments."""
 
@@ -54,11 +66,14 @@ class Look:
     """One look at a window: the deviations `d` (D,) of the means `seen` (C, K), and what may explain them.
 
     `S` (D, D) is their covariance without the error of a prediction, `shifts` (1 + H, D) those of no fault and of every
-    hypothesis.
+    hypothesis. `prices` are what a free shift costs the explanations that have one, as far as they have been weighed.
     """
 
-    def __init__(self, d: FloatArray, S: FloatArray, seen: Mask, shifts: FloatArray, segments: Segments) -> None:
-        self._d, self._S, self._seen, self._segments = d, S, seen, segments
+    def __init__(
+        self, d: FloatArray, S: FloatArray, seen: Mask, shifts: FloatArray, segments: Segments, signatures: Signatures
+    ) -> None:
+        self._d, self._S, self._seen, self._segments, self._signatures = d, S, seen, segments, signatures
+        self.prices: dict[tuple[str, ...], float] = {}
         self._white = np.linalg.cholesky(S)
         self._target = np.linalg.solve(self._white, d)
         white = np.linalg.solve(self._white, shifts.T).T
@@ -84,10 +99,25 @@ class Look:
         d, S = self._d[rows], self._S[np.ix_(rows, rows)]
         return float(d @ np.linalg.solve(S, d))
 
-    @property
+    @cached_property
     def faults(self) -> dict[str, float]:
         """The misfit of every fault at its best size."""
-        return {fault: fitted.misfit for fault, fitted in self.fitted.items()}
+        sized = {fault: fitted.misfit for fault, fitted in self.fitted.items()}
+        return sized | {fault: self._of_free_shift((fault,), rows) for fault, rows in self._signatures.items()}
+
+    def _of_free_shift(self, faults: tuple[str, ...], rows: Mask) -> float:
+        """The misfit of faults that shift the means of some generators (K,) by anything."""
+        inside = np.broadcast_to(rows, self._seen.shape)
+        count = int(inside[self._seen].sum())
+        rest = self.nothing_in(~inside)
+        if self.nothing - rest <= count:
+            return self.nothing
+        self.prices[faults] = count * (1.0 + float(np.log((self.nothing - rest) / count)))
+        return rest + self.prices[faults]
+
+    def fits(self, faults: tuple[str, ...], misfit: float) -> bool:
+        """Whether an explanation of this misfit fits what is seen, apart from the price of a free shift."""
+        return misfit - self.prices.get(faults, 0.0) <= self.limit
 
     @cached_property
     def fitted(self) -> dict[str, Fitted]:
@@ -118,11 +148,18 @@ class Look:
             if pair not in at or far[i, j] < far[at[pair]]:
                 at[pair] = i, j
         if not at:
-            return {}
+            return self._free_pairs
         chosen = np.array(list(at.values()))  # (P, 2) segments
         parts = np.stack([sizes[i, j] for i, j in at.values()])  # (P, 2)
         misfits = self._misfits(self._begin[chosen] + parts[..., None] * self._way[chosen])
-        return dict(zip(at, misfits.tolist(), strict=True))
+        return self._free_pairs | dict(zip(at, misfits.tolist(), strict=True))
+
+    @property
+    def _free_pairs(self) -> dict[tuple[str, ...], float]:
+        """The misfit of every two faults at once that may shift anything."""
+        pairs = combinations(sorted(self._signatures), 2)
+        either = {pair: self._signatures[pair[0]] | self._signatures[pair[1]] for pair in pairs}
+        return {pair: self._of_free_shift(pair, rows) for pair, rows in either.items()}
 
     @property
     def gain(self) -> float:
@@ -185,10 +222,16 @@ class Look:
 class Hypotheses:
     """All faults of a bundle, as polygons of shifts that begin at none."""
 
-    def __init__(self, evidence: Evidence, alone: Collection[str] = ()) -> None:
+    def __init__(
+        self, evidence: Evidence, alone: Collection[str] = (), sensitive: Mapping[str, Collection[str]] = NO_SIGNATURES
+    ) -> None:
+        """`sensitive` are the names of the generators that are sensitive to each fault without assumed sizes."""
         self._straying = Straying(evidence)
         self._segments = _segments(evidence, alone)
-        self.faults = list(dict.fromkeys(self._segments.faults))
+        self._signatures = {
+            fault: np.array([name in generators for name in evidence.generators])
+            for fault, generators in sensitive.items()
+        }
 
     def look(self, means: Means, day: Level | None = None) -> Look | None:
         """What the means say on this day, of which nothing is known by default; None while too little has been seen."""
@@ -200,7 +243,15 @@ class Hypotheses:
         d = (self._straying.deviation(means) - day.mean)[seen]
         S = (day.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
         shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
-        return Look(d, S, seen, np.concatenate([np.zeros((1, len(d))), shift]), self._segments)
+        shifts = np.concatenate([np.zeros((1, len(d))), shift])
+        return Look(d, S, seen, shifts, self._segments, self._signatures)
+
+
+def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
+    """The names of the generators that are sensitive to each fault of which no size is assumed."""
+    sized = {hypothesis.fault for hypothesis in manifest.evidence.hypotheses}
+    free = [fault.name for fault in manifest.faults if fault.name not in sized]
+    return {fault: [each.name for each in manifest.generators if fault in each.faults] for fault in free}
 
 
 def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:

@@ -12,6 +12,7 @@ class Conversion(NamedTuple):
 
 
 UNITS: Mapping[str, tuple[str, Conversion]] = {
+    "": ("1", Conversion(1.0)),
     "hPa": ("Pa", Conversion(1e2)),
     "mbar": ("Pa", Conversion(1e2)),
     "kPa": ("Pa", Conversion(1e3)),

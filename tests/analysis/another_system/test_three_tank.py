@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tanks
+import recorded_tanks
 
 from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.export import main as export
@@ -17,10 +17,11 @@ from faultline.service.bundle.files import BundleError
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.diagnose.command import main as diagnose
+from faultline.testbench import tanks
 
 DURATION_S, ONSET_S = 480.0, 270.0
-LEAK = 5e-6  # m2: a hole of 3 mm
-CLOGGED = 0.3
+LEAKS = dict.fromkeys(("f_leak1", "f_leak2", "f_leak3"), 5e-6)  # m2: a hole of 3 mm
+CLOGGED = dict.fromkeys(("fA_12", "fA_23", "fA_3"), 0.3)
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Bench:
         self, name: str, fault: tanks.Fault | None, seed: int, capsys: pytest.CaptureFixture[str]
     ) -> tuple[int, list[dict[str, Any]], str]:
         """Exit code, events and standard error of `diagnose` on a fresh run."""
-        recording = tanks.record(self.folder / name, seed, DURATION_S, fault)
+        recording = recorded_tanks.record(self.folder / name, seed, DURATION_S, fault)
         capsys.readouterr()
         code = diagnose([str(recording), "--bundle", str(self.bundle), "--json"])
         out, err = capsys.readouterr()
@@ -45,7 +46,7 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     folder = tmp_path_factory.mktemp("tanks")
-    logs = [tanks.record(folder / f"steps-{seed}", seed, DURATION_S) for seed in (1, 2, 3)]
+    logs = [recorded_tanks.record(folder / f"steps-{seed}", seed, DURATION_S) for seed in (1, 2, 3)]
     model, tuning, bundle = folder / "calibrated.toml", folder / "tuning.json", folder / "bundle"
     assert calibrate(["three-tank", str(logs[0]), "--out", str(model)]) == 0
     assert tune([str(model), str(logs[1]), str(logs[2]), "--out", str(tuning)]) == 0
@@ -102,33 +103,23 @@ def test_a_healthy_run_is_quiet_and_every_test_could_tell(bench: Bench, capsys: 
     assert events[-1]["cannot_tell"] == []
 
 
-@pytest.mark.parametrize(
-    ("tank", "leak", "clogged", "isolated"),
-    [
-        (0, LEAK, 0.0, "f_leak1"),
-        (1, LEAK, 0.0, "f_leak2"),
-        (2, LEAK, 0.0, "f_leak3"),
-        (0, 0.0, CLOGGED, "fA_12"),
-        (1, 0.0, CLOGGED, "fA_23"),
-        (2, 0.0, CLOGGED, "fA_3"),
-    ],
-)
+@pytest.mark.parametrize(("fault", "size"), [*LEAKS.items(), *CLOGGED.items()])
 def test_a_leak_and_a_clogged_pipe_are_detected_at_once_and_isolated(
-    bench: Bench, capsys: pytest.CaptureFixture[str], tank: int, leak: float, clogged: float, isolated: str
+    bench: Bench, capsys: pytest.CaptureFixture[str], fault: str, size: float
 ) -> None:
-    fault = tanks.Fault(tank, ONSET_S, leak, clogged)
-    code, events, _ = bench.diagnosed(isolated, fault, 5 + tank + (3 if clogged else 0), capsys)
+    seed = 5 + [*LEAKS, *CLOGGED].index(fault)
+    code, events, _ = bench.diagnosed(fault, tanks.Fault(fault, size, ONSET_S), seed, capsys)
     assert code == 1
     alarms = [event for event in events if event["diagnoses"]]
     assert ONSET_S < alarms[0]["t_s"] < ONSET_S + 15.0
     last = alarms[-1]["diagnoses"]
-    assert [d["faults"] for d in last if d["rank"] == 1] == [[isolated]]
+    assert [d["faults"] for d in last if d["rank"] == 1] == [[fault]]
 
 
 def test_tuning_without_a_step_of_the_pump_is_refused(bench: Bench) -> None:
     """The pump has edges: how residuals look there must have been seen."""
     t = np.arange(0.0, 200.0, tanks.FRAME_S)
     u = np.full(len(t), 0.6)
-    constant = tanks.write(bench.folder / "constant", t, u, tanks.levels(t, u, None))
+    constant = recorded_tanks.write(bench.folder / "constant", tanks.Run(t, u, tanks.levels(t, u, None)))
     with pytest.raises(InputError, match=r"\(constant\): t03.ode saw mode 'edge' for 0 ticks only; add a fault-free"):
         tune([str(bench.model), str(constant), "--out", str(bench.folder / "never.json")])

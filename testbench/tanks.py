@@ -1,4 +1,6 @@
-r"""A bench of three tanks, simulated on its own: its physics and values are not those of any model file.
+r"""The test rig of another system: three tanks in a row, whose levels are measured (docs/your-system.md).
+
+Its physics and values are not those of any model file.
 
 State: the levels h1, h2, h3 [m] and the pump's flow q [m3/s], which follows its command u with a lag and pulsates a
 little. Tank i has the cross section S; between the tanks, and out of the last one, water flows through the area a_i:
@@ -9,19 +11,21 @@ little. Tank i has the cross section S; between the tanks, and out of the last o
 with Torricelli's v(d) = sign(d) sqrt(2 g |d|). The sensors add noise and have a resolution.
 """
 
-import hashlib
 import struct
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
+from faultline.writing import write_files
+
 Array = npt.NDArray[np.float64]
 
-DBC = (Path(__file__).parent / "tanks.dbc").read_bytes()
+DBC = Path(__file__).with_name("tanks.dbc").read_text()
 
 SECTION = 1.96e-3  # m2
 AREAS = np.array([6.6e-5, 5.5e-5, 6.3e-5])  # m2, discharge coefficient included
@@ -36,24 +40,52 @@ HOLD_S = 40.0
 FRAME_S = 0.1
 
 
+FAULTS = {
+    "f_leak1": "a hole in tank 1 of so many m2",
+    "f_leak2": "a hole in tank 2 of so many m2",
+    "f_leak3": "a hole in tank 3 of so many m2",
+    "fA_12": "the pipe between tanks 1 and 2 has lost this part of its area",
+    "fA_23": "the pipe between tanks 2 and 3 has lost this part of its area",
+    "fA_3": "the outlet has lost this part of its area",
+    "f_y1": "the level sensor of tank 1 shows so many m too much",
+    "f_y2": "the level sensor of tank 2 shows so many m too much",
+    "f_y3": "the level sensor of tank 3 shows so many m too much",
+}
+
+
 @dataclass(frozen=True)
 class Fault:
-    """From `onset_s` [s] on tank `tank` (0 to 2) has a hole of area `leak` [m2] and its a_i less the part `clogged`."""
+    """One of `FAULTS`, of a `size` as said there, from `onset_s` [s] on."""
 
-    tank: int
+    name: str
+    size: float
     onset_s: float
-    leak: float = 0.0
-    clogged: float = 0.0
+
+    def of(self, kind: str) -> Array:
+        """Its size (3,) in tank, pipe or sensor 1 to 3 if it is of the kind `f_leak`, `fA_` or `f_y`, else 0."""
+        places = {"12": "1", "23": "2"}
+        here, place = self.name.startswith(kind), self.name.removeprefix(kind)
+        return self.size * np.array([here and places.get(place, place) == number for number in "123"], dtype=np.float64)
 
 
-def record(folder: Path, seed: int, duration_s: float, fault: Fault | None = None) -> Path:
-    """Simulates a run with a random sequence of pump commands and writes it as an instrumented recording."""
+class Run(NamedTuple):
+    """Times `t` (K,) [s], the command `u` (K,) of the pump, and the levels `y` (K, 3) [m] as they are measured."""
+
+    t: Array
+    u: Array
+    y: Array
+
+
+def run(seed: int, duration_s: float, fault: Fault | None = None) -> Run:
+    """Simulate a random sequence of pump commands."""
     rng = np.random.default_rng(seed)
     holds = rng.permutation(np.tile(COMMANDS, int(duration_s / HOLD_S / len(COMMANDS)) + 1))
     t = np.arange(0.0, duration_s, FRAME_S)
     u = np.repeat(holds, round(HOLD_S / FRAME_S))[: len(t)]
     measured = levels(t, u, fault) + rng.normal(0.0, NOISE, (len(t), 3))
-    return write(folder, t, u, RESOLUTION * np.round(measured / RESOLUTION))
+    if fault is not None:
+        measured += np.outer(t >= fault.onset_s, fault.of("f_y"))
+    return Run(t, u, RESOLUTION * np.round(measured / RESOLUTION))
 
 
 def levels(t: Array, u: Array, fault: Fault | None) -> Array:
@@ -76,32 +108,38 @@ def levels(t: Array, u: Array, fault: Fault | None) -> Array:
     return np.concatenate(parts)
 
 
-def write(folder: Path, t: Array, u: Array, y: Array) -> Path:
-    """The frames of `tanks.dbc` as a recording: the levels `y` (K, 3) of every row, the command `u` of every other."""
+def table(run: Run) -> str:
+    """The run as a table of values that a laboratory's logger writes, at 5 Hz: the command in percent, levels in cm."""
+    rows = zip(run.t[::2], 100.0 * run.u[::2], 100.0 * run.y[::2], strict=True)
+    lines = [f"{t:.1f},{u:.2f},{y[0]:.2f},{y[1]:.2f},{y[2]:.2f}\n" for t, u, y in rows]
+    return "time [s],u [%],y1 [cm],y2 [cm],y3 [cm]\n" + "".join(lines)
+
+
+def can_log(run: Run) -> str:
+    """The run as frames of `tanks.dbc` in candump's format: the levels of every row, the command of every other."""
     lines = []
-    for k, (now, command, row) in enumerate(zip(t, u, y, strict=True)):
+    for k, (now, command, row) in enumerate(zip(*run, strict=True)):
         stamp = 1_767_225_600 + now
         if k % 2 == 0:
             raw = struct.pack("<HHI", round(command / 2.5e-5), 0xFFFF, 0xFFFFFFFF)
             lines.append(f"({stamp:.6f}) can0 18FF3021#{raw.hex().upper()}\n")
         raw = struct.pack("<HHHH", *(max(0, round(level / 1e-4)) for level in row), 0xFFFF)
         lines.append(f"({stamp + 0.001:.6f}) can0 18FF3122#{raw.hex().upper()}\n")
-    folder.mkdir(parents=True)
-    (folder / "can.log").write_text("".join(lines))
-    (folder / "tanks.dbc").write_bytes(DBC)
-    (folder / "recording.toml").write_text(
-        f'schema = 1\nid = "{folder.name}"\nkind = "instrumented"\nsource = "simulated"\nvehicle = "bench"\n'
-        'cycle = "steps"\nsensor_set = "instrumented"\n\n[can]\nfile = "can.log"\ndbc = "tanks.dbc"\n'
-        f'dbc_sha256 = "{hashlib.sha256(DBC).hexdigest()}"\n'
-    )
-    return folder
+    return "".join(lines)
+
+
+def write(folder: Path, run: Run, *, can: bool) -> list[Path]:
+    """Write `log.csv`, or `can.log` with its DBC; return the files."""
+    texts = {"can.log": can_log(run), "tanks.dbc": DBC} if can else {"log.csv": table(run)}
+    write_files({folder / name: text for name, text in texts.items()})
+    return [folder / name for name in texts]
 
 
 def _rates(t: float, x: Array, u: float, fault: Fault | None) -> Array:
     area, leak = AREAS.copy(), np.zeros(3)
     if fault is not None:
-        area[fault.tank] *= 1 - fault.clogged
-        leak[fault.tank] = fault.leak
+        area *= 1.0 - fault.of("fA_")
+        leak = fault.of("f_leak")
     h, q = x[:3], x[3]
     through = area * _velocity(h - np.append(h[1:], 0.0))
     into = np.append(q, through[:2])
