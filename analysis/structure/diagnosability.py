@@ -37,10 +37,8 @@ def isolability_of(structure: Structure, causality: Interpretation) -> dict[str,
     """
     parts = OverDeterminedPart(structure, causality)
     whole = parts.without()
-    # Removing an equation that is in no test takes no test away; those of a class are in the same ones.
-    faulty = {row for row in structure.fault_rows.values() if whole >> row & 1}
-    classes = [faulty.intersection(rows) for rows, _ in structure.classes]
-    rest = {row: part for rows in classes if rows for part in [parts.without(1 << min(rows))] for row in rows}
+    # Removing an equation that is in no test takes no test away.
+    rest = {row: parts.without(1 << row) for row in {*structure.fault_rows.values()} if whole >> row & 1}
     without = {fault: rest.get(row, whole) for fault, row in structure.fault_rows.items()}
     return {
         fault: tuple(

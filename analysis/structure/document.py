@@ -22,7 +22,7 @@ MANY_TESTS = 64
 """Beyond these, listing every smallest selection of tests may take minutes."""
 
 
-MANY_RESIDUALS = 1000
+MANY_RESIDUALS = 200
 """Tests whose residual choices are listed: each has as many as equations."""
 
 

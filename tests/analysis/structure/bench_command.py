@@ -1,7 +1,7 @@
 """`faultline structure` on models of 100, 300 and 600 equations: `make bench` prints the table that docs/results has.
 
-Models are chains of tanks with formulas, units and faults. Sparse: five levels are measured, whatever the length. Dense:
-every level is measured, so the redundancy is that of the number of tanks and nobody can list all tests.
+Models are chains of tanks with formulas, units and faults. Sparse: five levels are measured, whatever the length.
+Dense: every level is, so the redundancy is the number of tanks, and nobody can list all tests.
 Times are CPU times of whole processes, medians of the runs with their range.
 """
 
@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Collection
-from pathlib import Path
 
 ROUNDS = 3
 SIZES = (100, 300, 600)
@@ -39,7 +38,7 @@ def main() -> None:
             runs = [run(text) for _ in range(ROUNDS)]
             seconds, memory = ([float(one[k]) for one in runs] for k in (0, 1))
             equations = text.count("[[equation]]") + text.count("[[differential]]")
-            found = runs[0][2].partition(", of")[0].partition(" of ")[0]
+            found = runs[0][2].partition(" tests")[0] + " tests"
             print(f"| {kind} | {equations} | {found} | {spread(seconds)} | {max(memory):.0f} |", flush=True)
 
 

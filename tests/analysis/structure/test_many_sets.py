@@ -12,8 +12,7 @@ from test_minimal_sets import structures as row_lists
 from faultline.analysis.structure import Structure, find_tests, mso_sets
 from faultline.analysis.structure.causality import IntegralCausality
 from faultline.analysis.structure.command import main
-from faultline.analysis.structure.diagnosability import OverDeterminedPart, isolability_of
-from faultline.analysis.structure.document import CAUSALITIES, document
+from faultline.analysis.structure.document import document
 from faultline.analysis.structure.matching import Matching
 from faultline.analysis.structure.minimal import minimal_sets
 from faultline.analysis.structure.supports import find_all
@@ -89,21 +88,6 @@ def test_what_hinders_one_set_says_nothing_wrong_of_the_next(structure: Structur
     for mso in mso_sets(structure):
         rows = structure.rows(mso)
         assert integral.residuals(rows) == IntegralCausality(structure).residuals(rows)
-
-
-@STEADY
-@given(structure=structures())
-def test_isolability_by_classes_is_that_of_each_fault(structure: Structure) -> None:
-    for causality in CAUSALITIES:
-        parts = OverDeterminedPart(structure, causality)
-        for fault, others in isolability_of(structure, causality).items():
-            expected = [
-                other
-                for other in structure.faults
-                if other != fault
-                and not parts.without(1 << structure.fault_rows[other]) >> structure.fault_rows[fault] & 1
-            ]
-            assert [*others] == expected
 
 
 @STEADY
