@@ -43,6 +43,7 @@ bench: .venv/.test .venv-peer/.done  ## cost of a tick, of logs and of structura
 	@$(BIN)/python -m tests.bench
 	@$(BIN)/python -m tests.bench_logs
 	@$(BIN)/python tests/analysis/structure/bench_engine.py .venv-peer/bin/python
+	@$(BIN)/python tests/analysis/structure/bench_command.py
 
 campaign-recordings: .venv/.test  ## hours of rig time: are clocks and parameters found? writes docs/results
 	@$(BIN)/python tests/campaigns/synchronisation.py --out docs/results/synchronisation.md

@@ -112,7 +112,7 @@ def _check_differentials(model: Model, where: str) -> None:
 
 def _check_states(model: Model, where: str) -> None:
     states = {d.state for d in model.differentials}
-    signals = [sp.Symbol(name) for name in model.known]
+    signals = {sp.Symbol(name) for name in model.known}
     for name, unknown in model.unknown.items():
         if name in states and not unknown.initial:
             raise ModelError(
@@ -121,16 +121,16 @@ def _check_states(model: Model, where: str) -> None:
         if name not in states and unknown.initial:
             raise ModelError(f"{where}: unknown.{name}.initial: only a state starts somewhere; {name} is none")
         for k, expression in enumerate(unknown.initial):
-            slopes = [sp.diff(expression, signal) for signal in signals]
-            if any(slope.free_symbols & set(signals) for slope in slopes) or _bent(expression, signals):
+            slopes = [sp.diff(expression, signal) for signal in signals & expression.free_symbols]
+            if any(slope.free_symbols & signals for slope in slopes) or _bent(expression, signals):
                 raise ModelError(
                     f"{where}: unknown.{name}.initial[{k}]: `{unknown.initial_text[k]}` is not affine in known signals"
                 )
 
 
-def _bent(expression: sp.Expr, signals: Sequence[sp.Symbol]) -> bool:
+def _bent(expression: sp.Expr, signals: set[sp.Symbol]) -> bool:
     """Whether a signal is inside a function, where a derivative may look constant (the sign in that of abs)."""
-    return any(call.free_symbols & set(signals) for call in expression.atoms(sp.Function))
+    return any(call.free_symbols & signals for call in expression.atoms(sp.Function))
 
 
 def _check_used(model: Model, where: str) -> None:

@@ -11,12 +11,12 @@ derivative, where the components matter besides.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import networkx as nx
 
-from faultline.analysis.structure.matching import Matching, bits, mask_of
-from faultline.analysis.structure.structure import Structure
+from faultline.analysis.structure.matching import Matching, bits, mask_of, transposed, union
+from faultline.analysis.structure.structure import Constraint, Structure
 
 Causality = Literal["algebraic", "integral", "derivative", "mixed"]
 
@@ -33,11 +33,40 @@ def residual_causality(structure: Structure, equations: Sequence[str]) -> Mappin
     return {structure.equations[row]: found[row] for row in rows}
 
 
-def integral_residuals(structure: Structure, equations: Sequence[str]) -> tuple[str, ...]:
-    """The algebraic equations of an MSO set that can be its residual without any differentiation."""
-    algebraic, constraints = _divided(structure, structure.rows(equations))
-    found = set(_integral(structure, algebraic, constraints))
-    return tuple(structure.equations[row] for row in algebraic if row in found)
+class IntegralCausality:
+    """Which equations of one MSO set after the other can be its residual without any differentiation.
+
+    Where none can, some unknowns are in too few algebraic equations of the set (Hall 1935). They are kept: the next
+    set often has no more of those equations either, which is seen without a matching.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure = structure
+        self._algebraic = mask_of([row for row in range(len(structure.equations)) if row not in structure.constraints])
+        self._holders = transposed(structure.unknown_rows, self._algebraic, len(structure.unknowns))
+        self._scarce: list[tuple[int, int]] = []  # unknowns, and all algebraic rows with one of them
+
+    def residuals(self, rows: Sequence[int]) -> list[int]:
+        """The algebraic rows of an MSO set that can be its residual."""
+        algebraic, constraints = _divided(self._structure, rows)
+        there, states = mask_of(algebraic), mask_of([c.state for c in constraints])
+        unknowns = union(self._structure.unknown_rows[row] for row in rows) & ~states
+        for place, (few, holders) in enumerate(self._scarce):
+            if not few & ~unknowns and (holders & there).bit_count() < few.bit_count():
+                self._scarce.insert(0, self._scarce.pop(place))  # what hinders this set may well hinder the next
+                return []
+        matching = Matching([self._structure.unknown_rows[row] & ~states for row in algebraic])
+        if matching.rank == unknowns.bit_count():
+            return [algebraic[i] for i in matching.over_determined()]
+        few = 1 << next(x for x in bits(unknowns) if x not in matching.owner)
+        mates = {algebraic[i]: x for i, x in matching.pairs().items()}
+        queue = [*bits(few)]
+        for x in queue:  # grows
+            new = mask_of([mates[row] for row in bits(self._holders[x] & there)]) & ~few
+            few |= new
+            queue.extend(bits(new))
+        self._scarce.insert(0, (few, union(self._holders[x] for x in queue)))
+        return []
 
 
 def solving_order(structure: Structure, equations: Sequence[str], residual: str) -> list[list[tuple[str, str]]]:
@@ -48,7 +77,9 @@ def solving_order(structure: Structure, equations: Sequence[str], residual: str)
     """
     rows = [row for row in structure.rows(equations) if structure.equations[row] != residual]
     rows = [row for row in rows if structure.equations[row] not in structure.differentials]
-    states = mask_of([structure.unknowns.index(name) for name in structure.states_in(equations)])
+    states = mask_of(
+        [structure.constraints[row].state for row in structure.rows(equations) if row in structure.constraints]
+    )
     masks = [structure.unknown_rows[row] & ~states for row in rows]
     matching = Matching(masks)
     components = _components(masks, matching)
@@ -58,25 +89,10 @@ def solving_order(structure: Structure, equations: Sequence[str], residual: str)
     ]
 
 
-class Constraint(NamedTuple):
-    """A differential constraint: its row, and the unknowns that are its state and its derivative, all by number."""
-
-    row: int
-    state: int
-    derivative: int
-
-
 def _divided(structure: Structure, rows: Sequence[int]) -> tuple[list[int], list[Constraint]]:
     """The algebraic rows and the differential constraints."""
-    algebraic, constraints = [], []
-    for row in rows:
-        d = structure.differentials.get(structure.equations[row])
-        if d is None:
-            algebraic.append(row)
-        else:
-            state, derivative = structure.unknowns.index(d.state), structure.unknowns.index(d.derivative)
-            constraints.append(Constraint(row, state, derivative))
-    return algebraic, constraints
+    of = structure.constraints
+    return [row for row in rows if row not in of], [of[row] for row in rows if row in of]
 
 
 def _integral(structure: Structure, algebraic: Sequence[int], constraints: Sequence[Constraint]) -> list[int]:
@@ -97,43 +113,38 @@ def _derivative(structure: Structure, algebraic: Sequence[int], constraints: Seq
     """The rows of an MSO set that can be its residual when every derivative follows from its state.
 
     With the derivatives given, the other algebraic equations must determine every unknown; the residual is one of their
-    over-determined part then. And no derivative may be needed for its own state.
+    over-determined part then. And no derivative may be needed for its own state: no constraint is on a cycle of what
+    needs what. One on a cycle can be solved for its state instead, as it can with every residual that a matching in
+    which it is leaves out. If none is on a cycle, the residuals are the equations that no constraint needs: leaving out
+    another one turns the matching on the way to it round, so that a constraint gives its state.
     """
     derivatives = mask_of([c.derivative for c in constraints])
     matching = Matching([structure.unknown_rows[row] & ~derivatives for row in algebraic])
     if len(matching.free) != 1:
         return []
-    users: dict[int, list[int]] = {}  # unknown -> places in `algebraic`
-    for i, row in enumerate(algebraic):
-        for x in bits(structure.unknown_rows[row]):
-            users.setdefault(x, []).append(i)
-    return [
-        algebraic[i]
-        for i in matching.over_determined()
-        if _in_turn(users, {row: x for x, row in matching.owners_without(i).items()}, constraints)
-    ]
-
-
-def _in_turn(users: Mapping[int, list[int]], solved: Mapping[int, int], constraints: Sequence[Constraint]) -> bool:
-    """Whether all states can be had one after the other, none from a derivative that is not there yet.
-
-    `users` are the equations that an unknown is in, `solved` is what each equation is solved for.
-    """
-    left = list(constraints)
+    left = [algebraic[i] for i in matching.over_determined()]
     while left:
-        queue = [c.derivative for c in left]
-        waiting = mask_of(queue)
-        for x in queue:  # grows: what depends on a derivative that is not there yet
-            for i in users.get(x, ()):
-                following = solved.get(i)
-                if following is not None and not waiting >> following & 1:
-                    waiting |= 1 << following
-                    queue.append(following)
-        still = [c for c in left if waiting >> c.state & 1]
-        if len(still) == len(left):
-            return False
-        left = still
-    return True
+        needs = nx.DiGraph()
+        solved = {c.derivative: c.row for c in constraints}
+        solved |= {x: algebraic[i] for x, i in matching.owners_without(algebraic.index(left[0])).items()}
+        for row in (*algebraic, *(c.row for c in constraints)):
+            needs.add_edges_from((row, solved[x]) for x in bits(structure.unknown_rows[row]) if solved[x] != row)
+        cycles = (component for component in nx.strongly_connected_components(needs) if len(component) > 1)
+        looped = next((c for component in cycles for c in constraints if c.row in component), None)
+        if looped is None:
+            needs.add_edges_from(("all", c.row) for c in constraints)
+            return sorted(set(left) - nx.descendants(needs, "all"))
+        left = sorted(set(left) - set(_solved_for_state(structure, algebraic, constraints, looped)))
+    return []
+
+
+def _solved_for_state(
+    structure: Structure, algebraic: Sequence[int], constraints: Sequence[Constraint], constraint: Constraint
+) -> list[int]:
+    """The rows of an MSO set that a matching of all unknowns can leave out that gives this constraint its state."""
+    rows = [*algebraic, *(c.row for c in constraints if c != constraint)]
+    matching = Matching([structure.unknown_rows[row] & ~(1 << constraint.state) for row in rows])
+    return [rows[i] for i in matching.over_determined()]
 
 
 def _components(masks: Sequence[int], matching: Matching) -> list[list[int]]:

@@ -16,7 +16,7 @@ from faultline.analysis.structure.matrix import read_structure
 from faultline.analysis.structure.report import report
 from faultline.analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
-from faultline.analysis.structure.supports import find_tests
+from faultline.analysis.structure.supports import MOST_SETS, Found, find_all
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.writing import write_files
@@ -43,6 +43,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--without", nargs="+", default=[], metavar="SIGNAL", help="analyse without these sensors")
     parser.add_argument(
         "--positions", nargs="+", default=[], metavar="UNKNOWN[=COST]", help="where sensors could be placed"
+    )
+    parser.add_argument(
+        "--most", type=_positive, default=MOST_SETS, metavar="N", help="tests and MSO sets to search for (%(default)s)"
     )
     parser.add_argument("--tests", action="store_true", help="also print how every test is computed")
     parser.add_argument("--why", nargs=2, metavar=("FAULT", "OTHER"), help="whether and why they can be told apart")
@@ -71,19 +74,42 @@ def main(argv: list[str]) -> int:
         return 0 if explanation.isolable else 1
     positions = _positions(options.positions, model)
     name = model.name if isinstance(model, Model) else Path(options.model).stem
-    with Progress(f"analysing {name}"):
-        text = "" if options.json == "-" else report(model, computations=options.tests, positions=positions)
-        data = json.dumps(document(model, positions), indent=1) if options.json else ""
+    with Progress(f"analysing {name}") as progress:
+        found = find_all(model, options.most, progress.say)
+        progress.say("isolability")
+        text = (
+            "" if options.json == "-" else report(model, computations=options.tests, positions=positions, found=found)
+        )
+        data = json.dumps(document(model, positions, found), indent=1) if options.json else ""
     print(text or data)
+    if found.more_tests or found.more_mso:
+        print(_cut(found), file=sys.stderr)
     files = _files(options, model, data if text else "")
-    pictures = _pictures(model, options.figures, name) if options.figures else {}
+    pictures = _pictures(model, options.figures, name, found) if options.figures else {}
     write_files(files | pictures)
     if pictures:
         print(f"wrote {len(pictures)} pictures to {options.figures}", file=sys.stderr)
-    wrong = [f for f in lint(model) if f.severity == "error"] if isinstance(model, Model) else []
+    wrong = [f for f in lint(model, tests=()) if f.severity == "error"] if isinstance(model, Model) else []
     for finding in wrong:
         print(f"faultline structure: error: {options.model}: {finding.place}: {finding.message}", file=sys.stderr)
-    return 2 if wrong else 0 if find_tests(model) else 1
+    return 2 if wrong else 0 if found.tests else 1
+
+
+def _positive(text: str) -> int:
+    """A number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is no whole number from 1 on")
+    return int(text)
+
+
+def _cut(found: Found) -> str:
+    """What was left out, how to have it, and what can be had without it."""
+    what = " and ".join(name for name, cut in (("tests", found.more_tests), ("MSO sets", found.more_mso)) if cut)
+    remedy = "--most N searches for more, --without SIGNAL leaves fewer, --why FAULT OTHER gives a test for two faults"
+    return (
+        f"faultline structure: only the first {found.most} {what} were searched for; detectability and isolability are "
+        f"of all of them; {remedy}"
+    )
 
 
 def _files(options: argparse.Namespace, model: Model | Structure, data: str) -> dict[Path, bytes]:
@@ -96,11 +122,11 @@ def _files(options: argparse.Namespace, model: Model | Structure, data: str) -> 
     return files
 
 
-def _pictures(model: Model | Structure, folder: Path, name: str) -> dict[Path, bytes]:
+def _pictures(model: Model | Structure, folder: Path, name: str, found: Found) -> dict[Path, bytes]:
     from faultline.analysis.structure.pictures.all import draw_all  # matplotlib takes a second to import
 
     with Progress("drawing"):
-        return {folder / file: content for file, content in draw_all(model, name).items()}
+        return {folder / file: content for file, content in draw_all(model, name, found.tests).items()}
 
 
 def open_model(path: str) -> Model | Structure:

@@ -10,12 +10,12 @@ Two equations of M+ are equivalent if removing either takes the other out of M+ 
 a test contains all equations of a class or none, so faults in one class are never isolable from each other.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import networkx as nx
 
-from faultline.analysis.structure.matching import Matching, bits, mask_of
+from faultline.analysis.structure.matching import Matching, bits, mask_of, union
 from faultline.analysis.structure.structure import Structure
 
 
@@ -57,15 +57,15 @@ def dulmage_mendelsohn(structure: Structure) -> Decomposition:
     over = matching.over_determined()
     under = _under_determined(rows, matching, len(structure.unknowns))
     under_rows = [matching.owner[x] for x in bits(under) if x in matching.owner]
-    over_unknowns = _union(rows, over)
+    over_unknowns = union(rows[row] for row in over)
     middle = sorted(set(range(len(rows))) - {*over, *under_rows})
-    classes = _classes(rows, over)
+    classes = structure.classes
     return Decomposition(
         under=_part(structure, under_rows, under),
         just=tuple(_part(structure, *component) for component in _hall_components(rows, middle, matching)),
         over=_part(structure, over, over_unknowns),
         classes=tuple(_part(structure, *found) for found in classes),
-        shared=_unknowns(structure, over_unknowns & ~_mask([private for _, private in classes])),
+        shared=_unknowns(structure, over_unknowns & ~union(private for _, private in classes)),
         rank=matching.rank,
         redundancy=len(matching.free),
     )
@@ -76,9 +76,13 @@ def _under_determined(rows: Sequence[int], matching: Matching, width: int) -> in
     pairs = matching.pairs()
     queue = [x for x in range(width) if x not in matching.owner]
     seen = mask_of(queue)
+    holders: dict[int, list[int]] = {}
+    for row, mask in enumerate(rows):
+        for x in bits(mask):
+            holders.setdefault(x, []).append(row)
     for x in queue:  # grows
-        for row, mask in enumerate(rows):
-            if mask >> x & 1 and not seen >> pairs[row] & 1:
+        for row in holders.get(x, ()):
+            if not seen >> pairs[row] & 1:
                 seen |= 1 << pairs[row]
                 queue.append(pairs[row])
     return seen
@@ -97,20 +101,6 @@ def _hall_components(rows: Sequence[int], middle: Sequence[int], matching: Match
     return [(members[node], mask_of([pairs[row] for row in members[node]])) for node in order]
 
 
-def _classes(rows: Sequence[int], over: Sequence[int]) -> list[tuple[list[int], int]]:
-    """The equivalence classes of M+ as (rows, private unknowns)."""
-    part = [rows[row] for row in over]
-    matching = Matching(part)
-    left, found = list(range(len(part))), []
-    while left:
-        remaining = matching.over_determined_without(left[0])
-        members = sorted(set(range(len(part))) - set(remaining))
-        left = [i for i in left if i not in members]
-        private = _union(part, members) & ~_union(part, remaining)
-        found.append(([over[i] for i in members], private))
-    return found
-
-
 def _part(structure: Structure, rows: Sequence[int], unknowns: int) -> Part:
     equations = structure.names(mask_of(rows))
     return Part(equations, _unknowns(structure, unknowns), structure.faults_in(equations))
@@ -118,14 +108,3 @@ def _part(structure: Structure, rows: Sequence[int], unknowns: int) -> Part:
 
 def _unknowns(structure: Structure, mask: int) -> tuple[str, ...]:
     return tuple(structure.unknowns[x] for x in bits(mask))
-
-
-def _union(rows: Sequence[int], chosen: Iterable[int]) -> int:
-    return _mask(rows[row] for row in chosen)
-
-
-def _mask(masks: Iterable[int]) -> int:
-    together = 0
-    for mask in masks:
-        together |= mask
-    return together

@@ -13,9 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, get_args
 
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.structure.causality import Constraint
-from faultline.analysis.structure.matching import bits, mask_of
-from faultline.analysis.structure.structure import Structure
+from faultline.analysis.structure.matching import bits, mask_of, transposed
+from faultline.analysis.structure.structure import Constraint, Structure
 
 Interpretation = Literal["mixed", "integral", "derivative"]
 
@@ -63,20 +62,14 @@ class OverDeterminedPart:
             raise ModelError(f"{causality}: no causality; those are {', '.join(get_args(Interpretation))}")
         self._causality = causality
         self._rows = structure.unknown_rows
-        number = {name: x for x, name in enumerate(structure.unknowns)}
-        self._constraints = [
-            Constraint(
-                row, number[structure.differentials[name].state], number[structure.differentials[name].derivative]
-            )
-            for row, name in enumerate(structure.equations)
-            if name in structure.differentials and causality != "mixed"
-        ]
+        number = len(structure.unknowns)
+        self._constraints = [*structure.constraints.values()] if causality != "mixed" else []
         everything = (1 << len(self._rows)) - 1
         self._algebraic = everything & ~mask_of([c.row for c in self._constraints])
         # With integral causality the states are given as long as their derivatives can be computed.
         given = {c.state for c in self._constraints} if causality == "integral" else set()
-        self._matching = _Matching(_transposed(self._rows, self._algebraic, len(number)), self._algebraic)
-        self._matching.add(x for x in range(len(number)) if x not in given)
+        self._matching = _Matching(self._rows, transposed(self._rows, self._algebraic, number), self._algebraic)
+        self._matching.add(x for x in range(number) if x not in given)
 
     def without(self, removed: int = 0) -> int:
         """The rows (a bit each) of the over-determined part when the `removed` rows (a bit each) are not there."""
@@ -145,7 +138,8 @@ class _Matching:
     `row_of` maps a matched unknown to its row; `free` has a bit for every unmatched row.
     """
 
-    def __init__(self, columns: Sequence[int], rows: int) -> None:
+    def __init__(self, equations: Sequence[int], columns: Sequence[int], rows: int) -> None:
+        self._equations = equations
         self._columns = columns
         self._rows = rows
         self._unmatched: set[int] = set()
@@ -154,7 +148,7 @@ class _Matching:
         self.free = rows
 
     def copy(self) -> "_Matching":
-        other = _Matching(self._columns, self._rows)
+        other = _Matching(self._equations, self._columns, self._rows)
         other._unmatched = set(self._unmatched)
         other._unknown_of = dict(self._unknown_of)
         other.row_of = dict(self.row_of)
@@ -175,7 +169,7 @@ class _Matching:
                 row = self.row_of.pop(x)
                 del self._unknown_of[row]
                 self.free |= 1 << row
-        self._unmatched = {x for x in self._unmatched if not self._augment(x)}
+                self._use(row)
 
     def remove(self, rows: int) -> None:
         """Fewer rows."""
@@ -216,18 +210,29 @@ class _Matching:
                 queue.append(self._unknown_of[row])
         return False
 
+    def _use(self, start: int) -> None:
+        """Matches a row that has become free with an unmatched unknown, moving others, if there is such a path."""
+        came: dict[int, int] = {}  # unknown -> the row it was reached from
+        queue, there = [start], mask_of([*self._unmatched, *self.row_of])
+        for row in queue:  # grows
+            new = self._equations[row] & there
+            there &= ~new
+            for x in bits(new):
+                came[x] = row
+                if x not in self.row_of:
+                    self._unmatched.discard(x)
+                    self.free ^= 1 << start
+                    while row != start:
+                        before = self._unknown_of[row]
+                        self.row_of[x], self._unknown_of[row] = row, x
+                        x, row = before, came[before]
+                    self.row_of[x], self._unknown_of[row] = row, x
+                    return
+                queue.append(self.row_of[x])
+
     def _flip(self, row: int, came: Mapping[int, int]) -> None:
         following: int | None = row
         while following is not None:
             row, x = following, came[following]
             following = self.row_of.get(x)
             self.row_of[x], self._unknown_of[row] = row, x
-
-
-def _transposed(rows: Sequence[int], chosen: int, unknowns: int) -> list[int]:
-    """For every unknown the chosen rows that contain it."""
-    columns = [0] * unknowns
-    for row in bits(chosen):
-        for x in bits(rows[row]):
-            columns[x] |= 1 << row
-    return columns

@@ -10,11 +10,11 @@ from faultline.analysis.structure.decomposition import Part, dulmage_mendelsohn
 from faultline.analysis.structure.diagnosability import Interpretation, detectability, isolability_of
 from faultline.analysis.structure.index import low_index, observable
 from faultline.analysis.structure.isolability import isolability, signature_matrix
-from faultline.analysis.structure.lint import lint, lint_structure
+from faultline.analysis.structure.lint import Finding, lint, lint_structure
 from faultline.analysis.structure.placement import MANY_POSITIONS, SensorSet, place_sensors
 from faultline.analysis.structure.selection import select_tests
 from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
-from faultline.analysis.structure.supports import Support, Test, find_tests, mso_sets, mtes_sets
+from faultline.analysis.structure.supports import Found, Support, Test, find_all, mtes_sets
 
 CAUSALITIES: tuple[Interpretation, ...] = get_args(Interpretation)
 
@@ -22,12 +22,21 @@ MANY_TESTS = 64
 """Beyond these, listing every smallest selection of tests may take minutes."""
 
 
-def document(model: Model | Structure, positions: Mapping[str, float] | None = None) -> dict[str, object]:
-    """The analysis. `positions` are the unknowns that sensors could measure, with their costs (see `sensor_sets`).
+MANY_RESIDUALS = 200
+"""Tests whose residual choices are listed: each has as many as equations."""
 
-    `sensor_sets` and `selected_tests` are None where there are too many candidates to list every optimum.
+
+def document(
+    model: Model | Structure, positions: Mapping[str, float] | None = None, found: Found | None = None
+) -> dict[str, object]:
+    """The analysis, with the tests and MSO sets that were found.
+
+    `positions` are the unknowns that sensors could measure, with their costs (see `sensor_sets`). `sensor_sets` and
+    `selected_tests` are None where there are too many candidates to list every optimum, `residuals` of a test after the
+    first `MANY_RESIDUALS`.
     """
-    tests = find_tests(model)
+    found = found or find_all(model)
+    tests = found.tests
     if isinstance(model, Model) and model.residuals:
         return _of_given_residuals(model, tests)
     structure = structure_of(model)
@@ -43,7 +52,7 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
         "redundancy": redundancy(structure, over_determined(structure)),
         "low_index": low_index(structure),
         "observable": observable(structure),
-        "lint": [vars(finding) for finding in (lint(model) if isinstance(model, Model) else lint_structure(structure))],
+        "lint": [vars(finding) for finding in findings(model, found)],
         "dm": {
             "under": _part(parts.under),
             "just": [_part(component) for component in parts.just],
@@ -51,15 +60,24 @@ def document(model: Model | Structure, positions: Mapping[str, float] | None = N
             "classes": [_part(found) for found in parts.classes],
             "rest_unknowns": parts.shared,
         },
-        "mso": mso_sets(structure),
-        "mtes": mtes_sets(structure),
+        "mso": found.mso,
+        "mtes": mtes_sets(structure, len(tests)),
+        "more_mso": found.more_mso,
+        "more_tests": found.more_tests,
         "tests": [_test(model, structure, test) for test in tests],
         "detectability": {causality: detectability(structure, causality) for causality in CAUSALITIES},
         "isolability": {causality: isolability_of(structure, causality) for causality in CAUSALITIES},
         "sensor_sets": {causality: _each(sets, "sensors") for causality, sets in placed},
         "sensor_costs": {causality: _each(sets, "cost") for causality, sets in placed},
-        "selected_tests": selected(tests, structure.faults),
+        "selected_tests": None if found.more_tests else selected(tests, structure.faults),
     }
+
+
+def findings(model: Model | Structure, found: Found) -> list[Finding]:
+    """The findings of a model; whether faults are in no test that can be run is left open if there are more tests."""
+    if isinstance(model, Structure):
+        return lint_structure(model)
+    return lint(model, () if found.more_tests else found.tests)
 
 
 def _of_given_residuals(model: Model, tests: Sequence[Support]) -> dict[str, object]:
@@ -69,7 +87,7 @@ def _of_given_residuals(model: Model, tests: Sequence[Support]) -> dict[str, obj
         "model": model.name,
         "knowns": [*model.known],
         "faults": faults,
-        "lint": [vars(finding) for finding in lint(model)],
+        "lint": [vars(finding) for finding in lint(model, tests)],
         "tests": [{"name": test.name, "faults": test.faults, "knowns": test.known} for test in tests],
         "isolability": isolability(tests, faults),
         "selected_tests": selected(tests, faults),
@@ -117,7 +135,7 @@ def _test(model: Model | Structure, structure: Structure, test: Support) -> dict
         "knowns": test.known,
         "states": test.states,
         "redundancy": redundancy(structure, test.equations),
-        "residuals": residuals(structure, test),
+        "residuals": residuals(structure, test) if test.number <= MANY_RESIDUALS else None,
         "obstacle": test.obstacle,
     }
     if isinstance(test, Test):

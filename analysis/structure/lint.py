@@ -19,7 +19,7 @@ from faultline.analysis.structure.decomposition import dulmage_mendelsohn
 from faultline.analysis.structure.matching import Matching
 from faultline.analysis.structure.placement import MANY_POSITIONS, place_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
-from faultline.analysis.structure.supports import Test, find_tests
+from faultline.analysis.structure.supports import Support, Test, find_tests
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,11 @@ class Finding:
     message: str
 
 
-def lint(model: Model) -> list[Finding]:
+def lint(model: Model, tests: Sequence[Support] | None = None) -> list[Finding]:
     """All findings of a model: its parts, its units, and the structure they make; errors first.
 
-    A model made in Python may break what a file is checked for when it loads; the first such thing is then the only
+    `tests` are those of the model; whether faults are in none that can be run is left open where none are given. A
+    model made in Python may break what a file is checked for when it loads; the first such thing is then the only
     finding.
     """
     undeclared = list(_undeclared(model))
@@ -47,7 +48,13 @@ def lint(model: Model) -> list[Finding]:
     elsewhere = {f"known.{name}" for name in _signals_elsewhere(model)}
     structural = [] if model.residuals else lint_structure(structure_of(model))
     structural = [finding for finding in structural if finding.place not in elsewhere]
-    found = [*_empty(model), *unit_findings(model), *_unused_parts(model), *structural, *_not_run(model)]
+    found = [
+        *_empty(model),
+        *unit_findings(model),
+        *_unused_parts(model),
+        *structural,
+        *_not_run(model, find_tests(model) if tests is None else tests),
+    ]
     return sorted(found, key=lambda finding: finding.severity)
 
 
@@ -58,7 +65,7 @@ def sound_model(path: str | Path) -> Model:
         ModelError: there is none, it is not valid, or it has a finding that is an error.
     """
     model = load_model(path)
-    for finding in lint(model):
+    for finding in lint(model, tests=()):  # which tests there are makes no error
         if finding.severity == "error":
             raise ModelError(f"{path}: {finding.place}: {finding.message}")
     return model
@@ -91,18 +98,17 @@ def _empty(model: Model) -> Iterator[Finding]:
             yield Finding("error", f"equation.{name}", f"{problem}; remove it, or write what it is about")
 
 
-def _not_run(model: Model) -> Iterator[Finding]:
+def _not_run(model: Model, tests: Sequence[Support]) -> Iterator[Finding]:
     """Faults that some test sees, but none of those that can be run."""
-    tests = find_tests(model)
     run = {fault for test in tests if isinstance(test, Test) for fault in test.faults}
     if tests and not run:
         problem = f"none can be run; {tests[0].name}: {tests[0].obstacle}"
         yield Finding("warning", "test", f"{problem} (--tests says it of every test)")
         return
     for fault in model.faults:
-        seeing = [test for test in tests if fault in test.faults]
+        seeing = next((test for test in tests if fault in test.faults), None)
         if seeing and fault not in run:
-            problem = f"no test that sees it can be run; {seeing[0].name}: {seeing[0].obstacle}"
+            problem = f"no test that sees it can be run; {seeing.name}: {seeing.obstacle}"
             yield Finding("warning", f"fault.{fault}", problem)
 
 
@@ -163,7 +169,6 @@ def _under_determined(structure: Structure) -> Iterator[tuple[str, str]]:
 def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
     """Faults in no redundant part, and the sensors that would change that."""
     parts = dulmage_mendelsohn(structure)
-    rows = structure.unknown_rows
     if not parts.over.equations:
         # A sensor is redundant where what it measures can be computed already: in M0, as M+ is empty.
         just = {name for component in parts.just for name in component.unknowns}
@@ -173,12 +178,15 @@ def _without_test(structure: Structure) -> Iterator[tuple[str, str]]:
         return
     if not structure.faults:
         yield "fault", "there is none, so no test is sensitive to a fault; let faults enter the equations they change"
-    with_sensor = {x: Matching([*rows, 1 << i]).over_determined() for i, x in enumerate(structure.unknowns)}
-    for fault in structure.faults:
+    over = set(structure.rows(parts.over.equations))
+    hidden = [fault for fault in structure.faults if structure.fault_rows[fault] not in over]
+    if not hidden:
+        return
+    matching, under = Matching(structure.unknown_rows), {*parts.under.unknowns}
+    with_sensor = {x: {*matching.over_determined_by(i)} for i, x in enumerate(structure.unknowns) if x not in under}
+    for fault in hidden:
         row = structure.fault_rows[fault]
-        if structure.equations[row] in parts.over.equations:
-            continue
-        helpful = [x for x, over in with_sensor.items() if row in over]
+        helpful = [x for x, rows in with_sensor.items() if row in rows]
         remedy = f"a sensor of {_some(helpful, 'or')} would give one" if helpful else "no single sensor would give one"
         yield f"fault.{fault}", f"is not detectable: no test contains {structure.equations[row]}; {remedy}"
 

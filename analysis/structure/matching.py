@@ -7,7 +7,9 @@ Sources: augmenting paths after Berge (1957); the over-determined part M+ after 
 alternating paths from unmatched rows reach.
 """
 
-from collections.abc import Iterator, Sequence
+import functools
+import operator
+from collections.abc import Iterable, Iterator, Sequence
 
 
 def bits(mask: int) -> Iterator[int]:
@@ -33,6 +35,7 @@ class Matching:
         self._rows = rows
         self._mate: dict[int, int] = {}  # row -> unknown
         self.owner: dict[int, int] = {}  # unknown -> row
+        self._owned = 0  # the matched unknowns, a bit each
         self.free = [row for row in range(len(rows)) if not self._augment(row)]
 
     @property
@@ -63,6 +66,10 @@ class Matching:
             return self._reached(free, path)
         free.remove(row)
         return self._reached(free)
+
+    def over_determined_by(self, x: int) -> list[int]:
+        """The rows that a sensor of an unknown which they determine would add to M+, or that are in it already."""
+        return self._reached([self.owner[x]])
 
     def _reached(self, free: Sequence[int], flipped: dict[int, int] | None = None) -> list[int]:
         """What alternating paths from `free` reach; `flipped` are unknowns with another owner than in this matching."""
@@ -98,12 +105,16 @@ class Matching:
         queue, seen = [start], 0
         for row in queue:  # grows
             new = self._rows[row] & ~seen
+            ready = new & ~self._owned
+            if ready:
+                low = ready & -ready
+                self._owned |= low
+                came[low.bit_length() - 1] = row
+                self._flip(low.bit_length() - 1, came)
+                return True
             seen |= new
             for x in bits(new):
                 came[x] = row
-                if x not in self.owner:
-                    self._flip(x, came)
-                    return True
                 queue.append(self.owner[x])
         return False
 
@@ -114,3 +125,36 @@ class Matching:
             x, row = following, came[following]
             following = self._mate.get(row)
             self.owner[x], self._mate[row] = row, x
+
+
+def equivalence_classes(rows: Sequence[int]) -> list[tuple[list[int], int]]:
+    """The classes of equivalent rows of M+, each with its private unknowns (a bit each), those in no other class.
+
+    Removing a row of a class takes its other rows out of M+ too (Krysander, Aslund and Nyberg 2008).
+    """
+    over = Matching(rows).over_determined()
+    part = [rows[row] for row in over]
+    matching = Matching(part)
+    left, found = dict.fromkeys(range(len(part))), []
+    while left:
+        remaining = set(matching.over_determined_without(next(iter(left))))
+        members = [i for i in left if i not in remaining]
+        for i in members:
+            del left[i]
+        inside, outside = (union(part[i] for i in chosen) for chosen in (members, remaining))
+        found.append(([over[i] for i in members], inside & ~outside))
+    return found
+
+
+def union(masks: Iterable[int]) -> int:
+    """The bits that are set in any of the masks."""
+    return functools.reduce(operator.or_, masks, 0)
+
+
+def transposed(rows: Sequence[int], chosen: int, unknowns: int) -> list[int]:
+    """For every unknown the chosen rows that contain it."""
+    columns = [0] * unknowns
+    for row in bits(chosen):
+        for x in bits(rows[row]):
+            columns[x] |= 1 << row
+    return columns

@@ -30,11 +30,11 @@ from faultline.analysis.structure.matching import Matching, bits
 
 Flags = NDArray[np.bool_]
 
-_PAIRS = 1 << 18
-"""Pairs of rows that are compared at once: what fits the cache."""
+_AT_ONCE = 1 << 15
+"""Numbers that are worked on at once: what fits the cache."""
 
 
-def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
+def minimal_sets(rows: Sequence[int], removable: Collection[int], most: int | None = None) -> Flags:
     """Sets of rows, (sets, rows), in the order of the search, which prefers to keep later removable rows.
 
     A set is over-determined, and removing any of its `removable` rows leaves none of these over-determined.
@@ -42,6 +42,7 @@ def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
     Args:
         rows: bit x of a row is set where unknown x occurs in it.
         removable: the numbers of these rows.
+        most: the search ends with so many sets; there may be more.
     """
     matching = Matching(rows)
     over = matching.over_determined()
@@ -53,17 +54,18 @@ def minimal_sets(rows: Sequence[int], removable: Collection[int]) -> Flags:
     sets = np.zeros((len(rows), 1), dtype=np.bool_)
     sets[over] = True
     if removals > 0:
-        found = _exact([rows[i] for i in over], np.array([i in removable for i in over]), removals, uncounted + 1)
+        may_go = np.array([i in removable for i in over])
+        found = _exact([rows[i] for i in over], may_go, removals, uncounted + 1, most)
         sets = np.zeros((len(rows), found.shape[1]), dtype=np.bool_)
         sets[over] = found
-    return np.ascontiguousarray(sets.T)
+    return np.ascontiguousarray(sets.T[:most])
 
 
-def _exact(rows: Sequence[int], removable: Flags, removals: int, surplus: int) -> Flags:
+def _exact(rows: Sequence[int], removable: Flags, removals: int, surplus: int, most: int | None) -> Flags:
     """The sets of this surplus, (rows, sets), after so many removals of a class from an over-determined part."""
     for seed in itertools.count():
         try:
-            sets = _search(null_vectors(rows, seed), removable, removals)
+            sets = _search(null_vectors(rows, seed), removable, removals, most)
         except UnluckyNumbersError:
             continue
         if np.all(sets.sum(axis=0) - _unknowns(rows, sets) == surplus):
@@ -96,37 +98,41 @@ class _Nodes(NamedTuple):
     allowed: Flags
 
 
-def _search(vectors: Field, removable: Flags, removals: int) -> Flags:
-    """The sets found, (rows, sets), for the rows' vectors, (coordinates, rows)."""
+def _search(vectors: Field, removable: Flags, removals: int, most: int | None) -> Flags:
+    """The first `most` sets found or some more, (rows, sets), for the rows' vectors, (coordinates, rows)."""
     whole = np.ones((1, vectors.shape[1]), dtype=np.bool_)
     order = np.argsort(~removable, kind="stable")  # classes come in the order of their first removable rows
     points = _affine(vectors[:, None, order], whole)
     # Equivalent rows stay so whatever is removed: from here on, the first of them acts for all.
-    first = _equal(points, whole)[0].argmax(axis=1)
+    first = _first(points, whole)[0]
     groups, group = np.unique(first, return_inverse=True)
     may_go = np.zeros(len(groups), dtype=np.bool_)
     may_go[group[: np.count_nonzero(removable)]] = True
     whole = whole[:, groups]
-    found = [whole[:0], *_removed(_Nodes(points[:, :, groups], whole, whole), may_go, removals)]
+    found, count = [whole[:0]], 0
+    for sets in _removed(_Nodes(points[:, :, groups], whole, whole), may_go, removals):
+        found.append(sets)
+        count += len(sets)
+        if most is not None and count >= most:
+            break
     return np.concatenate(found).T[group[np.argsort(order)]]
 
 
 def _removed(nodes: _Nodes, removable: Flags, removals: int) -> Iterator[Flags]:
     """What is left of the nodes after the removals, in order."""
-    same = _equal(nodes.points, nodes.alive)
-    first = same.argmax(axis=2)  # a class is known by its first group
+    first = _first(nodes.points, nodes.alive)  # a class is known by its first group
     chosen = np.zeros(nodes.alive.shape, dtype=np.bool_)
     for groups, may_go in ((nodes.alive & removable, True), (nodes.alive & removable & ~nodes.allowed, False)):
         node, group = np.nonzero(groups)
         chosen[node, first[node, group]] = may_go
     later = np.cumsum(chosen[:, ::-1], axis=1)[:, ::-1]
     node, group = np.nonzero(chosen & (later >= removals))
-    alive = nodes.alive[node] & ~same[node, group]
+    alive = nodes.alive[node] & (first[node] != group[:, None])
     if removals == 1:
         yield alive
         return
     allowed = (np.take_along_axis(chosen, first, axis=1) & nodes.alive)[node] & (first[node] > group[:, None])
-    size = max(1, _PAIRS // len(removable) ** 2)
+    size = max(1, _AT_ONCE // (removals * len(removable)))
     for at in range(0, len(node), size):
         part = slice(at, at + size)
         points = _projected(nodes.points, node[part], group[part], alive[part])
@@ -148,13 +154,25 @@ def _projected(points: Field, node: NDArray[np.intp], group: NDArray[np.intp], a
     return _affine(difference(points[:, node], points[:, node, group][:, :, None]), alive)
 
 
-def _equal(points: Field, alive: Flags) -> Flags:
-    """Which groups are at the same point, (nodes, groups, groups); a group that is not alive is with itself only."""
+def _first(points: Field, alive: Flags) -> NDArray[np.intp]:
+    """The first group at the same point, (nodes, groups), by number; a group that is not alive is with itself only."""
     nowhere = np.arange(alive.shape[1], dtype=np.uint64) + np.uint64(1 << 32)
-    key = np.where(alive, points[0], nowhere)
-    same: Flags = key[:, :, None] == key[:, None]
-    if len(points) > 1:  # whatever differs differs in the first coordinate already, but by accident
-        node, a, b = np.nonzero(same)
-        for coordinate in points[1:]:
-            same[node, a, b] &= (a == b) | (coordinate[node, a] == coordinate[node, b])
-    return same
+    # Whatever differs differs in the first coordinate already, but by accident.
+    first = _first_of_equal(np.where(alive, points[0], nowhere))
+    for coordinate in points[1:]:
+        there = np.where(alive, coordinate, nowhere)
+        if not np.array_equal(there, np.take_along_axis(there, first, axis=1)):
+            _, labels = np.unique(there, return_inverse=True)
+            first = _first_of_equal(first * there.size + labels.reshape(there.shape))
+    return first
+
+
+def _first_of_equal(keys: NDArray[np.generic]) -> NDArray[np.intp]:
+    """For every entry the place of the first equal one in its row, (rows, entries)."""
+    order = np.argsort(keys, axis=1, kind="stable")
+    sorted_keys = np.take_along_axis(keys, order, axis=1)
+    places = np.zeros(keys.shape, dtype=np.intp)
+    places[:, 1:] = np.where(sorted_keys[:, 1:] != sorted_keys[:, :-1], np.arange(1, keys.shape[1]), 0)
+    first = np.empty_like(order)
+    np.put_along_axis(first, order, np.take_along_axis(order, np.maximum.accumulate(places, axis=1), axis=1), axis=1)
+    return first

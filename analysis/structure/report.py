@@ -8,12 +8,11 @@ from faultline.analysis.structure.arguments import Arguments, arguments
 from faultline.analysis.structure.causality import residual_causality
 from faultline.analysis.structure.decomposition import dulmage_mendelsohn
 from faultline.analysis.structure.diagnosability import detectability, isolability_of
-from faultline.analysis.structure.document import CAUSALITIES, selected, sensor_sets
+from faultline.analysis.structure.document import CAUSALITIES, findings, selected, sensor_sets
 from faultline.analysis.structure.isolability import isolability, signature_matrix
-from faultline.analysis.structure.lint import lint, lint_structure
 from faultline.analysis.structure.placement import MANY_POSITIONS
 from faultline.analysis.structure.structure import Structure, over_determined, redundancy, structure_of
-from faultline.analysis.structure.supports import Support, Test, find_tests, mso_sets
+from faultline.analysis.structure.supports import Found, Support, Test, find_all
 
 SHOWN = 5
 """How many of many equally good sets are printed."""
@@ -22,17 +21,23 @@ MANY_TESTS = 100
 
 
 def report(
-    model: Model | Structure, *, computations: bool = False, positions: Mapping[str, float] | None = None
+    model: Model | Structure,
+    *,
+    computations: bool = False,
+    positions: Mapping[str, float] | None = None,
+    found: Found | None = None,
 ) -> str:
     """What an engineer reads first: counts, parts, tests, fault signatures, isolability, sensors, findings.
 
-    With `computations` also how every test is computed; `positions` are where sensors could be placed.
+    With `computations` also how every test is computed; `positions` are where sensors could be placed, `found` the
+    tests and MSO sets.
     """
-    tests = find_tests(model)
+    found = found or find_all(model)
+    tests = found.tests
     if isinstance(model, Model) and model.residuals:
         return _of_given_residuals(model, tests)
     structure = structure_of(model)
-    parts = [_counts(model, structure, tests), _classes(structure)]
+    parts = [_counts(model, structure, found), _classes(structure)]
     if tests:
         shown = tests if computations else tests[:MANY_TESTS]
         rest = [f"  and {len(tests) - len(shown)} more (--tests prints all)"] if len(shown) < len(tests) else []
@@ -41,14 +46,15 @@ def report(
             [*_test_table(structure, shown), *rest],
             [title, *_signatures(shown, structure.faults), *rest],
             *_isolability(structure),
-            _selections(tests, structure.faults),
+            [] if found.more_tests else _selections(tests, structure.faults),
         ]
     if structure.faults:
         parts.append(_placements(structure, positions))
     if computations:
         parts.extend(_computation(structure, test, model) for test in tests if isinstance(test, Test))
         parts.append(_obstacles(tests))
-    parts.append(_findings(model, structure))
+    told = findings(model, found)
+    parts.append(["Findings", *(f"  {f.severity}: {f.place}: {f.message}" for f in told)] if told else [])
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
@@ -71,10 +77,10 @@ def _verdict(others: Sequence[str]) -> str:
     return f"not isolable from {', '.join(others)}" if others else "isolable from every other fault"
 
 
-def _counts(model: Model | Structure, structure: Structure, tests: Sequence[Support]) -> list[str]:
+def _counts(model: Model | Structure, structure: Structure, found: Found) -> list[str]:
     differential = len(structure.differentials)
     part = over_determined(structure)
-    runnable = sum(isinstance(test, Test) for test in tests)
+    runnable = sum(isinstance(test, Test) for test in found.tests)
     form = "(integral causality, no algebraic loop)"
     return [
         model.name + (f": {model.description}" if model.description else "")
@@ -84,7 +90,9 @@ def _counts(model: Model | Structure, structure: Structure, tests: Sequence[Supp
         f"{differential} differential), {len(structure.unknowns)} unknowns, {len(structure.known)} known signals, "
         f"{len(structure.faults)} faults",
         f"redundancy {redundancy(structure, part)}; {len(part)} equations in the over-determined part",
-        f"{len(mso_sets(structure))} MSO sets, {len(tests)} tests (MTES), {runnable} of them can be run {form}",
+        f"{'more than ' * found.more_mso}{len(found.mso)} MSO sets, "
+        f"{'more than ' * found.more_tests}{len(found.tests)} tests (MTES), "
+        f"{runnable} of {'these' if found.more_tests else 'them'} can be run {form}",
     ]
 
 
@@ -165,11 +173,6 @@ def _placements(structure: Structure, positions: Mapping[str, float] | None) -> 
 
 def _more(count: int) -> list[str]:
     return [f"  and {count - SHOWN} more (--json has all)"] if count > SHOWN else []
-
-
-def _findings(model: Model | Structure, structure: Structure) -> list[str]:
-    found = lint(model) if isinstance(model, Model) else lint_structure(structure)
-    return ["Findings", *(f"  {f.severity}: {f.place}: {f.message}" for f in found)] if found else []
 
 
 def _computation(structure: Structure, test: Test, model: Model | Structure) -> list[str]:

@@ -3,9 +3,19 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 from faultline.analysis.model import Differential, Model, ModelError
-from faultline.analysis.structure.matching import Matching, bits
+from faultline.analysis.structure.matching import Matching, bits, equivalence_classes
+
+
+class Constraint(NamedTuple):
+    """A differential constraint: its row, and the unknowns that are its state and its derivative, all by number."""
+
+    row: int
+    state: int
+    derivative: int
 
 
 @dataclass(frozen=True)
@@ -25,14 +35,33 @@ class Structure:
     fault_rows: Mapping[str, int]
     differentials: Mapping[str, Differential]
 
+    @cached_property
+    def row(self) -> Mapping[str, int]:
+        """The row of every equation."""
+        return {name: row for row, name in enumerate(self.equations)}
+
+    @cached_property
+    def constraints(self) -> Mapping[int, Constraint]:
+        """The differential constraints by their rows, in order."""
+        number = {name: x for x, name in enumerate(self.unknowns)}
+        return {
+            row: Constraint(row, number[self.differentials[name].state], number[self.differentials[name].derivative])
+            for row, name in enumerate(self.equations)
+            if name in self.differentials
+        }
+
+    @cached_property
+    def classes(self) -> list[tuple[list[int], int]]:
+        """The equivalence classes of the over-determined part: rows, and private unknowns (a bit each)."""
+        return equivalence_classes(self.unknown_rows)
+
     def names(self, rows: int) -> tuple[str, ...]:
         """The equations in a set of rows."""
         return tuple(self.equations[row] for row in bits(rows))
 
     def rows(self, equations: Iterable[str]) -> tuple[int, ...]:
         """The rows of the named equations, in order."""
-        wanted = set(equations)
-        return tuple(row for row, name in enumerate(self.equations) if name in wanted)
+        return tuple(sorted({self.row[name] for name in equations if name in self.row}))
 
     def unknowns_in(self, equations: Iterable[str]) -> tuple[str, ...]:
         """The unknowns that occur in the equations, in the model's order."""

@@ -3,8 +3,9 @@
 The number of a test is that of the thesis, which numbers MTES ("MSO_2" there is t02 here).
 """
 
+import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,7 +14,8 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from faultline.analysis.model import Model
-from faultline.analysis.structure.causality import integral_residuals, solving_order
+from faultline.analysis.structure.causality import IntegralCausality, solving_order
+from faultline.analysis.structure.matching import bits, union
 from faultline.analysis.structure.minimal import minimal_sets
 from faultline.analysis.structure.structure import Structure, structure_of
 
@@ -50,28 +52,66 @@ class Test(Support):
     sequence: tuple[tuple[str, str], ...]
 
 
-def mso_sets(structure: Structure) -> list[tuple[str, ...]]:
-    """All minimal structurally over-determined sets of equations (Krysander, Aslund and Nyberg 2008), in order."""
-    return _named(structure.equations, minimal_sets(structure.unknown_rows, range(len(structure.equations))))
+MOST_SETS = 10_000
+"""Of each kind that are searched for: their number can grow exponentially with the redundancy."""
+
+Say = Callable[[str], None]
 
 
-def mtes_sets(structure: Structure) -> list[tuple[str, ...]]:
-    """All minimal test equation supports (Krysander, Aslund and Frisk 2010), in the thesis's order."""
-    return _named(structure.equations, minimal_sets(structure.unknown_rows, sorted({*structure.fault_rows.values()})))
+def mso_sets(structure: Structure, most: int | None = None) -> list[tuple[str, ...]]:
+    """All minimal structurally over-determined sets of equations (Krysander, Aslund and Nyberg 2008), in order.
+
+    The first `most` of them, if that is given.
+    """
+    return _named(structure.equations, minimal_sets(structure.unknown_rows, range(len(structure.equations)), most))
 
 
-def find_tests(model: Model | Structure) -> tuple[Support, ...]:
-    """All minimal test equation supports, numbered from 1; those that can be run are `Test` objects.
+def mtes_sets(structure: Structure, most: int | None = None) -> list[tuple[str, ...]]:
+    """All minimal test equation supports (Krysander, Aslund and Frisk 2010), in the thesis's order.
+
+    The first `most` of them, if that is given.
+    """
+    faulty = sorted({*structure.fault_rows.values()})
+    return _named(structure.equations, minimal_sets(structure.unknown_rows, faulty, most))
+
+
+def find_tests(model: Model | Structure, most: int = MOST_SETS, say: Say = lambda _: None) -> tuple[Support, ...]:
+    """The first `most` minimal test equation supports, numbered from 1; those that can be run are `Test` objects.
 
     A structure has no formulas: whether its equations have one solution only is then left open. Residuals of another
     tool are a test each, of the signal alone.
     """
     if isinstance(model, Model) and model.residuals:
         return tuple(_given(number, *each) for number, each in enumerate(model.residuals.items(), start=1))
-    structure = structure_of(model)
-    return tuple(
-        _support(model, structure, number, equations) for number, equations in enumerate(mtes_sets(structure), start=1)
-    )
+    say("searching for tests")
+    structure, supports = structure_of(model), _Supports(model)
+    found = minimal_sets(structure.unknown_rows, sorted({*structure.fault_rows.values()}), most)
+    tests = []
+    for number, flags in enumerate(found, start=1):
+        if number % 100 == 0:
+            say(f"test {number} of {len(found)}")
+        tests.append(supports.support(number, np.flatnonzero(flags).tolist()))
+    return tuple(tests)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """The tests and MSO sets of a model; `more_tests` or `more_mso` where there are more than were searched for."""
+
+    tests: tuple[Support, ...]
+    mso: list[tuple[str, ...]]
+    most: int
+    more_tests: bool
+    more_mso: bool
+
+
+def find_all(model: Model | Structure, most: int = MOST_SETS, say: Say = lambda _: None) -> Found:
+    """At most `most` tests and MSO sets of a model; residuals of another tool are of no such set."""
+    tests, mso = find_tests(model, most + 1, say), list[tuple[str, ...]]()
+    if isinstance(model, Structure) or not model.residuals:
+        say("searching for MSO sets")
+        mso = mso_sets(structure_of(model), most + 1)
+    return Found(tests=tests[:most], mso=mso[:most], most=most, more_tests=len(tests) > most, more_mso=len(mso) > most)
 
 
 def integral_tests(model: Model | Structure) -> tuple[Test, ...]:
@@ -95,91 +135,106 @@ def _given(number: int, signal: str, faults: tuple[str, ...]) -> Test:
     )
 
 
-def _support(model: Model | Structure, structure: Structure, number: int, equations: tuple[str, ...]) -> Support:
-    """A test if any minimal set within has one; with redundancy one there is only the support itself."""
-    obstacle = None
-    for chosen in _within(structure, equations):
-        found = _test(model, structure, number, chosen)
-        if isinstance(found, Test):
-            return found
-        obstacle = obstacle or found
-    return _describe(structure, number, equations, obstacle)
-
-
-def _within(structure: Structure, equations: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """The MSO sets with faults among the equations."""
-    rows = structure.rows(equations)
-    sets = minimal_sets([structure.unknown_rows[row] for row in rows], range(len(rows)))
-    return [chosen for chosen in _named(equations, sets) if structure.faults_in(chosen)]
-
-
 def _named(equations: Sequence[str], sets: NDArray[np.bool_]) -> list[tuple[str, ...]]:
     """The equations of every set, (sets, equations)."""
     flags, width = sets.tobytes(), len(equations)
     return [tuple(itertools.compress(equations, flags[at : at + width])) for at in range(0, len(flags), width)]
 
 
-def _describe(structure: Structure, number: int, equations: tuple[str, ...], obstacle: str | None) -> Support:
-    return Support(
-        number=number,
-        name=f"t{number:02d}",
-        equations=equations,
-        faults=structure.faults_in(equations),
-        known=structure.known_in(equations),
-        states=structure.states_in(equations),
-        obstacle=obstacle,
-    )
+class _Supports:
+    """What is known of a model while its supports are described one after the other."""
 
+    def __init__(self, model: Model | Structure) -> None:
+        self._model, self._structure = model, structure_of(model)
+        self._one_solution = functools.cache(self._has_one_solution)
+        self._signal = functools.cache(self._predicted)
+        self._integral = IntegralCausality(self._structure)
+        constraints = sorted(self._structure.constraints.values(), key=lambda c: c.state)
+        self._faults = [(fault, self._structure.fault_rows[fault]) for fault in self._structure.faults]
+        self._states = [(self._structure.unknowns[c.state], c.row) for c in constraints]
+        self._signals = {row: known for row, known in enumerate(self._structure.known_rows) if known}
 
-def _test(model: Model | Structure, structure: Structure, number: int, equations: tuple[str, ...]) -> Test | str:
-    """The test of an MSO set with the first residual equation that permits one, or why there is none."""
-    forward = integral_residuals(structure, equations)
-    if not forward:
-        return "no residual equation has integral causality"
-    obstacle = f"no sensor is predicted by {', '.join(forward)}, which alone have integral causality"
-    for residual in forward:
-        signal = _predicted(model, structure, residual)
-        if signal is None:
-            continue
-        order = solving_order(structure, equations, residual)
-        hindered = _hindered(model, order)
-        if hindered is None:
-            sequence = tuple(component[0] for component in order)
-            support = _describe(structure, number, equations, obstacle=None)
-            return Test(**vars(support), residual=residual, predicts=signal, sequence=sequence)
-        obstacle = f"with residual {residual}, {hindered}"
-    return obstacle
+    def support(self, number: int, rows: Sequence[int]) -> Support:
+        """A test if any minimal set within has one; with redundancy one there is only the support itself."""
+        obstacle = None
+        for chosen in self._within(rows):
+            found = self._test(number, chosen)
+            if isinstance(found, Test):
+                return found
+            obstacle = obstacle or found
+        return self._described(number, rows, obstacle)
 
+    def _within(self, rows: Sequence[int]) -> list[list[int]]:
+        """The MSO sets with faults among the rows."""
+        masks = [self._structure.unknown_rows[row] for row in rows]
+        if len(rows) - union(masks).bit_count() == 1:
+            return [[*rows]]
+        sets = ([*itertools.compress(rows, flags)] for flags in minimal_sets(masks, range(len(rows)), MOST_SETS))
+        faulty = {*self._structure.fault_rows.values()}
+        return [chosen for chosen in sets if not faulty.isdisjoint(chosen)]
 
-def _hindered(model: Model | Structure, order: list[list[tuple[str, str]]]) -> str | None:
-    """What stands against solving the equations in this order, each for its variable and with one solution only."""
-    for component in order:
-        if len(component) > 1:
-            return f"{', '.join(e for e, _ in component)} are an algebraic loop of {', '.join(v for _, v in component)}"
-        [(equation, variable)] = component
-        if isinstance(model, Model) and not _has_one_solution(model, equation, variable):
-            return f"{equation} cannot be solved for {variable} with one solution only"
-    return None
+    def _described(self, number: int, rows: Sequence[int], obstacle: str | None) -> Support:
+        structure, inside = self._structure, {*rows}
+        known = union(mask for row, mask in self._signals.items() if row in inside)
+        return Support(
+            number=number,
+            name=f"t{number:02d}",
+            equations=tuple([structure.equations[row] for row in rows]),
+            faults=tuple([fault for fault, row in self._faults if row in inside]),
+            known=tuple(structure.known[z] for z in bits(known)),
+            states=tuple([state for state, row in self._states if row in inside]),
+            obstacle=obstacle,
+        )
 
+    def _test(self, number: int, rows: Sequence[int]) -> Test | str:
+        """The test of an MSO set with the first residual equation that permits one, or why there is none."""
+        forward = [self._structure.equations[row] for row in self._integral.residuals(rows)]
+        if not forward:
+            return "no residual equation has integral causality"
+        obstacle = f"no sensor is predicted by {', '.join(forward)}, which alone have integral causality"
+        for residual in forward:
+            signal = self._signal(residual)
+            if signal is None:
+                continue
+            order = solving_order(self._structure, [self._structure.equations[row] for row in rows], residual)
+            hindered = self._hindered(order)
+            if hindered is None:
+                sequence = tuple(component[0] for component in order)
+                support = self._described(number, rows, obstacle=None)
+                return Test(**vars(support), residual=residual, predicts=signal, sequence=sequence)
+            obstacle = f"with residual {residual}, {hindered}"
+        return obstacle
 
-def _has_one_solution(model: Model, equation: str, variable: str) -> bool:
-    """Whether the equation is linear in the variable: then it has one solution, with anything else it may have more."""
-    slope = sp.diff(model.expression(equation, with_fault=True), sp.Symbol(variable))
-    return bool(slope != 0 and not slope.has(sp.Symbol(variable)))
-
-
-def _predicted(model: Model | Structure, structure: Structure, equation: str) -> str | None:
-    """What a sensor equation predicts: its only signal, or the first of an equation without unknowns.
-
-    It must have a constant factor; without formula, an equation of one unknown is taken for a sensor's.
-    """
-    signals, unknowns = structure.known_in([equation]), structure.unknowns_in([equation])
-    if len(signals) != 1 and unknowns:
+    def _hindered(self, order: list[list[tuple[str, str]]]) -> str | None:
+        """What stands against solving the equations in this order, each for its variable and with one solution only."""
+        for component in order:
+            if len(component) > 1:
+                equations, variables = (", ".join(names) for names in zip(*component, strict=True))
+                return f"{equations} are an algebraic loop of {variables}"
+            [(equation, variable)] = component
+            if not self._one_solution(equation, variable):
+                return f"{equation} cannot be solved for {variable} with one solution only"
         return None
-    if isinstance(model, Structure):
-        return signals[0] if signals and len(unknowns) <= 1 else None
-    for signal in signals:
-        slope = sp.diff(model.expression(equation, with_fault=False), sp.Symbol(signal))
-        if slope.is_number and slope != 0:
-            return signal
-    return None
+
+    def _has_one_solution(self, equation: str, variable: str) -> bool:
+        """Whether the equation is linear in the variable: it has one solution then, and may have more otherwise."""
+        if isinstance(self._model, Structure):
+            return True
+        slope = sp.diff(self._model.expression(equation, with_fault=True), sp.Symbol(variable))
+        return bool(slope != 0 and not slope.has(sp.Symbol(variable)))
+
+    def _predicted(self, equation: str) -> str | None:
+        """What a sensor equation predicts: its only signal, or the first of an equation without unknowns.
+
+        It must have a constant factor; without formula, an equation of one unknown is taken for a sensor's.
+        """
+        signals, unknowns = self._structure.known_in([equation]), self._structure.unknowns_in([equation])
+        if len(signals) != 1 and unknowns:
+            return None
+        if isinstance(self._model, Structure):
+            return signals[0] if signals and len(unknowns) <= 1 else None
+        for signal in signals:
+            slope = sp.diff(self._model.expression(equation, with_fault=False), sp.Symbol(signal))
+            if slope.is_number and slope != 0:
+                return signal
+        return None

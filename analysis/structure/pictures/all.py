@@ -1,5 +1,7 @@
 """All pictures of a model."""
 
+from collections.abc import Sequence
+
 from matplotlib.figure import Figure
 
 from faultline.analysis.model import Model
@@ -15,18 +17,18 @@ from faultline.analysis.structure.pictures import (
     drawn,
 )
 from faultline.analysis.structure.structure import Structure, structure_of
-from faultline.analysis.structure.supports import Test, find_tests
+from faultline.analysis.structure.supports import Support, Test, find_tests
 
 MANY_ROWS, MANY_GRAPHS = 120, 40
 
 
-def draw_all(model: Model | Structure, name: str) -> dict[str, bytes]:
+def draw_all(model: Model | Structure, name: str, tests: Sequence[Support] | None = None) -> dict[str, bytes]:
     """Draws structure, decomposition, isolability, fault signatures and the graph of every test that can be run.
 
     Each is an SVG and a PNG with the model's `name`; their content by file name. Pictures that would show nothing are
     left out. Of many tests the first are drawn, those that can be run before others: a longer picture nobody reads.
     """
-    structure, tests = structure_of(model), find_tests(model)
+    structure, tests = structure_of(model), find_tests(model) if tests is None else tests
     figures: dict[str, Figure] = {
         "structure": draw_model(structure, name),
         "decomposition": draw_decomposition(structure, dulmage_mendelsohn(structure), name),
