@@ -121,7 +121,14 @@ def _band(table: Table, key: str) -> tuple[float, float]:
     raise table.fail(key, "give the lowest and the highest frequency, as in [1.0, 9.0]")
 
 
-def is_measured(bench: object, signals: Collection[str]) -> bool:
-    """Whether no role of this table is of another signal than `signals`: a model may have fewer than its system."""
-    roles = [bench.get(role) for role in ROLES] if isinstance(bench, dict) else []
-    return all(role in signals for role in roles if isinstance(role, str))
+def of_variant(bench: object, signals: Collection[str], parameters: Collection[str]) -> dict[str, object]:
+    """The system's bench as a further model of it has it: none without a role's signal, and its own parameters alone.
+
+    Such a model may have fewer sensors, or a barometer instead of a constant.
+    """
+    table = bench if isinstance(bench, dict) else {}
+    if any(isinstance(role := table.get(name), str) and role not in signals for name in ROLES):
+        return {}
+    ambient = table.get("ambient")
+    own = {"ambient": [name for name in ambient if name in parameters]} if isinstance(ambient, list) else {}
+    return {"bench": {**table, **own}} if table else {}

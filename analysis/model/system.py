@@ -19,7 +19,7 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from faultline.analysis.model.bench import is_measured
+from faultline.analysis.model.bench import of_variant
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.model import EDGE, ONE_MODE, Known, Mode, OperatingModes
 from faultline.analysis.model.tables import Table, first_repeated
@@ -60,8 +60,9 @@ def with_system(model: Mapping[str, object], where: str, file: Path, *, whole: b
             raise top.fail(
                 key, f"unknown key; allowed here are {', '.join(('schema', 'signal', *OF_FAULTS, *OF_SYSTEM))}"
             )
-    if not whole and not is_measured(rest.get("bench"), signals):
-        del rest["bench"]
+    if not whole:
+        parameters = model.get("parameter")
+        rest |= of_variant(rest.pop("bench", None), signals, parameters if isinstance(parameters, dict) else ())
     return {**model, **rest, "known": signals, **faults}
 
 

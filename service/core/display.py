@@ -1,14 +1,16 @@
 """The units in which people read the quantities of a system, as its bundle says them."""
 
 from collections.abc import Sequence
-from typing import Annotated, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
-Value = TypeVar("Value", float, npt.NDArray[np.float64])
+if TYPE_CHECKING:  # processes that only forward do without numpy
+    import numpy as np
+    import numpy.typing as npt
+
+Value = TypeVar("Value", float, "npt.NDArray[np.float64]")
 
 SMALL = 0.04
 """In parts of a unit: what stays below is read in a finer one, where there is one."""

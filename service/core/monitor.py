@@ -13,7 +13,7 @@ from faultline.service.core.residuals.generators import GeneratorBank
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
-from faultline.service.core.signals.received import Signals
+from faultline.service.core.signals.received import Received, Signals
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import Qualities
 
@@ -72,10 +72,14 @@ class Monitor:
         t_s = None
         for piece in signals.pieces():
             t_s = piece.last_s
-            for tick in self._observer.take(piece):
-                yield from self._decide([tick])
+            yield from self.piece(piece)
         if t_s is not None:
             yield from self.advance(t_s)
+
+    def piece(self, piece: Received) -> Iterator[Event]:
+        """Yield the events of the next piece of a log's signals, but for what its last instant may still hold."""
+        for tick in self._observer.take(piece):
+            yield from self._decide([tick])
 
     def rename(self, bundle_id: str) -> None:
         """Go on under another compatible bundle (`core.compatibility`)."""

@@ -20,6 +20,7 @@ from faultline.service.core.records.event import Event
 from faultline.service.core.records.health import Condition, Kind
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.decode import DecodeTable, Wanted, whole_group
+from faultline.service.core.signals.received import Received
 from faultline.service.core.signals.traffic import EXPECTED_S, Traffic
 from faultline.service.logs import Frame
 
@@ -103,6 +104,12 @@ class Pipeline:
             yield from self._monitor.frame(self._log_time(frame.t), frame.can_id, frame.is_extended, frame.data, bus)
         if frames:
             self._note(frames[-1].t)
+
+    def take(self, piece: Received) -> Iterator[Event]:
+        """Take the next piece of a log's signals, from time 0 on; yield the events of the ticks before its end."""
+        self._start = self._begun = 0.0
+        yield from self._monitor.piece(piece)
+        self._note(piece.last_s)
 
     def silence(self, until: float) -> list[Event]:
         """Advance to the monotonic time `until` [s] without frames; return the events."""

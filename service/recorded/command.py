@@ -35,7 +35,7 @@ def served(
         say(f"{path}: {log.report.summary()}")
     recording = Recording(log, path, bundle, say, _Progress(log.duration_s, say))
     strangers = bundle.table.strangers()
-    if recording.history.latest is None or not any(bundle.table.taken.values()):
+    if recording.history.latest is None or not (log.values or any(bundle.table.taken.values())):
         signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
         remedy = "; ".join(["give a log of this bundle's vehicle", *strangers])
         raise InputError(f"{path}: never has all of {signals}; {remedy}")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.records.event import Event
+from faultline.service.core.signals.received import Signals
 from faultline.service.daemon.config import MemoryConfig
 from faultline.service.daemon.control_server import ControlServer, page_of, page_with
 from faultline.service.daemon.fault_recorder import FaultRecorder
@@ -52,7 +53,10 @@ class Recording:
         self._fault_recorder = FaultRecorder(
             sequencer, self._journal, [self._line], memory, memory.frame_s, "", 0.0, say, standing=list[str]
         )
-        self._diagnose(progress)
+        if log.values is None:
+            self._diagnose(progress)
+        else:
+            self._diagnose_signals(log.signals(bundle.table), progress)
         self.answers = _Answers(self._fault_recorder, self._journal, log.id, self)
 
     def _diagnose(self, progress: Callable[[float], None]) -> None:
@@ -62,6 +66,15 @@ class Recording:
             for bus, group in groupby(tagged, key=itemgetter(0)):
                 self._take(kept, list(kept.hear([frame for _, frame in group], bus)))
             progress(self._bus.now)
+        self._take(kept, kept.silence(self._bus.now + LAG_S))
+
+    def _diagnose_signals(self, signals: Signals, progress: Callable[[float], None]) -> None:
+        """The same of signals that are in a table, alone or beside frames."""
+        [kept] = self._line.bundles
+        for piece in signals.pieces():
+            self._bus.now = piece.last_s
+            self._take(kept, list(kept.take(piece)))
+            progress(piece.last_s)
         self._take(kept, kept.silence(self._bus.now + LAG_S))
 
     def _noted(self, frames: Iterable[tuple[str, Frame]]) -> Iterator[Frame]:
