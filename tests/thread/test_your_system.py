@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -75,6 +76,11 @@ def named(said: Path) -> bool:
     return any([d["faults"] for d in line.get("diagnoses", []) if d["rank"] == 1] == [[LEAK]] for line in lines)
 
 
+def is_listening(port: int) -> bool:
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) == 0
+
+
 def fetched(port: int, path: str) -> Any:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}", timeout=30) as answer:
         return json.loads(answer.read())
@@ -82,13 +88,13 @@ def fetched(port: int, path: str) -> Any:
 
 @pytest.mark.alone
 def test_the_service_names_it_from_a_bus(followed: Path) -> None:
-    bus, socket = multicast(), followed / "s"
+    bus, place = multicast(), followed / "s"
     told = {words[1]: words[1:] for words in commands(marked=True)}
     subprocess.run([FAULTLINE, *told["rig"]], cwd=followed, check=True, capture_output=True)
     run, replay = ([bus if word.startswith("udp") else word for word in told[name]] for name in ("run", "replay"))
-    run[run.index("--socket") + 1] = str(socket)
+    run[run.index("--socket") + 1] = str(place)
     with running([FAULTLINE, *run], followed) as said:
-        waited_for(socket.exists, "socket")
+        waited_for(place.exists, "socket")
         subprocess.run([FAULTLINE, *replay], cwd=followed, check=True)
         waited_for(lambda: named(said), f"{LEAK} in {said}")
 
@@ -98,10 +104,10 @@ def test_the_page_in_a_browser_has_the_tanks_own_words(followed: Path) -> None:
     port = free_port()
     serve = next(words[1:] for words in commands(marked=True) if words[1] == "serve")
     serve = [word for word in serve if word != "--open"]
-    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed) as said:
-        waited_for(lambda: str(port) in said.read_text(), "page")
+    with running([FAULTLINE, *serve, "--listen", f"127.0.0.1:{port}"], followed):
+        waited_for(lambda: is_listening(port), "page")
         system = fetched(port, "v1/systems/three_tank")
-        assert [signal["name"] for signal in system["signals"]] == ["u", "y1", "y2", "y3"]
+        assert [channel["signal"] for channel in system["inputs"]] == ["u", "y1", "y2", "y3"]
         assert not re.search("dose|dosing|urea|DEF", json.dumps(system))
         faults = fetched(port, "v1/components/three_tank/faults")
         assert LEAK in json.dumps(faults)
