@@ -14,7 +14,7 @@ MOST_BAD = 0.05
 FEW = 20
 """More bad rows than these, as a share and a number, are no accidents."""
 SET_BACK = 20
-SHORTEST_S, LONGEST_S = 5e-4, 5.0  # between two rows of a logger
+SHORTEST_S, LONGEST_S = 5e-4, 60.0  # between two rows of a logger
 """So many rows in a row before the latest time, in order among themselves, are a clock that was set."""
 
 

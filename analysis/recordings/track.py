@@ -10,9 +10,10 @@ import numpy.typing as npt
 from faultline.service.core.signals.received import Signals
 from faultline.service.core.signals.values import FloatArray, are_good
 
-SILENT_S = 1.0
+SILENT_S, MOST_PERIODS = 1.0, 20.0
 SILENT_PERIODS = 5.0
-"""Samples further apart than this many periods, and at least `SILENT_S`, have a gap between them."""
+"""Samples further apart than this many periods have a gap between them; up to `SILENT_S` only from `MOST_PERIODS` on,
+as a fast logger may be held up."""
 
 Mask = npt.NDArray[np.bool_]
 
@@ -35,7 +36,8 @@ class Track(NamedTuple):
 
     def pieces(self) -> list["Track"]:
         """The track cut at its gaps."""
-        wide = np.flatnonzero(np.diff(self.t) > max(SILENT_S, SILENT_PERIODS * self.period_s)) + 1
+        least_s = max(min(SILENT_S, MOST_PERIODS * self.period_s), SILENT_PERIODS * self.period_s)
+        wide = np.flatnonzero(np.diff(self.t) > least_s) + 1
         return [Track(*part) for part in zip(np.split(self.t, wide), np.split(self.value, wide), strict=True)]
 
     def at(self, t: FloatArray) -> FloatArray:
