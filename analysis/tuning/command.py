@@ -1,6 +1,7 @@
 """Set thresholds and ranking evidence from fault-free recordings."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,6 +64,8 @@ def main(argv: list[str]) -> int:
             given = Given(also=also, target=options.target, kinds=kinds, claim=True)
             tuning = tune(runnable, options.recording, progress, given)
     write_file(options.out, msgspec.json.encode(tuning))
+    for line in runnable.bank.notes() if options.json else []:
+        print(line, file=sys.stderr)
     print(msgspec.json.encode(tuning.detectors).decode() if options.json else _table(runnable, tuning, options.out))
     return 0
 
