@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.provenance import check_vehicle
+from faultline.analysis.calibration.provenance import check_id, check_vehicle
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
 from faultline.service.core.errors import InputError
@@ -72,6 +72,7 @@ def load_samples(
         log = open_for(model, path, say)
         if log.drive in digests:
             raise InputError(f"{path}: this recording is named twice; name it once")
+        check_id(log, path, (stretch.recording for stretch in stretches))
         if vehicle is not None:
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle

@@ -10,7 +10,7 @@ import msgspec
 from faultline.analysis.calibration.fit import fit
 from faultline.analysis.calibration.identify import identify
 from faultline.analysis.calibration.problem import Nuisance
-from faultline.analysis.calibration.provenance import check_vehicle, entry, vehicle_of
+from faultline.analysis.calibration.provenance import check_id, check_vehicle, entry, vehicle_of
 from faultline.analysis.calibration.pulses import pulses
 from faultline.analysis.calibration.report import Report, draw, page, report, sentences
 from faultline.analysis.calibration.sections import Section, cut, known_tracks
@@ -86,6 +86,10 @@ class _Data:
     """The recordings' sections for a model's system, those to fit and the rest."""
 
     def __init__(self, model: Model, fitted: Sequence[Path], others: Sequence[Path], progress: Progress) -> None:
+        if model.residuals:
+            raise InputError(
+                f"{model.name}: residuals of another tool have no parameters; `faultline tune` takes it as it is"
+            )
         if not model.calibrated:
             raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
         self.system = system_of(model, model.calibrated)
@@ -96,6 +100,7 @@ class _Data:
             log = open_for(model, path, progress.note)
             if log.drive in (other.drive for other in self.logs):
                 raise InputError(f"{path}: this recording is given twice; validate on recordings that are not fitted")
+            check_id(log, path, tracks)
             self.logs.append(log)
             check_vehicle(log, path, self.vehicle, str(fitted[0]))
             check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")

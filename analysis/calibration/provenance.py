@@ -1,6 +1,6 @@
 """What a calibrated model says of the recordings that it was calibrated on, or that its effects were discovered in."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from faultline.analysis.model import Model
@@ -38,6 +38,14 @@ def vehicle_of(model: Model) -> str | None:
     """The vehicle that the model was last calibrated for, or its effects were last discovered on, if it says so."""
     named = [entry["vehicle"] for entry in model.provenance if entry.get("command") in USED and "vehicle" in entry]
     return str(named[-1]) if named else None
+
+
+def check_id(log: Log, path: Path, others: Iterable[str]) -> None:
+    """Raises InputError if the log's id is among the others': what is found is kept and told by it."""
+    if log.id in set(others):
+        raise InputError(
+            f"{path}: id {log.id!r} is another recording's too; give each one of its own in recording.toml"
+        )
 
 
 def check_vehicle(log: Log, path: Path, expected: str | None, what: str) -> None:

@@ -131,10 +131,12 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     for recording, by_output in r.agreement.items():
         lines.append(f"free run over {recording}: RMS error, and over how the channel flickers by itself")
         modes = list(dict.fromkeys(mode for by_mode in by_output.values() for mode in by_mode))
-        lines.append(f"  {'':<14}" + "".join(f"{mode:>18}" for mode in modes))
+        lines.append(f"  {'':<14}" + "".join(f" {mode:>20}" for mode in modes))
         for name, by_mode in by_output.items():
             told = {mode: f"{_number(a.rms)} ({_times_floor(a) or 'too short'})" for mode, a in by_mode.items()}
-            lines.append(f"  {name + f' [{known[name].unit}]':<14}" + "".join(f"{told.get(m, '-'):>18}" for m in modes))
+            lines.append(
+                f"  {name + f' [{known[name].unit}]':<14}" + "".join(f" {told.get(m, '-'):>20}" for m in modes)
+            )
     if r.pulses is not None:
         lines += of_pulses(r.pulses)
     return lines

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faultline.analysis.calibration.provenance import check_vehicle, recordings_of, vehicle_of
+from faultline.analysis.calibration.provenance import check_id, check_vehicle, recordings_of, vehicle_of
 from faultline.analysis.calibration.sections import Section, sections
 from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.model import Model, dump_model
@@ -89,6 +89,7 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
             raise InputError(
                 f"{path}: {model.name} was made from this recording, so it is no evidence; hold another one out"
             )
+        check_id(log, path, (other.id for other, _ in found))
         logs[log.drive] = path
         first = found[0][0] if found else log
         check_vehicle(log, path, first.recording.vehicle if first.recording else None, str(training[0]))

@@ -38,7 +38,8 @@ def parse_expression(text: str, names: Collection[str], place: str, curves: Curv
         raise ModelError(f"{place}: {len(text)} characters; split formulas longer than {MAXIMUM_LENGTH}")
     good = _CHARACTERS.match(text)
     if good and good.end() < len(text):
-        raise ModelError(f"{place}: character {text[good.end()]!r} has no place in a formula: {_short(text)}")
+        power = "; a power is written **" if text[good.end()] == "^" else ""
+        raise ModelError(f"{place}: character {text[good.end()]!r} has no place in a formula: {_short(text)}{power}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about literals like `1or`, which are refused below

@@ -305,9 +305,10 @@ def _map(column: str, unit: str) -> str:
 
 
 def _id(file: Path, folder: Path) -> str:
-    """The name of the recording: the file's, or that of a folder where the file's tells nothing."""
-    stem = file.name.partition(".")[0]
-    name = folder.resolve().name if stem.lower() in GENERAL or folder.resolve() != file.parent.resolve() else stem
+    """The name of the recording: its folder's, as files of many have one name; the file's where that tells nothing."""
+    name = folder.resolve().name
+    if name.lower() in GENERAL and folder.resolve() == file.parent.resolve():
+        name = file.name.partition(".")[0]
     return re.sub(r"[^A-Za-z0-9._+-]+", "-", name).strip("-._+") or f"{MARK}: a name that no other recording has"
 
 

@@ -106,6 +106,8 @@ def with_units(log: Log) -> Log:
 
 def _in_si(unit: str) -> str:
     plain = plain_unit(unit)
+    if plain in SI:
+        return plain
     return UNITS[plain][0] if plain in UNITS else next((si for si in SI if conversion(unit, si)), plain)
 
 

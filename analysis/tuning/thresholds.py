@@ -70,7 +70,7 @@ class Seen:
 
 def more_of(mode: int) -> str:
     """What a drive does to show more of a mode; nothing stays at an edge."""
-    return "with more steps of the inputs" if mode == EDGE else "that stays in it"
+    return "with more steps of the inputs, or lower those of [edges]" if mode == EDGE else "that stays in it"
 
 
 def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeScale) -> Seen:

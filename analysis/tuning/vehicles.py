@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.provenance import check_vehicle, vehicle_of
+from faultline.analysis.calibration.provenance import check_id, check_vehicle, vehicle_of
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.check import findings
@@ -80,6 +80,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         twice = "twice" if log.drive in {drive.sha256 for drive in drives} else None
         if (how := used.get(log.drive, used.get(log.sha256, twice))) is not None:
             raise InputError(f"{path}: this recording is used {how}; tune on fault-free recordings of their own")
+        check_id(log, path, (drive.seen.name for drive in drives))
         check_vehicle(log, path, vehicle_of(model), f"the calibration of {model.name}")
         if runnable.networks:
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")

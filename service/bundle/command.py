@@ -161,7 +161,10 @@ def _summary(bundle: Bundle) -> str:
     if m.origin.base is not None:
         whose = "" if m.claim is None else ", whose claim this is"
         lines.append(f"adapted to this vehicle from the tuning {m.origin.base[:12]} of others{whose}")
-    lines += ["", *(f"{fault.name:<9} {fault.component}: {fault.description}" for fault in m.faults)]
+    lines += [
+        "",
+        *(f"{fault.name:<9} {': '.join(filter(None, (fault.component, fault.description)))}" for fault in m.faults),
+    ]
     lines += ["", "equations, near which an unknown fault may be:"]
     disturbing = {each.equation: f"; {each.name}: {each.description}" for each in m.disturbances}
     lines += [f"{e.name:<9} {e.description}{disturbing.get(e.name, '')}" for e in m.equations]

@@ -42,7 +42,8 @@ def conversion(given: str, wanted: str) -> Conversion | None:
     found = by_table(given, wanted)
     if found is not None or find_spec("pint") is None:
         return found
-    return _by_library(plain_unit(given), wanted) or _by_library(plain_unit(given).lower(), wanted)
+    written = plain_unit(given)
+    return _by_library(written if _is_unit(written) else written.lower(), wanted)
 
 
 @cache
@@ -50,6 +51,18 @@ def _registry() -> Any:
     import pint
 
     return pint.UnitRegistry()
+
+
+@cache
+def _is_unit(text: str) -> bool:
+    """Whether this is a unit as it is written; A is, and is no year (a)."""
+    import pint
+
+    try:
+        _parsed(text)
+    except (pint.PintError, *_NO_UNIT):
+        return False
+    return True
 
 
 @cache

@@ -1,6 +1,6 @@
 """Text of records of the event socket."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import msgspec
@@ -79,7 +79,7 @@ def describe(event: Event, faults: Mapping[str, Fault], equations: Mapping[str, 
         head += f", evidence since {since:.1f} s"
     if event.intermittent:
         head += ", comes and goes"
-    lines = [head, *(_candidate(diagnosis, faults, equations or {}) for diagnosis in event.diagnoses)]
+    lines = [head, *(_candidate(diagnosis, faults, equations or {}) for diagnosis in by_likelihood(event.diagnoses))]
     if not event.diagnoses:
         lines.append(_nothing(event))
     if event.alarm:
@@ -149,6 +149,11 @@ def _nothing(event: Event) -> str:
     return "no fault so far: every test is quiet"
 
 
+def by_likelihood(diagnoses: Iterable[Diagnosis]) -> list[Diagnosis]:
+    """Return diagnoses as people read them: by rank, those of one rank with the more probable first."""
+    return sorted(diagnoses, key=lambda each: (each.rank, -(each.p or 0.0)))
+
+
 def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Mapping[str, Equation]) -> str:
     likelihood = "" if diagnosis.p is None else f", p = {diagnosis.p:.3f}"
     if not diagnosis.faults:
@@ -161,4 +166,4 @@ def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Map
 
 
 def _meaning(fault: Fault | None) -> str:
-    return f" ({fault.component}: {fault.description})" if fault else ""
+    return f" ({': '.join(filter(None, (fault.component, fault.description)))})" if fault else ""

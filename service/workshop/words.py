@@ -2,7 +2,7 @@
 
 from faultline.service.core.records.discrimination import Separation
 from faultline.service.core.records.event import Diagnosis
-from faultline.service.protocol.live import SystemDescription
+from faultline.service.protocol.live import FaultMeaning, SystemDescription
 from faultline.service.workshop.cycle import Cycle
 from faultline.service.workshop.hindrance import hindrances, instead
 from faultline.service.workshop.verdict import Candidate, Kind, named
@@ -79,11 +79,16 @@ def _short(system: SystemDescription, diagnosis: Diagnosis) -> str:
     return names if diagnosis.p is None else f"{names} ({diagnosis.p:.0%})"
 
 
+def _meaning(fault: FaultMeaning) -> str:
+    where = ", ".join(filter(None, (fault.component, fault.place)))
+    return ": ".join(filter(None, (where, fault.description)))
+
+
 def candidate_line(candidate: Candidate) -> str:
     """Return an explanation in one line."""
     names = " and ".join(
         each.name
-        + (f" ({', '.join(filter(None, (each.component, each.place)))}: {each.description})" if each.component else "")
+        + (f" ({_meaning(each)})" if each.component else "")
         + (f" SPN {each.spn}" if each.spn is not None else "")
         + (f" FMI {each.fmi}" if each.fmi is not None else "")
         for each in candidate.faults

@@ -114,7 +114,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         made_for=manifest.origin.vehicle,
         model=manifest.origin.model,
         simulated=all(is_simulated(one.given.recording.source) for one in of),
-        faults={fault.name: f"{fault.component}: {fault.description}" for fault in manifest.faults},
+        faults={fault.name: ": ".join(filter(None, (fault.component, fault.description))) for fault in manifest.faults},
         modes={mode.name: mode.description for mode in manifest.modes.steady},
         mode_hours={
             m: round(float(n) * manifest.period_s / 3600.0, 4) for m, n in zip(manifest.modes.names, modes, strict=True)

@@ -55,7 +55,7 @@ export function candidate(system, diagnosis) {
 
 export function fault(system, name) {
   const known = system.faults.find((each) => each.name === name);
-  return known ? `${known.component}${known.place ? ` (${known.place})` : ""}: ${known.description}` : name;
+  return known ? [`${known.component}${known.place ? ` (${known.place})` : ""}`, known.description].filter(Boolean).join(": ") : name;
 }
 
 export function component(system, name) {

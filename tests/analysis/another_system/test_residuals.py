@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.evaluation.command import main as evaluate
 from faultline.analysis.export import main as export
 from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
@@ -87,6 +88,13 @@ def test_the_file_is_read_as_it_is_written(boiler: Boiler) -> None:
     model = load_model(boiler.system)
     assert model.residuals == {"r1": ("f_pump", "f_sensor"), "r2": ("f_pump", "f_valve"), "r3": ("f_valve",)}
     assert parse_model(dump_model(model), "again") == model
+
+
+def test_there_is_nothing_to_calibrate(boiler: Boiler, tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"boiler: residuals of another tool have no parameters; `faultline tune` takes"
+    ):
+        calibrate([str(boiler.system), str(boiler.folder / "sound-0"), "--out", str(tmp_path / "calibrated.toml")])
 
 
 def test_the_system_says_more_of_listed_faults(boiler: Boiler, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -135,6 +136,15 @@ def test_a_recording_given_twice_is_refused(made: Made, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"holds-3: this recording is given twice; validate on recordings that"):
             calibrate([str(made.model), *command, "--out", str(out)])
     assert not out.exists()
+
+
+def test_two_recordings_of_one_id_are_refused(made: Made, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(made.second, other)
+    described = other / "recording.toml"
+    described.write_text(described.read_text().replace("holds-4", "holds-3"))
+    with pytest.raises(InputError, match=r"other: id 'holds-3' is another recording's too; give each one of its own"):
+        calibrate([str(made.model), str(made.first), "--validate", str(other), "--out", str(tmp_path / "c.toml")])
 
 
 def test_recordings_of_two_vehicles_are_refused(made: Made, tmp_path: Path) -> None:

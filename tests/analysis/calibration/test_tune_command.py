@@ -283,7 +283,7 @@ def test_nobody_is_told_to_stay_at_an_edge(fleet: Fleet, tmp_path: Path) -> None
     with pytest.raises(InputError) as caught:
         fleet.tune(fleet.b, calm, "--adapt", fleet.base)
     assert re.search(r"calm: saw mode .*'edge' for \d+ s, 20 s are needed; add a fault-free drive", str(caught.value))
-    assert str(caught.value).endswith("with more steps of the inputs")
+    assert str(caught.value).endswith("with more steps of the inputs, or lower those of [edges]")
 
 
 def test_adapting_refuses_recordings_of_base_or_calibration(fleet: Fleet, tmp_path: Path) -> None:

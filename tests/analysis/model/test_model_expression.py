@@ -41,6 +41,7 @@ def test_sgsqrt_is_opaque_for_variables_and_known_for_numbers() -> None:
     ("text", "message"),
     [
         ("a + c", "here: unknown name 'c'; known names are a, b"),
+        ("a^2", "here: character '^' has no place in a formula: `a^2`; a power is written **"),
         ("__import__('os')", "here: character \"'\" has no place in a formula: `__import__('os')`"),
         (
             "__import__(a)",

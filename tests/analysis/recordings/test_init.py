@@ -163,3 +163,12 @@ def test_a_name_that_two_messages_have_is_left_to_a_person() -> None:
     assert match_names(known, [*twice[:1], Offer("n_p", "kPa", "B", is_alone=False)])["n_p"].offer == twice[0]
     assert match_names(known, [Offer("n_p", "kPa", "B")])["n_p"].remark == "n_p [kPa] cannot be converted to 1/s"
     assert "in a unit for 1/s there is none" in match_names(known, [Offer("speed", "kPa", "B")])["n_p"].remark
+
+
+def test_logs_of_one_name_in_folders_of_their_own_are_recordings_of_several_names(tmp_path: Path) -> None:
+    for name in ("monday", "tuesday", "data"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "house.csv").write_text("time;T_degC\n0;20\n1;20\n")
+        assert init(tmp_path / name / "house.csv", *SAID) == 0
+    ids = [load_recording(tmp_path / name).id for name in ("monday", "tuesday", "data")]
+    assert ids == ["monday", "tuesday", "house"]

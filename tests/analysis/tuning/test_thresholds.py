@@ -174,7 +174,7 @@ def test_a_missing_mode_is_refused_by_name(mode: int) -> None:
         with pytest.raises(
             InputError,
             match=rf"tuning data \(made-1\): tb.ode saw mode '{MODES[mode]}' for {kept} ticks only; add a .*"
-            + ("with more steps of the inputs$" if mode == EDGE else "that stays in it$"),
+            + (r"with more steps of the inputs, or lower those of \[edges\]$" if mode == EDGE else "that stays in it$"),
         ):
             tune_detectors(NAMES, [replaced(run, usable=usable)], FLOOR)
 

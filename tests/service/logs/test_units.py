@@ -10,6 +10,8 @@ from faultline.service.logs.units import conversion
 KNOWN = {
     ("psi", "Pa"): (1.0, 6894.757293168361),
     ("PSI", "Pa"): (1.0, 6894.757293168361),
+    ("BAR", "Pa"): (1.0, 1e5),
+    ("kA", "A"): (1.0, 1e3),
     ("inHg", "Pa"): (1.0, 3386.388640341),
     ("mmHg", "Pa"): (1.0, 133.322387415),
     ("kgf/cm²", "Pa"): (1.0, 98066.5),
@@ -45,6 +47,11 @@ def test_any_unit_of_the_right_dimension(units: tuple[str, str], values: tuple[f
     ("given", "wanted"),
     [
         ("psi", "K"),
+        ("A", "s"),
+        ("kA", "s"),
+        ("T", "kg"),
+        ("Ah", "s"),
+        ("pH", "s"),
         ("deg", "1"),
         ("rps", "1/s"),
         ("dBm", "W"),

@@ -58,6 +58,13 @@ def test_a_fault_is_told_with_everything_that_speaks_for_it() -> None:
     ]
 
 
+def test_of_one_rank_the_more_probable_comes_first_and_what_has_no_description_has_no_colon() -> None:
+    found = [Diagnosis(faults=["f_a"], rank=1, p=0.012), Diagnosis(faults=["f_b"], rank=1, p=0.988)]
+    names = {"f_a": Fault(name="f_a", component="valve", description="")}
+    said = describe(msgspec.structs.replace(FAULT, diagnoses=found), names).splitlines()
+    assert [line.strip() for line in said[1:3]] == ["1. f_b, p = 0.988", "1. f_a (valve), p = 0.012"]
+
+
 def test_no_fault_and_cannot_tell_never_look_alike() -> None:
     quiet = describe(QUIET, {})
     blind = describe(msgspec.structs.replace(QUIET, cannot_tell=["t02"]), {})
