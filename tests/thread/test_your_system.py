@@ -40,7 +40,7 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         call = [FAULTLINE if program != "cp" else program, *arguments]
         done = subprocess.run(call, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
         assert done.returncode == (1 if arguments[0] == "diagnose" else 0), (arguments, done.stdout, done.stderr)
-        (folder / f"{arguments[0]}.txt").write_text(done.stdout)
+        (folder / f"{Path(arguments[0]).name}.txt").write_text(done.stdout)  # not into the linked folders
     return folder
 
 
