@@ -108,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
         "--size", type=number, help="of the fault: " + "; ".join(f"{k}: {v}" for k, v in TANK_FAULTS.items())
     )
     other.add_argument("--onset", type=number, help="s after which it is there (half of the duration)")
+    other.add_argument("--truth", type=Path, metavar="DIR", help="write there what was wrong, for `faultline evaluate`")
     other.add_argument("--force", action="store_true", help="replace what is already there")
     drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
     drawn.add_argument("recording", type=Path, help="its folder")
@@ -187,6 +188,8 @@ def _tanks(arguments: argparse.Namespace) -> int:
         raise RigError(f"{arguments.out} exists; give another folder or --force")
     onset_s = arguments.duration / 2 if arguments.onset is None else arguments.onset
     fault = None if arguments.fault is None else tanks.Fault(arguments.fault, arguments.size, onset_s)
+    if arguments.truth is not None:
+        write_file(arguments.truth / f"{arguments.out.name}.toml", tanks.truth(arguments.out.name, fault))
     for path in tanks.write(arguments.out, tanks.run(arguments.seed, arguments.duration, fault), can=arguments.can):
         print(path)
     return 0

@@ -128,6 +128,15 @@ def can_log(run: Run) -> str:
     return "".join(lines)
 
 
+def truth(recording: str, fault: Fault | None) -> str:
+    """What was wrong in a recording, as a truth file."""
+    text = f'schema = 1\nrecording = "{recording}"\n'
+    if fault is None:
+        return text
+    rest = f'size = {fault.size!r}\nonset_s = {fault.onset_s!r}\nprofile = "abrupt"\n'
+    return f'{text}\n[[fault]]\nname = "{fault.name}"\n{rest}'
+
+
 def write(folder: Path, run: Run, *, can: bool) -> list[Path]:
     """Write `log.csv`, or `can.log` with its DBC; return the files."""
     texts = {"can.log": can_log(run), "tanks.dbc": DBC} if can else {"log.csv": table(run)}

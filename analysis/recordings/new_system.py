@@ -68,31 +68,41 @@ def main(argv: list[str]) -> int:
         raise InputError(f"{out}: is there already; give another folder with --out, or --force")
     check_folder(out.parent)
     log = with_units(open_any(options.log))
-    units = _units(log, options.dbc, options.signals)
+    written = _written(log, options.dbc, options.signals)
+    units = {name: _in_si(unit) for name, unit in written.items()}
     tracks = {name: track for name, track in _tracks(log, options.dbc, units).items() if len(track.t) > 2}
     if not tracks:
         raise InputError(f"{options.log}: none of its signals has values: {', '.join(units) or 'give its --dbc'}")
     signatures = None if options.signatures is None else read_signatures(options.signatures, tracks)
     model = model_text(options.name, log.id, tracks, units, signatures)
-    files = {"model.toml": model, "system.toml": system_text(tracks)}
+    files = {"model.toml": model, "system.toml": system_text(tracks, _display(written, units))}
     write_files({out / name: text for name, text in files.items()})
     silent = [name for name in units if name not in tracks]
     if silent:
         print(f"without values in the log, and left away: {', '.join(silent)}")
-    written = ", ".join(str(out / name) for name in files)
-    print(f"wrote {written}: fill in what is marked, then `faultline structure {out}`")
+    made = ", ".join(str(out / name) for name in files)
+    print(f"wrote {made}: fill in what is marked, then `faultline structure {out}`")
     return 0
 
 
-def _units(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, str]:
-    """The signals that may be there, with the units of a model."""
+def _written(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, str]:
+    """The signals that may be there, with their units in the log."""
     offers = [] if dbc is None else of_dbc(read_dbc(dbc), str(dbc))
     offers += of_columns(log.values.file.units) if log.values is not None else []
     stated = {} if log.values is None else {each.column: each.unit for each in log.values.maps.values()}
     written = {each.name: stated.get(each.name) or each.unit for each in offers}
     if wanted is not None and (unknown := [name for name in wanted if name not in written]):
         raise InputError(f"--signals {' '.join(unknown)}: no such signals; there are {', '.join(written) or 'none'}")
-    return {name: _in_si(unit) for name, unit in written.items() if wanted is None or name in wanted}
+    return {name: unit for name, unit in written.items() if wanted is None or name in wanted}
+
+
+def _display(written: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
+    """By unit of the model the log's, as people know the system by these; of plain numbers by signal."""
+    found: dict[str, str] = {}
+    for name, unit in written.items():
+        if plain_unit(unit) not in ("", units[name]) and conversion(unit, units[name]):
+            found.setdefault(f"{name}.display" if units[name] == "1" else units[name], plain_unit(unit))
+    return found
 
 
 def with_units(log: Log) -> Log:
@@ -209,18 +219,22 @@ def rounded(value: float, how: Callable[[float], int]) -> str:
     return repr(float(f"{how(value / unit) * unit:.{DIGITS + 1}g}"))
 
 
-def system_text(tracks: Mapping[str, Track]) -> str:
-    """The system file: the period of the fastest signal, and ages of the others by their own."""
+def system_text(tracks: Mapping[str, Track], display: Mapping[str, str]) -> str:
+    """The system file: the period of the fastest signal, ages of the others by their own, and units for people."""
     periods = {name: float(f"{track.period_s:.3g}") for name, track in tracks.items()}
     fastest = min(max(min(periods.values()), 1e-3), 60.0)
     ages = "".join(f"{name}.maximum_age_s = {PERIODS * max(period, fastest):g}\n" for name, period in periods.items())
+    ages += "".join(f"{key} = {json.dumps(unit)}\n" for key, unit in display.items() if key.endswith(".display"))
+    others = {key: unit for key, unit in display.items() if not key.endswith(".display")}
+    shown = "".join(f"{json.dumps(key)} = {json.dumps(unit)}\n" for key, unit in others.items())
+    shown = shown and f"\n# In which units people read those of the model.\n\n[display]\n{shown}"
     return f"""schema = 1
 period_s = {fastest:g}  # that of the fastest signal
 
 # The age from which a sample is not used: five periods of each signal.
 
 [signal]
-{ages}
+{ages}{shown}
 # Operating modes, if residuals look different in them (docs/models.md): a mode for each, one of them without `where`.
 # [[mode]]
 # name = "idle"

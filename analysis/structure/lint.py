@@ -52,6 +52,7 @@ def lint(model: Model, tests: Sequence[Support] | None = None) -> list[Finding]:
         *_empty(model),
         *unit_findings(model),
         *_unused_parts(model),
+        *_half_changed(model),
         *structural,
         *_not_run(model, find_tests(model) if tests is None else tests),
     ]
@@ -110,6 +111,22 @@ def _not_run(model: Model, tests: Sequence[Support]) -> Iterator[Finding]:
         if seeing and fault not in run:
             problem = f"no test that sees it can be run; {seeing.name}: {seeing.obstacle}"
             yield Finding("warning", f"fault.{fault}", problem)
+
+
+def _half_changed(model: Model) -> Iterator[Finding]:
+    """Faults that change a parameter in one equation, where others have it too."""
+    for name, equation in model.equations.items():
+        fault = equation.fault
+        if fault is None or fault.enters not in model.parameters:
+            continue
+        symbol = sp.Symbol(fault.enters)
+        others = [
+            one for one, other in model.equations.items() if one != name and symbol in other.expression.free_symbols
+        ]
+        if others:
+            problem = f"changes {fault.enters} in {name} only, and {_some(others)} has it too"
+            remedy = "give what the fault changes an equation and an unknown of its own"
+            yield Finding("warning", f"fault.{fault.name}", f"{problem}; {remedy}")
 
 
 def _unused_parts(model: Model) -> Iterator[Finding]:

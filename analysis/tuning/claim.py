@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.days import without_day
 from faultline.analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
-from faultline.analysis.tuning.thresholds import tune_detectors
+from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, more_of, tune_detectors
 from faultline.analysis.tuning.vehicles import (
     Drive,
     Vehicle,
@@ -83,6 +83,19 @@ def folds(vehicles: Sequence[Vehicle], stand_ins: Sequence[int]) -> list[Fold]:
         drives = enumerate(vehicle.drives)
         found.append(Fold(train, vehicle, [(d, left_out_offset(vehicle, i, stand_ins, usual)) for i, d in drives]))
     return found
+
+
+def why_no_folds(vehicle: Vehicle, stand_ins: Sequence[int]) -> str:
+    """Why none of a single vehicle's drives can be left out."""
+    if len(vehicle.drives) == 1:
+        return "of a single drive none can be left out to count false alarms on; add another one"
+    seen = [(drive, hardly_seen(vehicle.without(k).drives, stand_ins)) for k, drive in enumerate(vehicle.drives)]
+    drive, (row, mode, ticks) = next((drive, found) for drive, found in seen if found is not None)
+    generator = vehicle.runnable.generators[row].name
+    return (
+        f"no drive can be left out to count false alarms on: without {drive.seen.name}, {generator} saw mode "
+        f"{drive.seen.modes[mode]!r} for {ticks} of {MINIMUM_TICKS} ticks; add a fault-free recording {more_of(mode)}"
+    )
 
 
 def thresholds(

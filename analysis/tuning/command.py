@@ -20,7 +20,7 @@ from faultline.analysis.recordings.modes import modes_of, stand_ins
 from faultline.analysis.recordings.observe import start_within_s
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.adapt import adapt, check_alike, golden
-from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds
+from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds, why_no_folds
 from faultline.analysis.tuning.evidence import gather
 from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
 from faultline.analysis.tuning.kinds import LEVEL_KINDS, Kind
@@ -161,6 +161,8 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds, _evidence)
     to = offsets(vehicles[0].drives, described)
     left_out = folds(vehicles, described) if given.claim or given.target is not None else []
+    if given.claim and not left_out:
+        progress.note(why_no_folds(vehicles[0], described))
     progress.say("thresholds")
     found = thresholds(vehicles, left_out, rule, given.target, to)
     tuning = _tuning(vehicles, found.whole, to)

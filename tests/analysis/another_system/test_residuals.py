@@ -134,6 +134,12 @@ def test_faults_are_isolated_without_a_model(boiler: Boiler, fault: str, capsys:
     assert evaluate([str(boiler.bundle), str(log), "--truth", str(truth), "--report", report]) == 0
 
 
+def test_why_no_drive_can_be_left_out_is_said(boiler: Boiler, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(boiler.folder / "one-drive.json")
+    assert tune([str(boiler.system), str(boiler.folder / "sound-0"), "--out", out]) == 0
+    assert "of a single drive none can be left out to count false alarms on; add another one" in capsys.readouterr().err
+
+
 def test_of_one_residual_it_is_one_of_its_faults(boiler: Boiler, capsys: pytest.CaptureFixture[str]) -> None:
     made = system(boiler.folder, "one", boiler.folder / "sound-0", "r;pump;sensor\nr1;1;1\n")
     bundle = bundled(boiler.folder, made, [str(boiler.folder / f"sound-{k}") for k in range(3)])

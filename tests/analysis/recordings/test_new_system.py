@@ -44,6 +44,8 @@ def test_units_ranges_noise_and_periods_are_those_of_the_log(table: Path, tmp_pa
     system = (tmp_path / "tank" / "system.toml").read_text()
     assert "period_s = 2  #" in system
     assert "level.maximum_age_s = 10\n" in system
+    assert 'u.display = "%"\n' in system
+    assert '[display]\n"m" = "mm"\n' in system
 
 
 def test_what_is_left_to_the_author_is_told_by_name_until_it_is_filled_in(table: Path, tmp_path: Path) -> None:

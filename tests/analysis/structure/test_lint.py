@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 import pytest
+import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -290,3 +291,11 @@ def test_a_parameter_that_only_scales_a_fault_is_used() -> None:
     extra = '[parameter.typical]\nunit = "m2"\nvalue = 1.0\nsource = "drawing"\n'
     text = MODEL.replace('relative_to = "A"', 'relative_to = "typical"') + extra
     assert lint(parse_model(text, "tank.toml")) == []
+
+
+def test_a_fault_that_changes_a_parameter_in_one_of_two_equations_is_told() -> None:
+    model = load_model("three-tank")
+    e06 = dataclasses.replace(model.equations["e06"], expression=model.equations["e06"].expression + sp.Symbol("A_12"))
+    twice = dataclasses.replace(model, equations={**model.equations, "e06": e06})
+    told = [finding.message for finding in lint(twice) if finding.place == "fault.fA_12"]
+    assert told[0].startswith("changes A_12 in e02 only, and e06 has it too; give what the fault changes an equation")
