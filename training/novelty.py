@@ -47,7 +47,7 @@ def novelty_of(layout: Layout, windows: Windows, course: Course) -> Novelty:
 
 def _parts(clock: Array, time: TimeScale) -> Columns:
     """The part (K,) of every tick, by its log time (K,) [s]."""
-    moments, at = np.unique(clock, return_inverse=True)
+    moments, at = np.unique((clock / time.period_s).astype(np.int64), return_inverse=True)  # one for all starts
     length = min(time.ticks(PART), max(len(moments) // PARTS, 1))
     return np.asarray(at // length % PARTS, dtype=np.intp)
 
