@@ -99,6 +99,15 @@ def _parser() -> argparse.ArgumentParser:
     other = action(
         "tanks", "another system: three tanks", "Write a log of a bench of three tanks (docs/your-system.md)."
     )
+    _add_tanks(other)
+    drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
+    drawn.add_argument("recording", type=Path, help="its folder")
+    drawn.add_argument("--out", type=Path, required=True, help="PNG file to write")
+    drawn.add_argument("--truth", type=Path, help="its truth, to shade the faults")
+    return parser
+
+
+def _add_tanks(other: argparse.ArgumentParser) -> None:
     other.add_argument("--out", type=Path, required=True, help="folder to write log.csv into")
     other.add_argument("--can", action="store_true", help="write can.log and tanks.dbc instead")
     other.add_argument("--seed", type=int, default=1, help="of the commands and the noise (1)")
@@ -110,11 +119,6 @@ def _parser() -> argparse.ArgumentParser:
     other.add_argument("--onset", type=number, help="s after which it is there (half of the duration)")
     other.add_argument("--truth", type=Path, metavar="DIR", help="write there what was wrong, for `faultline evaluate`")
     other.add_argument("--force", action="store_true", help="replace what is already there")
-    drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
-    drawn.add_argument("recording", type=Path, help="its folder")
-    drawn.add_argument("--out", type=Path, required=True, help="PNG file to write")
-    drawn.add_argument("--truth", type=Path, help="its truth, to shade the faults")
-    return parser
 
 
 def _list(arguments: argparse.Namespace) -> int:

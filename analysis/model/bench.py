@@ -1,4 +1,4 @@
-"""How a system is measured on a test bench with two loggers: `[bench]` in `system.toml`; absent, it is on none.
+"""Test bench with two loggers, as `[bench]` in `system.toml` describes it; without the table a system has none.
 
 [bench]                  signals: known ones of the model
 reference, follower      pressures on the bus and of the second logger, which rise and fall together

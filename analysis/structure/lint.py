@@ -114,16 +114,15 @@ def _not_run(model: Model, tests: Sequence[Support]) -> Iterator[Finding]:
 
 
 def _half_changed(model: Model) -> Iterator[Finding]:
-    """Faults that change a parameter in one equation, where others have it too."""
+    """Find faults that change a parameter in one equation, where others have it too."""
+    having: dict[str, list[str]] = {name: [] for name in model.parameters}
+    for name, equation in model.equations.items():
+        for symbol in equation.expression.free_symbols:
+            having.get(symbol.name, []).append(name)
     for name, equation in model.equations.items():
         fault = equation.fault
-        if fault is None or fault.enters not in model.parameters:
-            continue
-        symbol = sp.Symbol(fault.enters)
-        others = [
-            one for one, other in model.equations.items() if one != name and symbol in other.expression.free_symbols
-        ]
-        if others:
+        others = [] if fault is None else [other for other in having.get(fault.enters, []) if other != name]
+        if fault is not None and others:
             problem = f"changes {fault.enters} in {name} only, and {_some(others)} has it too"
             remedy = "give what the fault changes an equation and an unknown of its own"
             yield Finding("warning", f"fault.{fault.name}", f"{problem}; {remedy}")

@@ -86,7 +86,7 @@ def folds(vehicles: Sequence[Vehicle], stand_ins: Sequence[int]) -> list[Fold]:
 
 
 def why_no_folds(vehicle: Vehicle, stand_ins: Sequence[int]) -> str:
-    """Why none of a single vehicle's drives can be left out."""
+    """Return the reason why none of a single vehicle's drives can be left out, with the remedy."""
     if len(vehicle.drives) == 1:
         return "of a single drive none can be left out to count false alarms on; add another one"
     seen = [(drive, hardly_seen(vehicle.without(k).drives, stand_ins)) for k, drive in enumerate(vehicle.drives)]

@@ -53,11 +53,11 @@ class Experiment:
 
     @property
     def duration_s(self) -> float:
-        """Of the recording, with what comes before the cycle [s]."""
+        """Return the duration of the recording [s], with what comes before the cycle."""
         return self.control.before_s + sum(duration for duration, _, _ in self.segments)
 
     def cycle(self) -> str:
-        """As a cycle file."""
+        """Return the text of the cycle file."""
         head = f'schema = 1\nname = "{self.name.replace("_", "-")}"\ntext = "{self.text}"\n'
         rows = [(duration, set_point / self.control.unit, command) for duration, set_point, command in self.segments]
         parts = [
@@ -77,7 +77,7 @@ class Experiments:
 
     @property
     def unplanned(self) -> tuple[str, ...]:
-        """Those without a cycle."""
+        """Return the experiments without a cycle, which no model can plan."""
         planned = {experiment.name for experiment in self.planned}
         return tuple(name for name in self.texts if name not in planned)
 

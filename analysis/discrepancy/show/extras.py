@@ -18,7 +18,7 @@ from faultline.analysis.model.display import Units
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What else may have been found out; of the `plans` the first of the `experiments` that is proposed.
+    """Optional findings; of the `plans`, that of the first of the `experiments` that is proposed.
 
     `refused` are reasons why the effects should not be added to the model, `applied` tells that a model with them is
     written.

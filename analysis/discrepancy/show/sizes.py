@@ -41,7 +41,7 @@ class Size:
 
 
 def sizes(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tuple[Size, ...]:
-    """Of all effects in an attempt, in the `units` that people read.
+    """Return the sizes of all effects in an attempt, in the `units` that people read.
 
     What is left even of the best model may be more than the noise; then the intervals are as much wider.
     """

@@ -106,7 +106,7 @@ class Look:
         return sized | {fault: self._of_free_shift((fault,), rows) for fault, rows in self._signatures.items()}
 
     def _of_free_shift(self, faults: tuple[str, ...], rows: Mask) -> float:
-        """The misfit of faults that shift the means of some generators (K,) by anything."""
+        """Return the misfit of faults that shift the means of some generators (K,) by any amount."""
         inside = np.broadcast_to(rows, self._seen.shape)
         count = int(inside[self._seen].sum())
         rest = self.nothing_in(~inside)
@@ -116,7 +116,7 @@ class Look:
         return rest + self.prices[faults]
 
     def fits(self, faults: tuple[str, ...], misfit: float) -> bool:
-        """Whether an explanation of this misfit fits what is seen, apart from the price of a free shift."""
+        """Return True if an explanation of this misfit fits the means, apart from the price of a free shift."""
         return misfit - self.prices.get(faults, 0.0) <= self.limit
 
     @cached_property
