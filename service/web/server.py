@@ -66,7 +66,11 @@ def serve(
     notifier: Notifier | None = None,
 ) -> None:
     """Serve on a listening socket until the end is requested; raises what made it end otherwise."""
-    asyncio.run(_serve(settings, tokens, sock, say, limits or Limits(), notifier or Notifier()))
+    shutdown = Shutdown()
+    with asyncio.Runner() as runner:
+        for number in (signal.SIGTERM, signal.SIGINT):  # before `run`, whose own handler of SIGINT cancels the task
+            runner.get_loop().add_signal_handler(number, shutdown.request)
+        runner.run(_serve(settings, tokens, sock, say, limits or Limits(), notifier or Notifier(), shutdown))
 
 
 async def _serve(
@@ -76,10 +80,9 @@ async def _serve(
     say: Callable[[str], None],
     limits: Limits,
     notifier: Notifier,
+    shutdown: Shutdown,
 ) -> None:
-    counts, shutdown = Counts(), Shutdown()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, shutdown.request)
+    counts = Counts()
     config = uvicorn.Config(
         application(settings, tokens, limits, counts, shutdown, say),
         loop="asyncio",
