@@ -35,9 +35,9 @@ def test_a_live_alarm_its_history_and_its_end(chromium: Browser, tmp_path: Path)
             vehicle.play()
             expect(opened.locator("#connection")).to_have_text("live")
             expect(opened.locator("#source")).to_have_text("truck-17")
+            expect(opened.locator('#tests tr[data-verdict="alarm"]').first).to_be_visible()  # ends with the recording
             expect(verdict).to_have_attribute("data-kind", "fault")
             expect(opened.locator("#diagnoses li").first).to_be_visible()
-            expect(opened.locator('#tests tr[data-verdict="alarm"]').first).to_be_visible()
             expect(opened.locator("#records li", has_text="fault confirmed").first).to_be_visible()
 
             expect(opened.locator("#follow")).to_have_attribute("aria-pressed", "true")
