@@ -15,11 +15,15 @@ from faultline.options import Parser
 from faultline.testbench import tanks
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.can_logger import FORMATS
-from faultline.testbench.cycles import CYCLES
+from faultline.testbench.cycles import CYCLES, check_duration
 from faultline.testbench.effects import EFFECTS, PROFILE_TEXTS
 from faultline.testbench.errors import RigError
+from faultline.testbench.families.circuit import HIDDEN
+from faultline.testbench.families.draw import FAMILIES, plant_of
+from faultline.testbench.families.recording import record as record_family
+from faultline.testbench.families.recording import truth
 from faultline.testbench.faults import FAULTS
-from faultline.testbench.options import add_logger, add_run, number, requested
+from faultline.testbench.options import add_logger, add_run, number, numbers, requested
 from faultline.testbench.recording import record, truth_of
 from faultline.testbench.request import Kind
 from faultline.testbench.sizes import frozen
@@ -36,6 +40,7 @@ EXAMPLES = """examples:
   faultline rig record --cycle drive --kind instrumented --profile everyday --seed 2 --out logs --truth truth
   faultline rig play --cycle drive --vehicle truck --bus udp_multicast:239.74.163.2:43113 --speed 20
   faultline rig picture recordings/bench-training-s1 --truth truth/bench-training-s1.toml --out training.png
+  faultline rig family slow --number 3 --effect air=5e-6 --out other --truth truth
   faultline rig tanks --out tanks/leak --seed 7 --fault f_leak2 --size 5e-6 --onset 240
   faultline rig record --cycle drive --logger starts_s=-87.3 --logger drift_ppm=150 --out recordings --truth truth
 """
@@ -45,9 +50,7 @@ def main(argv: list[str]) -> int:
     """Runs `faultline rig ARGV`; returns 0, or 2 after an error in one line on stderr."""
     arguments = _parser().parse_args(argv)
     try:
-        return {"list": _list, "record": _record, "play": _play, "picture": _picture, "tanks": _tanks}[
-            arguments.action
-        ](arguments)
+        return ACTIONS[arguments.action](arguments)
     except RigError as error:
         print(f"faultline rig: error: {error}", file=sys.stderr)
         return 2
@@ -100,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
         "tanks", "another system: three tanks", "Write a log of a bench of three tanks (docs/your-system.md)."
     )
     _add_tanks(other)
+    _add_family(action("family", "plants of other structures", "Write two recordings of a plant of another structure."))
     drawn = action("picture", "draw a recording", "Draw a recording's signals on their loggers' own clocks.")
     drawn.add_argument("recording", type=Path, help="its folder")
     drawn.add_argument("--out", type=Path, required=True, help="PNG file to write")
@@ -119,6 +123,16 @@ def _add_tanks(other: argparse.ArgumentParser) -> None:
     other.add_argument("--onset", type=number, help="s after which it is there (half of the duration)")
     other.add_argument("--truth", type=Path, metavar="DIR", help="write there what was wrong, for `faultline evaluate`")
     other.add_argument("--force", action="store_true", help="replace what is already there")
+
+
+def _add_family(other: argparse.ArgumentParser) -> None:
+    other.add_argument("family", choices=FAMILIES, help="; ".join(f"{k}: {v.text}" for k, v in FAMILIES.items()))
+    other.add_argument("--number", type=int, default=1, help="of the plant (1)")
+    hidden = "; ".join(f"{name}: {text}" for name, text in HIDDEN.items())
+    other.add_argument("--effect", action="append", default=[], metavar="NAME=SIZE", help=f"hidden in it: {hidden}")
+    other.add_argument("--duration", type=number, default=480.0, help="s (480)")
+    other.add_argument("--out", type=Path, required=True, help="folder of the recordings training and held-out")
+    other.add_argument("--truth", type=Path, required=True, help="another folder, of what is hidden and its values")
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -197,6 +211,22 @@ def _tanks(arguments: argparse.Namespace) -> int:
     for path in tanks.write(arguments.out, tanks.run(arguments.seed, arguments.duration, fault), can=arguments.can):
         print(path)
     return 0
+
+
+def _family(arguments: argparse.Namespace) -> int:
+    check_duration(arguments.duration)
+    effects = numbers("--effect", arguments.effect, HIDDEN, "air=5e-6")
+    plant = plant_of(arguments.family, arguments.number, effects)
+    write_file(arguments.truth / f"{plant.name}.toml", truth(plant))
+    for k, name in enumerate(("training", "held-out")):
+        seed, title = 2 * arguments.number + k, f"{plant.name}-{name}"
+        print(record_family(plant, title, seed, arguments.duration, load_dbc(), arguments.out))
+    return 0
+
+
+ACTIONS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "list": _list, "record": _record, "play": _play, "picture": _picture, "tanks": _tanks, "family": _family,
+}  # fmt: skip
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def requested(arguments: argparse.Namespace, kind: Kind, words: Sequence[str] = 
         PROFILES[arguments.profile] | _effects(arguments.effect),
         form,
         kind,
-        SecondLogger(**_numbers("--logger", words, RANGES, "drift_ppm=150")),
+        SecondLogger(**numbers("--logger", words, RANGES, "drift_ppm=150")),
         day_of(arguments.profile, arguments.seed, chosen.name),
     )
 
@@ -101,10 +101,10 @@ def _absolute(name: str, size: float | str) -> float:
 def _effects(words: list[str]) -> dict[str, float]:
     """Effects with sizes; the typical one where none is said."""
     filled = [word if "=" in word or word not in EFFECTS else f"{word}={EFFECTS[word].typical!r}" for word in words]
-    return checked(_numbers("--effect", filled, EFFECTS, "leak=0.2"))
+    return checked(numbers("--effect", filled, EFFECTS, "leak=0.2"))
 
 
-def _numbers(option: str, words: Sequence[str], known: Collection[str], example: str) -> dict[str, float]:
+def numbers(option: str, words: Sequence[str], known: Collection[str], example: str) -> dict[str, float]:
     """The words NAME=NUMBER of a repeated option."""
     found: dict[str, float] = {}
     for word in words:
