@@ -102,6 +102,20 @@ def folder_of(path: str | Path, name: str) -> Path | None:
     return next((one.parent for one in shipped_models().values() if _name(one) == name), None)
 
 
+def alike(model: Model) -> Path | None:
+    """The folder of a shipped system whose model has the signals, unknowns and parameters of this one, if there is one.
+
+    A data sheet of another make is often a copy of its file, under another name and in a place of its own.
+    """
+    names = [*model.known], [*model.unknown], [*model.parameters]
+    tables = ("known", "unknown", "parameter")
+    for file in shipped_models().values():
+        own = tomllib.loads(file.read_text())
+        if all(own.get(table, {}).keys() == {*found} for table, found in zip(tables, names, strict=True)):
+            return file.parent
+    return None
+
+
 @cache
 def _name(file: Path) -> object:
     return tomllib.loads(file.read_text()).get("name")
@@ -228,6 +242,7 @@ def _unknown(table: Table, names: Sequence[str], curves: Curves) -> Unknown:
         description=table.text("description", ""),
         initial=tuple(parse_expression(t, names, table.at(f"initial[{k}]"), curves) for k, t in enumerate(texts)),
         initial_text=texts,
+        min=table.optional_number("min"),
     )
     table.done()
     return unknown

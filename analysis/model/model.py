@@ -51,13 +51,14 @@ class Unknown:
     """A variable that nothing measures.
 
     Only a state has `initial` values: expressions affine in known signals, of which the first whose signals are all at
-    hand is used. `initial_text` is how the file writes them.
+    hand is used. `initial_text` is how the file writes them. Below `min` no value is physical, if one is given.
     """
 
     unit: str
     description: str
     initial: tuple[sp.Expr, ...]
     initial_text: tuple[str, ...]
+    min: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,6 +290,12 @@ class Model:
     def calibrated(self) -> list[str]:
         """The parameters that a calibration may change."""
         return [name for name, p in self.parameters.items() if p.calibrated]
+
+    @property
+    def varying(self) -> list[str]:
+        """The parameters that differ between vehicles or drives: those calibrated, then others that drift."""
+        drifting = [name for name, p in self.parameters.items() if p.drift and not p.calibrated]
+        return [*self.calibrated, *drifting]
 
     def expression(self, equation: str, *, with_fault: bool) -> sp.Expr:
         """The expression of the named equation that equals zero, with what may be wrong in it or without."""

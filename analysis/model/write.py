@@ -22,20 +22,20 @@ def dump_model(model: Model) -> str:
     head: dict[str, object] = {"schema": SCHEMA, "name": model.name}
     head |= {"description": model.description, "source": model.source, "warm_up_s": model.warm_up_s}
     head["period_s"] = model.period_s
-    blocks = [_pairs(head)]
+    blocks = [pairs(head)]
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
         fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s}
         fields |= {"label": k.label or None, "display": k.display or None}
-        blocks.append(f"[known.{name}]\n" + _pairs(fields))
+        blocks.append(f"[known.{name}]\n" + pairs(fields))
     for name, u in model.unknown.items():
-        fields = {"unit": u.unit, "description": u.description}
-        blocks.append(f"[unknown.{name}]\n" + _pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
+        fields = {"unit": u.unit, "description": u.description, "min": u.min}
+        blocks.append(f"[unknown.{name}]\n" + pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
     for name, p in model.parameters.items():
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
         fields |= {"prior": p.prior, "spread": p.spread, "drift": p.drift or None, "source": p.source}
-        blocks.append(f"[parameter.{name}]\n" + _pairs(fields))
+        blocks.append(f"[parameter.{name}]\n" + pairs(fields))
     for name, c in model.curves.items():
         fields = {
             "description": c.description or None,
@@ -44,21 +44,21 @@ def dump_model(model: Model) -> str:
             "y": c.y,
             "z": c.z or None,
         }
-        blocks.append(f"[curve.{name}]\n" + _pairs(fields))
+        blocks.append(f"[curve.{name}]\n" + pairs(fields))
     if model.display:
-        blocks.append("[display]\n" + _pairs(dict(model.display)))
-    blocks.extend("[[mode]]\n" + _pairs(_mode(mode)) for mode in model.modes.steady)
+        blocks.append("[display]\n" + pairs(dict(model.display)))
+    blocks.extend("[[mode]]\n" + pairs(_mode(mode)) for mode in model.modes.steady)
     if model.modes.edges:
-        blocks.append("[edges]\n" + _pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
+        blocks.append("[edges]\n" + pairs({"settle_s": model.modes.settle_s, "steps": model.modes.edges}))
     if model.bench is not None:
-        blocks.append("[bench]\n" + _pairs(model.bench.written))
-    blocks.extend("[[equation]]\n" + _pairs(_equation(e)) for e in model.equations.values())
-    blocks.extend("[[differential]]\n" + _pairs(vars(d)) for d in model.differentials)
-    blocks.extend(f"[residual.{name}]\n" + _pairs({"faults": faults}) for name, faults in model.residuals.items())
+        blocks.append("[bench]\n" + pairs(model.bench.written))
+    blocks.extend("[[equation]]\n" + pairs(_equation(e)) for e in model.equations.values())
+    blocks.extend("[[differential]]\n" + pairs(vars(d)) for d in model.differentials)
+    blocks.extend(f"[residual.{name}]\n" + pairs({"faults": faults}) for name, faults in model.residuals.items())
     for name, f in model.listed_faults.items():
         code = {"spn": f.spn, "fmi": f.fmi, "place": f.place or None}
-        blocks.append(f"[fault.{name}]\n" + _pairs({"component": f.component, "description": f.description, **code}))
-    blocks.extend("[[provenance]]\n" + _pairs(entry) for entry in model.provenance)
+        blocks.append(f"[fault.{name}]\n" + pairs({"component": f.component, "description": f.description, **code}))
+    blocks.extend("[[provenance]]\n" + pairs(entry) for entry in model.provenance)
     return "\n".join(blocks)
 
 
@@ -87,7 +87,7 @@ def _equation(equation: Equation) -> dict[str, object]:
     return table
 
 
-def _pairs(table: Mapping[str, object]) -> str:
+def pairs(table: Mapping[str, object]) -> str:
     """Lines `key = value`, without those of value None."""
     return "".join(f"{_key(key)} = {_value(value)}\n" for key, value in table.items() if value is not None)
 

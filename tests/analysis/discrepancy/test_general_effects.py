@@ -1,5 +1,6 @@
 """Effects of any system, bound to a system's roles: what they make of its equations, and what is refused."""
 
+import dataclasses
 import tomllib
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from faultline.analysis.discrepancy.effects.experiments import load_experiments
 from faultline.analysis.discrepancy.effects.library import GENERAL, load_library
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.model import Model, ModelError, load_model
-from faultline.analysis.model.file import SYSTEMS, folder_of
+from faultline.analysis.model.file import SYSTEMS, alike, folder_of
 
 EMPS = load_model("emps")
 BOUND = """schema = 1
@@ -126,3 +127,11 @@ def test_effects_and_experiments_are_those_of_the_models_system(tmp_path: Path) 
     assert load_library(SYSTEMS / "three-tank") == load_library(None) == {}
     assert load_experiments(SYSTEMS / "three-tank") == load_experiments(None)
     assert not any("uds" in effect.place for effect in load_library(emps).values())
+
+
+def test_a_copy_of_a_shipped_model_elsewhere_has_that_systems_effects() -> None:
+    uds = load_model("uds")
+    values = {name: dataclasses.replace(p, value=2.0 * p.value) for name, p in uds.parameters.items()}
+    other = dataclasses.replace(uds, name="mine", parameters=values)
+    assert alike(other) == SYSTEMS / "uds"
+    assert alike(dataclasses.replace(other, unknown={**uds.unknown, "q": uds.unknown["q_ori"]})) is None
