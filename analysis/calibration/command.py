@@ -2,12 +2,12 @@
 
 import argparse
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
-from faultline.analysis.calibration.fit import fit
+from faultline.analysis.calibration.fit import Fit, fit, nuisances
 from faultline.analysis.calibration.identify import identify
 from faultline.analysis.calibration.problem import Nuisance
 from faultline.analysis.calibration.provenance import check_id, check_vehicle, entry, vehicle_of
@@ -59,8 +59,8 @@ def main(argv: list[str]) -> int:
         result = fit(data.system, data.fitted, progress.say)
         calibrated = model.with_parameters(result.values, entry(data.logs, len(data.fitted)))
         progress.say("free runs")
-        nuisance = result.unknowns.nuisance(result.x)
-        runs = data.run(calibrated, nuisance)
+        own = data.nuisances(result)
+        runs = data.run(calibrated, own)
         told = report(model, data.vehicle, data.sources, result, identify(result), runs, data.misfits)
         text = dump_model(calibrated)
         good = options.force or not told.doubts
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
             progress.say("report")
             drawn = {model.name: runs}
             if other and beside:  # what is of valve and sensors is not of a model
-                drawn[other.name] = beside.run(other, nuisance)
+                drawn[other.name] = beside.run(other, own)
             told = msgspec.structs.replace(told, pulses=pulses(calibrated, data.logs[0]))
             files |= _report(told, model, drawn, options.report)
         write_files(files)
@@ -92,7 +92,7 @@ class _Data:
             )
         if not model.calibrated:
             raise InputError(f"{model.name}: no parameter has a prior; give `prior` to those that shall be calibrated")
-        self.system = system_of(model, model.calibrated)
+        self.system = system_of(model, model.varying)
         self.logs: list[Log] = []
         tracks: dict[str, tuple[Path, dict[str, Track]]] = {}
         for path in (*fitted, *others):
@@ -121,10 +121,14 @@ class _Data:
         """The vehicle of the first recording."""
         return self.logs[0].recording.vehicle if self.logs[0].recording else None
 
-    def run(self, model: Model, nuisance: Nuisance) -> dict[str, Validation]:
+    def nuisances(self, found: Fit) -> dict[str, list[Nuisance]]:
+        """What is of every recording's own day, sensors and clocks."""
+        return {name: nuisances(found, sections) for name, sections in self._found.items()}
+
+    def run(self, model: Model, own: Mapping[str, Sequence[Nuisance]]) -> dict[str, Validation]:
         """The free runs of a calibrated model over every recording."""
         values = {name: model.parameters[name].value for name in self.system.parameters}
-        return {name: validate(self.system, found, values, nuisance) for name, found in self._found.items()}
+        return {name: validate(self.system, found, values, own[name]) for name, found in self._found.items()}
 
 
 def _report(told: Report, model: Model, drawn: dict[str, dict[str, Validation]], folder: Path) -> dict[Path, bytes]:

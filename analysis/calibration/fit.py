@@ -5,25 +5,31 @@ The unknowns x (see `problem`), each N(0, 1) beforehand, minimise
     sum over sections |Sigma^(-1/2) (y - y_hat(x))|^2 + |x|^2
 
 with Sigma as in `noise`, from several starts (the datasheet, and draws from the prior), by scipy's trust region method
-with exact derivatives. What Sigma is follows from the data: first from how the measurements flicker in each operating
-mode, then from what a fit leaves. The covariance is the inverse of the curvature there, with each standard error at
-least what the scatter between blocks of `BLOCK` says (the sandwich of White 1982): noise may be worse than thought.
+with exact derivatives. Where fewer than half of these searches agree, or the best ends at a bound or where the data do
+not depend on a parameter at all, a global search gives other starts. What Sigma is follows from the data: first from
+how the measurements flicker in each operating mode, then from what a fit leaves; and so do the measured inputs, whose
+errors would else flatten what is fitted (`likelihood.corrected`).
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult
 
-from faultline.analysis.calibration.noise import Levels, by_square, levels_of
-from faultline.analysis.calibration.problem import Problem, Unknowns
-from faultline.analysis.calibration.sections import Section, by_median
+from faultline.analysis.calibration.global_starts import global_starts
+from faultline.analysis.calibration.likelihood import Likelihood, bins_of, corrected, levels_of
+from faultline.analysis.calibration.noise import Weigh
+from faultline.analysis.calibration.problem import Nuisance, Problem, Unknowns, carried, with_own
+from faultline.analysis.calibration.sections import Section
+from faultline.analysis.calibration.uncertainty import uncertainty
 from faultline.analysis.simulation import System
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 ROUGH, FINE = 1e-3, 1e-7
 """Relative change of the cost at which the search ends: from a start, and at last."""
@@ -34,22 +40,35 @@ ROUNDS = 3
 SAME = 5.0
 """Two searches whose costs (half a chi square) differ by less have come to the same place, for all `ROUGH` can tell."""
 
-BLOCK = 1.0
-"""Settling times. Longer than anything here remembers."""
-
-SHORT_BLOCKS = 10
-"""Recordings shorter than two blocks are cut into so many: one block has no scatter."""
+UNTOLD, LITTLE = 1e-6, 1.0
+"""Of a prior's precision. Data that tell less than the first of a parameter have no gradient, as of a threshold beyond
+them; those of which they tell less than the second are searched with it."""
 
 AT_BOUND = 1e-3
 """So near to a bound in standard deviations of the prior, a parameter has run into it."""
 
 
 @dataclass(frozen=True)
+class Globally:
+    """A global search that followed on the first `starts`: why, and what it came to.
+
+    Of so many sets of parameters `tried` the model could not be run with `failed`. The searches from the best of them
+    ended `gain` [nats] better than those before.
+    """
+
+    reason: str
+    starts: tuple[int, int]
+    tried: int
+    failed: int
+    gain: float
+
+
+@dataclass(frozen=True)
 class Fit:
     """The result: x and its covariance (n, n), the `information` (n, n) of the data without the priors, and the noise.
 
-    `starts` is how many searches there were and how many of them came to the best place; `at_bound` the parameters that
-    have run into a bound.
+    `starts` is how many searches there were and how many of them came to the best place: of those that followed on a
+    global search, if there was one. `at_bound` are the parameters that have run into a bound.
     """
 
     system: System
@@ -57,9 +76,10 @@ class Fit:
     x: Array
     covariance: Array
     information: Array
-    levels: Levels
+    levels: Array
     starts: tuple[int, int]
     at_bound: tuple[str, ...]
+    globally: Globally | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -73,59 +93,98 @@ def fit(system: System, sections: Sequence[Section], say: Callable[[str], None],
     Raises:
         InputError: the model cannot be run from any start.
     """
-    problem, model = Problem(system, sections), system.model
+    problem, model = Problem(system, sections, lagging=True), system.model
+    bins, outputs = [bins_of(section) for section in sections], [*system.outputs]
     measured = [np.concatenate([s.value for s in section.samples.values()]) for section in sections]
-    levels = levels_of(model, sections, measured, by_median)
-    weights = problem.weights(np.zeros(problem.unknowns.size), levels)
+    levels = levels_of(model, outputs, bins, [part.mean(y) for part, y in zip(bins, measured, strict=True)])
+    weights = Likelihood(problem, np.zeros(problem.unknowns.size), levels, bins).weights
     rng = np.random.default_rng(1)
-    found: list[OptimizeResult] = []
-    for number in range(starts):
-        x = np.zeros(problem.unknowns.size)
-        if number:
-            x[: len(system.parameters)] = rng.standard_normal(len(system.parameters))
-        say(f"start {number + 1} of {starts}")
-        try:
-            found.append(problem.search(np.clip(x, *problem.bounds), weights, ROUGH))
-        except InputError:  # from there the model cannot be run; at least one start must
-            if number + 1 == starts and not found:
-                raise
+    begins = [np.zeros(problem.unknowns.size) for _ in range(starts)]
+    for x in begins[1:]:
+        x[: len(problem.unknowns.parameters)] = rng.standard_normal(len(problem.unknowns.parameters))
+    found = _searched(problem, weights, begins, say)
+    agreed, globally = (starts, _same(found)), None
+    doubt = _doubt(problem, found, agreed)
+    if doubt is not None:
+        reason, begin, open_ones = doubt
+        say(f"a global search, as {reason}")
+        other = global_starts(problem, weights, begin, open_ones, starts)
+        more = _searched(problem, weights, other.x, say)
+        if not found and not more:
+            raise InputError(
+                f"{model.name}: no free run is found from any start; check the parameters and their priors"
+            )
+        gain = _cost(found) - _cost([*found, *more]) if found else 0.0
+        globally = Globally(reason, agreed, other.tried, other.failed, gain)
+        agreed, found = (len(other.x), _same(more) if _cost(more) < _cost(found) + SAME else 0), [*found, *more]
     best = min(found, key=lambda result: float(result.cost))
-    same = sum(float(result.cost - best.cost) < SAME for result in found)
-    x = best.x
+    x, nearer = best.x, problem
     for number in range(ROUNDS):
         say(f"weights from what is left, round {number + 1} of {ROUNDS}")
-        levels = levels_of(model, sections, problem.left(x), by_square)
-        x = problem.search(x, problem.weights(x, levels), FINE).x
-    return _result(problem, x, levels, (starts, same))
+        levels = levels_of(model, outputs, bins, [part.mean(e) for part, e in zip(bins, problem.left(x), strict=True)])
+        if number:
+            sections = corrected(problem, x, levels, bins)
+            nearer = Problem(system, sections, lagging=True, commands=problem.commands)
+        x = nearer.search(x, Likelihood(nearer, x, levels, bins).weights, FINE).x
+    information, covariance = uncertainty(nearer, x, levels)
+    ended = _at_bound(problem, x)
+    return Fit(system, problem.unknowns, x, covariance, information, levels, agreed, ended, globally)
 
 
-def _result(problem: Problem, x: Array, levels: Levels, starts: tuple[int, int]) -> Fit:
-    """The fit at `x`."""
-    information, scores = np.zeros((len(x), len(x))), []
-    whole = sum(float(section.t[-1]) for section in problem.sections)
-    parts = zip(problem.sections, problem.weights(x, levels), problem.slopes(x), problem.left(x), strict=True)
-    for section, whitening, J, e in parts:
-        J, e = whitening(J), whitening(e)
-        information += J.T @ J
-        length = BLOCK * section.time.settling_s
-        if whole < 2 * length:
-            length = whole / SHORT_BLOCKS
-        block = (np.concatenate([s.t for s in section.samples.values()]) / length).astype(int)
-        scores += [J[block == k].T @ e[block == k] for k in np.unique(block)]
-    prior = np.eye(len(x))
-    covariance = np.linalg.inv(information + prior)
-    between = np.array(scores).T @ np.array(scores) * len(scores) / (len(scores) - 1)
-    scattered = np.diag(covariance @ (between + prior) @ covariance)
-    inflation = np.sqrt(np.maximum(1.0, scattered / np.diag(covariance)))
-    names = problem.system.parameters
+def nuisances(found: Fit, sections: Sequence[Section]) -> list[Nuisance]:
+    """What a fit leaves open of other sections: by log its own conditions, as the sections show them."""
+    problem = Problem(found.system, sections, lagging=True, commands=found.unknowns.delays)
+    x = carried(found.x, found.unknowns, problem.unknowns)
+    x[problem.unknowns.own] = 0.0
+    likelihood = Likelihood(problem, x, found.levels, [bins_of(section) for section in sections])
+    x = with_own(problem, x, likelihood.weighed)
+    return [problem.unknowns.nuisance(x, log) for log in range(problem.unknowns.logs)]
+
+
+def _searched(
+    problem: Problem, weights: Sequence[Weigh], starts: Sequence[Array], say: Callable[[str], None]
+) -> list[OptimizeResult]:
+    """The optima near `starts`, but for those from which the model cannot be run."""
+    found: list[OptimizeResult] = []
+    for number, x in enumerate(starts, start=1):
+        say(f"start {number} of {len(starts)}")
+        with suppress(InputError):
+            found.append(problem.search(np.clip(x, *problem.bounds), weights, ROUGH))
+    return found
+
+
+def _cost(found: Sequence[OptimizeResult]) -> float:
+    """The least [nats]; infinite of none."""
+    return min((float(result.cost) for result in found), default=np.inf)
+
+
+def _same(found: Sequence[OptimizeResult]) -> int:
+    """How many came to the same place as the best."""
+    return sum(float(result.cost) - _cost(found) < SAME for result in found)
+
+
+def _doubt(
+    problem: Problem, found: Sequence[OptimizeResult], agreed: tuple[int, int]
+) -> tuple[str, Array, Flags] | None:
+    """Why the searches from the first starts leave a doubt, the best x (n,), and which of x (n,) are open; or None."""
+    names, size = problem.unknowns.parameters, problem.unknowns.size
+    of_parameters = np.arange(size) < len(names)
+    if not found or 2 * agreed[1] < agreed[0]:
+        x = min(found, key=lambda result: float(result.cost)).x if found else np.zeros(size)
+        return f"only {agreed[1]} of {agreed[0]} searches came to the same place", x, of_parameters
+    best = min(found, key=lambda result: float(result.cost))
+    told = np.sum(best.jac**2, axis=0) - 1.0  # one is the prior's
+    ended = _at_bound(problem, best.x)
+    untold = [name for name, information in zip(names, told.tolist(), strict=False) if information < UNTOLD]
+    if not ended and not untold:
+        return None
+    reasons = [f"{', '.join(ended)} ran into a bound"] if ended else []
+    reasons += [f"where the searches ended the data do not depend on {', '.join(untold)}"] if untold else []
+    bound = np.isin(np.arange(size), [names.index(name) for name in ended])
+    return " and ".join(reasons), best.x, of_parameters & (bound | (told < LITTLE))
+
+
+def _at_bound(problem: Problem, x: Array) -> tuple[str, ...]:
+    names = problem.unknowns.parameters
     near = np.abs(problem.bounds - x).min(axis=0)[: len(names)] < AT_BOUND
-    return Fit(
-        system=problem.system,
-        unknowns=problem.unknowns,
-        x=x,
-        covariance=covariance * np.outer(inflation, inflation),
-        information=information,
-        levels=levels,
-        starts=starts,
-        at_bound=tuple(name for name, there in zip(names, near, strict=True) if there),
-    )
+    return tuple(name for name, there in zip(names, near, strict=True) if there)

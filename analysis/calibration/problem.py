@@ -1,49 +1,64 @@
 """A model's free run over sections as a function of all that a calibration does not know.
 
-The unknowns are x = (xi, zeros, delays, lags), each N(0, 1) beforehand: the parameters theta within their bounds, value
-* exp(prior * xi) or, for one that may be zero or negative, value + spread * xi; the zero error that calibration at
-atmosphere has left of every sensor; by how much the commands act later than they are logged; and, where that is asked
-for, by how much later than it was measured an output is.
+The unknowns are x = (xi, own, delays, lags), each N(0, 1) beforehand: the parameters theta within their bounds, value
+* exp(prior * xi) or, for one that may be zero or negative, value + spread * xi; of every log its own conditions, which
+are the sensors' zero errors and how far a parameter that drifts from one drive to the next is from its usual value; by
+how much the commands act later than they are logged; and, where that is asked for, by how much later than it was
+measured an output is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import hypot
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, least_squares
 
-from faultline.analysis.calibration.noise import Levels, Whitening, commands_of, disturbances, level_of, stacked
+from faultline.analysis.calibration.noise import Weigh, commands_of, stacked
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.model import Parameter
 from faultline.analysis.simulation import Drive, System, Trajectory, run
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
+
+OWN_STEPS = 2
+"""Of Gauss and Newton: a log's own conditions are small, and what they do is nearly linear."""
 
 DELAY = 1.5
 """Periods. Prior standard deviation of a command's delay."""
 
 
 class Nuisance(NamedTuple):
-    """What is of a recording's sensors and clocks: `zero` errors, `lag` [s] of outputs, `delay` [s] of commands."""
+    """What is of one recording: `zero` errors, `lag` [s] of outputs, `delay` [s] of commands.
+
+    `drifted` are the values of parameters that differ from one drive to the next, by name.
+    """
 
     zero: Mapping[str, float]
     lag: Mapping[str, float]
     delay: Mapping[str, float]
+    drifted: Mapping[str, float] = MappingProxyType({})
 
 
 class Unknowns(NamedTuple):
-    """What is fitted, by name: `parameters`, `zeros` of outputs for each of `logs`, `delays` of inputs, output `lags`.
+    """What is fitted, by name: `parameters`, each of the `logs`' own conditions, `delays` of inputs, output `lags`.
 
-    A parameter is `values` * exp(`priors` * xi) + `spreads` * xi; one of prior and spread is zero.
+    A parameter is `values` * exp(`priors` * xi) + `spreads` * xi; one of prior and spread is zero. A log's own are the
+    `zeros` of outputs and the `drifts`, standard deviations in parts of the value; those of `fixed` parameters, which
+    are not fitted, start from the values there.
     """
 
     parameters: tuple[str, ...]
     values: Array
     priors: Array
     spreads: Array
+    fixed: dict[str, float]
     zeros: dict[str, float]
+    drifts: dict[str, float]
     logs: int
     delays: tuple[str, ...]
     lags: dict[str, float]
@@ -52,18 +67,31 @@ class Unknowns(NamedTuple):
     @property
     def size(self) -> int:
         """The length of x."""
-        return len(self.parameters) + self.logs * len(self.zeros) + len(self.delays) + len(self.lags)
+        return int(self.own.stop) + len(self.delays) + len(self.lags)
 
     @property
-    def of_zeros(self) -> slice:
-        """Where in x the zero errors are, log by log: every recording was zeroed anew."""
-        return slice(len(self.parameters), len(self.parameters) + self.logs * len(self.zeros))
+    def own(self) -> slice:
+        """Where in x the logs' own conditions are, log by log: every recording was zeroed anew, on another day."""
+        width = len(self.zeros) + len(self.drifts)
+        return slice(len(self.parameters), len(self.parameters) + self.logs * width)
 
     def theta(self, x: Array) -> dict[str, float]:
-        """The parameters' values."""
+        """The values of the parameters that are fitted."""
         xi = x[: len(self.parameters)]
         values = self.values * np.exp(self.priors * xi) + self.spreads * xi
         return dict(zip(self.parameters, values.tolist(), strict=True))
+
+    def usual(self, x: Array) -> dict[str, float]:
+        """The values of all parameters that a system has as symbols, as they are when nothing has drifted."""
+        return self.fixed | self.theta(x)
+
+    def drifted(self, x: Array, log: int) -> dict[str, float]:
+        """The values in a log of the parameters that drift."""
+        usual, part = self.usual(x), x[self.own].reshape(self.logs, -1)[log, len(self.zeros) :]
+        return {
+            name: usual[name] * (1.0 + sd * value)
+            for (name, sd), value in zip(self.drifts.items(), part.tolist(), strict=True)
+        }
 
     def theta_by_x(self, x: Array) -> Array:
         """The derivative of every parameter to its own xi."""
@@ -71,13 +99,13 @@ class Unknowns(NamedTuple):
 
     def zero(self, x: Array, log: int | None = None) -> dict[str, float]:
         """The sensors' zero errors in a log, in their units; their means over all logs if none is said."""
-        by_log = x[self.of_zeros].reshape(self.logs, len(self.zeros))
+        by_log = x[self.own].reshape(self.logs, -1)[:, : len(self.zeros)]
         part = by_log.mean(axis=0) if log is None else by_log[log]
         return {name: sd * value for (name, sd), value in zip(self.zeros.items(), part.tolist(), strict=True)}
 
     def delay(self, x: Array) -> dict[str, float]:
         """The commands' delays [s]."""
-        begin = self.of_zeros.stop
+        begin = self.own.stop
         part = DELAY * self.period_s * x[begin : begin + len(self.delays)]
         return dict(zip(self.delays, part.tolist(), strict=True))
 
@@ -86,21 +114,24 @@ class Unknowns(NamedTuple):
         part = np.array([*self.lags.values()]) * x[self.size - len(self.lags) :]
         return dict(zip(self.lags, part.tolist(), strict=True))
 
-    def nuisance(self, x: Array) -> Nuisance:
-        """All but the parameters."""
-        return Nuisance(self.zero(x), self.lag(x), self.delay(x))
+    def nuisance(self, x: Array, log: int = 0) -> Nuisance:
+        """All but the parameters, in a log."""
+        return Nuisance(self.zero(x, log), self.lag(x), self.delay(x), self.drifted(x, log))
 
 
 def unknowns_of(system: System, commands: tuple[str, ...], logs: int, lags: tuple[str, ...]) -> Unknowns:
-    """The unknowns of a system that has its calibrated parameters as symbols; `lags` are outputs that may lag."""
+    """The unknowns of a system whose symbols are `varying` parameters of its model; `lags` are outputs that may lag."""
     model = system.model
-    chosen = [model.parameters[name] for name in system.parameters]
+    fitted = tuple(name for name in system.parameters if name in set(model.calibrated))
+    chosen = [model.parameters[name] for name in fitted]
     return Unknowns(
-        parameters=system.parameters,
+        parameters=fitted,
         values=np.array([p.value for p in chosen]),
         priors=np.array([p.prior or 0.0 for p in chosen]),
         spreads=np.array([p.spread or 0.0 for p in chosen]),
-        zeros={name: model.known[name].zero for name in system.outputs if model.known[name].zero > 0.0},
+        fixed={name: model.parameters[name].value for name in system.parameters if name not in fitted},
+        zeros={name: sd for name in system.outputs if (sd := hypot(model.known[name].zero, model.known[name].drift))},
+        drifts={name: sd for name in system.parameters if (sd := model.parameters[name].drift)},
         logs=logs,
         delays=commands,
         lags={name: model.lag_s(name) for name in lags},
@@ -142,23 +173,25 @@ class Problem:
         lags = tuple(system.outputs) if lagging else ()
         self.unknowns = unknowns_of(system, self.commands, int(self._log[-1]) + 1, lags)
         self.bounds = np.full((2, self.unknowns.size), [[-np.inf], [np.inf]])
-        for k, name in enumerate(system.parameters):
+        for k, name in enumerate(self.unknowns.parameters):
             self.bounds[:, k] = _bounds(system.model.parameters[name])
         self._at: Array | None = None
         self._runs: list[Trajectory] = []
 
-    def weights(self, x: Array, levels: Levels) -> list[Whitening]:
-        """Those that hold at `x`."""
-        return [
-            Whitening(level_of(section, levels), disturbances(section, trajectory, self.commands))
-            for section, trajectory in zip(self.sections, self.trajectories(x), strict=True)
-        ]
+    def search(self, x: Array, whitenings: Sequence[Weigh], tolerance: float) -> OptimizeResult:
+        """The optimum near `x`.
 
-    def search(self, x: Array, whitenings: Sequence[Whitening], tolerance: float) -> OptimizeResult:
-        """The optimum near `x`."""
+        Raises:
+            InputError: the model cannot be run at `x`.
+        """
+        count = len(x) + len(np.concatenate([white(e) for white, e in zip(whitenings, self.left(x), strict=True)]))
 
         def residual(x: Array) -> Array:
-            return np.concatenate([*(white(e) for white, e in zip(whitenings, self.left(x), strict=True)), x])
+            try:
+                left = self.left(x)
+            except InputError:  # too far: what is not finite makes the trust region smaller
+                return np.full(count, np.inf)
+            return np.concatenate([*(white(e) for white, e in zip(whitenings, left, strict=True)), x])
 
         def slope(x: Array) -> Array:
             parts = [white(J) for white, J in zip(whitenings, self.slopes(x), strict=True)]
@@ -178,11 +211,16 @@ class Problem:
     def slopes(self, x: Array) -> list[Array]:
         """Their derivatives (N, n)."""
         unknowns, found = self.unknowns, []
-        scale, lag = unknowns.theta_by_x(x), unknowns.lag(x)
+        scale, lag, usual = unknowns.theta_by_x(x), unknowns.lag(x), unknowns.usual(x)
+        place = {name: k for k, name in enumerate(self.system.parameters)}
+        fitted, drifting = ([place[name] for name in names] for names in (unknowns.parameters, unknowns.drifts))
+        size = np.array([sd * usual[name] for name, sd in unknowns.drifts.items()])
         for section, log, trajectory in zip(self.sections, self._log, self.trajectories(x), strict=True):
-            columns = [stacked(section, trajectory.by_parameters(), lag) * scale]
+            by_parameter = stacked(section, trajectory.by_parameters(), lag)
+            columns = [by_parameter[:, fitted] * scale]
             for other in range(unknowns.logs):
                 columns += [_of_output(section, name, sd * (other == log)) for name, sd in unknowns.zeros.items()]
+                columns.append(by_parameter[:, drifting] * size * (other == log))
             for name in unknowns.delays:
                 u = trajectory.drive.inputs[:, self.system.inputs.index(name)]
                 lost = -DELAY * unknowns.period_s * np.gradient(u, section.drive.step_s)
@@ -196,10 +234,37 @@ class Problem:
     def trajectories(self, x: Array) -> list[Trajectory]:
         """The free runs of every section."""
         if self._at is None or not np.array_equal(x, self._at):
-            theta, delay = self.unknowns.theta(x), self.unknowns.delay(x)
+            usual, delay = self.unknowns.usual(x), self.unknowns.delay(x)
+            theta = [usual | self.unknowns.drifted(x, log) for log in self._log]
             self._runs = runs(self.system, self.sections, theta, delay, self._runs)
             self._at = x.copy()
         return self._runs
+
+
+def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
+    """The same x for a model with other parameters, or for other logs; what is new is as expected beforehand."""
+    found = np.zeros(new.size)
+    place = {name: k for k, name in enumerate(old.parameters)}
+    for k, name in enumerate(new.parameters):
+        if name in place:
+            found[k] = x[place[name]]
+    found[new.own.stop :] = x[old.own.stop :]
+    if old.logs == new.logs:  # with another number of logs they are others, with conditions of their own
+        found[new.own] = x[old.own]
+    return found
+
+
+def with_own(problem: Problem, x: Array, weigh: Callable[[Sequence[Array]], Array]) -> Array:
+    """Return x with the logs' own conditions as the sections show them, all else as it is.
+
+    `weigh` makes the differences of all sections, (N, ...) each, unit independent noise (M, ...).
+    """
+    x, own = x.copy(), problem.unknowns.own
+    x[own] = 0.0
+    for _ in range(OWN_STEPS):
+        J, e = weigh(problem.slopes(x))[:, own], weigh(problem.left(x))
+        x[own] -= np.linalg.solve(J.T @ J + np.eye(J.shape[1]), J.T @ e + x[own])
+    return x
 
 
 def _of_output(section: Section, name: str, value: float) -> Array:
@@ -211,11 +276,11 @@ def _of_output(section: Section, name: str, value: float) -> Array:
 def runs(
     system: System,
     sections: Sequence[Section],
-    theta: Mapping[str, float],
+    theta: Sequence[Mapping[str, float]],
     delay: Mapping[str, float],
     near: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
-    """The free runs of the sections with these parameters and delays of commands [s]; `near` may be close to them.
+    """The free runs of the sections, each with its parameters, and delays of commands [s]; `near` may be close to them.
 
     A state that no sensor shows goes on where the section of the same log before left it, at the rate it had there.
 
@@ -227,7 +292,7 @@ def runs(
         drive = delayed(section, system, delay)
         if section.number and system.unseen:
             drive = replace(drive, start=_continued(system, found[-1], sections[k - 1], section))
-        found.append(run(system, drive, theta, near[k] if near else None))
+        found.append(run(system, drive, theta[k], near[k] if near else None))
     return found
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from faultline.analysis.calibration.doubts import doubts
-from faultline.analysis.calibration.fit import Fit
+from faultline.analysis.calibration.fit import Fit, Globally
 from faultline.analysis.calibration.identify import Identified
 from faultline.analysis.calibration.pulses import Pulses
 from faultline.analysis.calibration.pulses import sentences as of_pulses
@@ -53,8 +53,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     `doubts` are the reasons why the model does not describe these data. `anchors` name what only the prior scales, with
     the parameters known relative to it; `correlated` are all pairs that are told; `zeros` are the sensors' zero errors,
-    `delays` the commands' [s]; of `starts` searches so many came to the best place. `pulses` are in a written report
-    only. `misfits` are modes, edges, ranges and ages of the model that do not fit the recordings.
+    `delays` the commands' [s]; of `starts` searches so many came to the best place, those that followed on a global
+    search if `globally` tells of one. `pulses` are in a written report only. `misfits` are modes, edges, ranges and
+    ages of the model that do not fit the recordings.
     """
 
     model: str
@@ -70,6 +71,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     agreement: dict[str, dict[str, dict[str, Agreement]]]
     pulses: Pulses | None = None
     misfits: tuple[str, ...] = ()
+    globally: Globally | None = None
 
 
 def report(
@@ -108,6 +110,7 @@ def report(
         starts=fit.starts,
         agreement={recording: validation.agreement for recording, validation in validations.items()},
         misfits=tuple(misfits),
+        globally=fit.globally,
     )
 
 
@@ -119,14 +122,16 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     lines += [_row(name, p, r) for name, p in r.parameters.items()]
     for anchor, others in r.anchors.items():
         lines.append(
-            f"{anchor} is the anchor: the data cannot tell it apart from {', '.join(others)}, whose 95 % take it as "
-            f"it is; by its prior it is known to {_width(r.parameters[anchor], r.parameters[anchor].interval)}"
+            f"{anchor}, {', '.join(others)} are known up to one common factor only: no signal tells their scale. "
+            f"{anchor} is the anchor, which its prior tells to "
+            f"{_width(r.parameters[anchor], r.parameters[anchor].interval)}; the 95 % of the others take it as it is"
         )
     for first, second, correlation in r.correlated:
         if abs(correlation) > CORRELATED:
             lines.append(f"{first} and {second} are hard to tell apart (correlation {correlation:+.2f})")
     lines += [f"sensor {name}: zero error {value:+.3g} {known[name].unit}" for name, value in r.zeros.items()]
     lines += [f"command {name}: acts {value:+.3f} s after it is logged" for name, value in r.delays.items()]
+    lines += [] if r.globally is None else [_of_global_search(r.globally)]
     lines.append(f"{r.starts[1]} of {r.starts[0]} searches came to the same place")
     for recording, by_output in r.agreement.items():
         lines.append(f"free run over {recording}: RMS error, and over how the channel flickers by itself")
@@ -140,6 +145,15 @@ def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     if r.pulses is not None:
         lines += of_pulses(r.pulses)
     return lines
+
+
+def _of_global_search(found: Globally) -> str:
+    unrun = f" ({found.failed} could not be run)" if found.failed else ""
+    ended = f"ended {found.gain:.0f} nats better" if found.gain >= 1.0 else "found nothing better"
+    return (
+        f"{found.reason}, so {found.tried} sets of parameters all over the priors were tried{unrun}; the searches from "
+        f"the best of them {ended}"
+    )
 
 
 def _row(name: str, p: Parameter, r: Report) -> str:

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 import sympy as sp
-from scipy.interpolate import CubicSpline
 
+from faultline.analysis.calibration.inputs import interpolated, is_command, misread, renewed, sample_noise, uncertain
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_at, time_of
 from faultline.analysis.recordings.track import Track, tracks_of
@@ -33,24 +33,16 @@ GAP = 5.0
 LONGEST = 1500.0
 """Periods. A longer stretch is cut: the memory that its noise takes grows with the square."""
 
-STILL = 0.5
-"""An input that moves in a smaller part of all samples is a command."""
 
 BLIND = 2.5
 """Periods. From a sample before a command's step until so long after it no sample counts: when it
 acted is not known so well."""
 
+FEWEST = 20
+"""Samples of an output in a section; with fewer there is nothing to compare."""
+
 SHORTEST = 150.0
 """Periods beyond the warm-up; less is not worth a run."""
-
-ROUGH = 3.0
-"""Times the noise of its mode, from which an input's third difference is a jump: noise alone is one in 3 of 1,000."""
-
-JUMP = 1.0 / np.sqrt(12.0)
-"""Standard deviation of the mean over an interval in which the input jumps, in parts of the jump's height; its instant
-within the interval is unknown. It comes at any with the same probability, and the mean is anywhere between before and
-after.
-"""
 
 
 @dataclass(frozen=True)
@@ -68,8 +60,8 @@ class Section:
 
     `number` counts the sections of one log from zero on; `noise` (K, inputs) is the standard deviation of a sample of
     each input at the run's instants; `sensed` (K,) are the measured outputs there, which say where the states begin.
-    `time` is that of the model. `jumps` (J, 3), by input, are the intervals between samples in which it jumps: begin
-    and end [s] after the section's start, and the standard deviation of its mean over them.
+    `time` is that of the model; `commands` are the inputs that hold still between steps. `uncertain` (J, 4), by input
+    and output, are the intervals over which its mean has an error of its own (see `inputs`).
     """
 
     number: int
@@ -79,7 +71,8 @@ class Section:
     samples: Mapping[str, Samples]
     sensed: Mapping[str, Array]
     time: TimeScale
-    jumps: Mapping[str, Array] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+    uncertain: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def t(self) -> Array:
@@ -91,11 +84,6 @@ def fitting(section: Section, system: System) -> Section:
     """The section for another system with the same inputs and outputs: the states are its own."""
     states = _states(system, section.sensed, len(section.t))
     return replace(section, drive=replace(section.drive, start=states[0], guess=states))
-
-
-def is_command(value: Array) -> bool:
-    """Whether an input (K,) holds still between its steps: a command, no measurement."""
-    return bool(np.mean(np.diff(value) != 0.0) < STILL)
 
 
 def sections(model: Model, system: System, signals: Signals, where: str, step: float = STEP) -> list[Section]:
@@ -118,6 +106,7 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
             f"{where}: the model {model.name} has no input, and a free run without one says nothing of the parameters; "
             "make a signal that drives the system a known variable"
         )
+    tracks = {name: renewed(track) for name, track in tracks.items()}
     shortest_s = model.warm_up_s + SHORTEST * model.period_s
     found = [(low, high) for low, high in _stretches(model, system, tracks) if high - low >= shortest_s]
     if not found:
@@ -126,7 +115,15 @@ def cut(model: Model, system: System, tracks: Mapping[str, Track], where: str, s
             f"{SHORTEST * model.period_s:g} s more) do all inputs tell and all signals keep within their ranges"
             f"{_beyond(model, tracks)}; record longer undisturbed operation"
         )
-    return [_section(model, system, tracks, k, low, high, step * model.period_s) for k, (low, high) in enumerate(found)]
+    made = [_section(model, system, tracks, k, low, high, step * model.period_s) for k, (low, high) in enumerate(found)]
+    empty = [name for name in system.outputs if any(len(section.samples[name].t) < FEWEST for section in made)]
+    if empty:
+        raise InputError(
+            f"{where}: commands step so often that {' and '.join(empty)} hardly tells between the steps, of which "
+            f"{BLIND * model.period_s:g} s each are left out; record longer holds, or check which signals are commands "
+            f"({', '.join(made[0].commands)})"
+        )
+    return made
 
 
 def _beyond(model: Model, tracks: Mapping[str, Track]) -> str:
@@ -184,12 +181,14 @@ def _section(
     model: Model, system: System, tracks: Mapping[str, Track], number: int, low: float, high: float, step_s: float
 ) -> Section:
     t = np.arange(low, high, step_s)
-    inputs = np.column_stack([_input(tracks[name], t, GAP * model.period_s) for name in system.inputs])
+    commands = tuple(name for name in system.inputs if is_command(tracks[name].value))
+    gap_s, time = GAP * model.period_s, time_of(model)
     measured = {name: tracks[name].at(t) for name in system.outputs}
     states = _states(system, measured, len(t))
     mode = _modes(model, tracks, t)
-    commands = [tracks[name] for name in system.inputs if is_command(tracks[name].value)]
-    stepped = np.concatenate([[-np.inf], *(track.t[1:][np.diff(track.value) != 0.0] for track in commands)])
+    stepped = np.concatenate(
+        [[-np.inf], *(tracks[name].t[1:][np.diff(tracks[name].value) != 0.0] for name in commands)]
+    )
     stepped.sort()
     samples = {}
     for name in system.outputs:
@@ -198,55 +197,19 @@ def _section(
         inside = (track.t >= low + model.warm_up_s) & (track.t <= t[-1]) & (track.t > last + BLIND * model.period_s)
         at = np.searchsorted(t, track.t[inside], side="right") - 1
         samples[name] = Samples(track.t[inside] - low, track.value[inside], mode[at])
-    noise = np.column_stack([_noise(model, name, tracks[name], t, mode) for name in system.inputs])
-    jumps = {name: _jumps(tracks[name], t, noise[:, k]) for k, name in enumerate(system.inputs)}
+    noise = np.tile([model.known[name].noise for name in system.inputs], (len(t), 1))
+    inputs, intervals = np.column_stack([tracks[name].at(t) for name in system.inputs]), {}
+    for k, name in enumerate(system.inputs):
+        if name not in commands:
+            noise[:, k] = sample_noise(model.known[name].noise, tracks[name], t, mode)
+            inputs[:, k] = interpolated(tracks[name], t, gap_s)
+            intervals[name] = uncertain(tracks[name], t, noise[:, k], time)
+    for name in system.outputs:
+        found = misread(tracks[name], model.known[name].noise, time)
+        intervals[name] = found[(found[:, 1] > low) & (found[:, 0] < t[-1])] - np.array([low, low, 0.0, 0.0])
     return Section(
-        number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured, time_of(model), jumps
+        number, low, Drive(step_s, inputs, states[0], states), noise, samples, measured, time, commands, intervals
     )
-
-
-def _noise(model: Model, name: str, track: Track, t: Array, mode: npt.NDArray[np.int64]) -> Array:
-    """The standard deviation (K,) of a sample of an input at the times `t`, at least the sensor's.
-
-    A speed that follows the valve's pulses, or what its own controller makes of noise, is sampled too seldom to be
-    known in between: to a free run that is noise. It shows in second differences, where slower changes hardly do.
-    """
-    found = np.full(len(t), model.known[name].noise)
-    if not is_command(track.value):
-        middle = track.t[1:-1]
-        inside = (middle >= t[0]) & (middle <= t[-1])
-        flicker = np.abs(track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:])[inside] / np.sqrt(6.0)
-        at = mode[np.searchsorted(t, middle[inside], side="right") - 1]
-        for k in np.unique(at):
-            found[mode == k] = max(by_median(flicker[at == k]), model.known[name].noise)
-    return found
-
-
-def _jumps(track: Track, t: Array, noise: Array) -> Array:
-    """The intervals (J, 3) in which an input jumps, see `Section`; `noise` (K,) is that of its samples at `t`.
-
-    A set point's step moves the input between two samples by more than the median of a mode shows. Its height is half
-    the third difference around the interval: all of it after a jump, and nothing where the input bends slowly.
-    """
-    if is_command(track.value):
-        return np.zeros((0, 3))
-    begin, end, rough = track.t[1:-2], track.t[2:-1], np.abs(np.diff(track.value, 3))
-    usual = np.sqrt(20.0) * noise[np.clip(np.searchsorted(t, begin, side="right") - 1, 0, None)]
-    found = (rough > ROUGH * usual) & (end > t[0]) & (begin < t[-1])
-    return np.asarray(np.column_stack([begin - t[0], end - t[0], JUMP * rough / 2.0])[found])
-
-
-def by_median(e: Array) -> float:
-    """The standard deviation of (N,) zero-mean noise, or of its magnitudes, in which there may be steps."""
-    return 1.4826 * float(np.median(np.abs(e)))
-
-
-def _input(track: Track, t: Array, gap_s: float) -> Array:
-    """A command on straight lines, a measurement on a cubic spline: chords would flatten each of its swings."""
-    if is_command(track.value):
-        return track.at(t)
-    near = (track.t > t[0] - gap_s) & (track.t < t[-1] + gap_s)
-    return np.asarray(CubicSpline(track.t[near], track.value[near])(t))
 
 
 def _states(system: System, measured: Mapping[str, Array], count: int) -> Array:

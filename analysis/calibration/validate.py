@@ -37,7 +37,8 @@ class Agreement:
     """In one mode of one output, all in the output's unit: RMS and mean of the error, noise floor, expected error.
 
     `normalised` is the RMS of the errors, each over its sample's own expected one: 1 for a right model. Where no block
-    is long enough for a floor, it, what is expected and `normalised` are NaN.
+    is long enough for a floor, it, what is expected and `normalised` are NaN. `worst_s` is where in the log [s] the
+    settling time begins in which that is largest.
     """
 
     samples: int
@@ -46,6 +47,7 @@ class Agreement:
     floor: float
     expected: float
     normalised: float
+    worst_s: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -61,49 +63,56 @@ def validate(
     system: System,
     sections: Sequence[Section],
     values: Mapping[str, float],
-    nuisance: Nuisance,
+    nuisances: Sequence[Nuisance],
 ) -> Validation:
-    """Runs the model with calibrated `values` over the sections, with what else a calibration has found.
+    """Runs the model with calibrated `values` over the sections, with what else was found of each of their logs.
 
     Raises:
         InputError: the model cannot be run with them.
     """
-    trajectories = runs(system, sections, values, nuisance.delay)
+    log = np.cumsum([section.number == 0 for section in sections]) - 1
+    drifted = [{**values, **nuisances[k].drifted} for k in log]
+    trajectories = runs(system, sections, drifted, nuisances[0].delay)
     commands = commands_of(system, sections)
-    gathered: dict[str, list[tuple[npt.NDArray[np.int64], Array, Array, Array]]] = {name: [] for name in system.outputs}
-    for section, trajectory in zip(sections, trajectories, strict=True):
+    gathered: dict[str, list[tuple[npt.NDArray[np.int64], *tuple[Array, ...]]]] = {name: [] for name in system.outputs}
+    for section, trajectory, k in zip(sections, trajectories, log, strict=True):
+        nuisance = nuisances[k]
         B = disturbances(section, trajectory, commands)
         predicted = stacked(section, trajectory.outputs(), nuisance.lag)
         ends = np.cumsum([len(s.t) for s in section.samples.values()])[:-1]
         block_s = BLOCK * section.time.settling_s
         parts = zip(np.split(predicted, ends), np.split((B**2).sum(axis=1), ends), strict=True)
         for (name, s), (y, disturbed) in zip(section.samples.items(), parts, strict=True):
-            gathered[name].append(
-                (s.mode, s.value - nuisance.zero.get(name, 0.0) - y, _blocks(s.t / block_s, s.value, s.mode), disturbed)
-            )
+            error = s.value - nuisance.zero.get(name, 0.0) - y
+            blocks = _blocks(s.t / block_s, s.value, s.mode)
+            gathered[name].append((s.mode, error, blocks, disturbed, section.start_s + s.t))
     agreement = {}
     for name, found in gathered.items():
-        mode, error, blocks, disturbed = (np.concatenate(column) for column in zip(*found, strict=True))
+        mode, error, blocks, disturbed, t = (np.concatenate(column) for column in zip(*found, strict=True))
         flicker = _typical(blocks, mode)
         by_mode = {name: mode == k for k, name in system.model.modes.listed} | {STEADY: mode != EDGE}
         agreement[name] = {
-            title: _agreement(error[there], flicker[there], disturbed[there])
+            title: _agreement(error[there], flicker[there], disturbed[there], t[there], sections[0].time.settling_s)
             for title, there in by_mode.items()
             if there.any()
         }
     return Validation(tuple(sections), tuple(trajectories), agreement)
 
 
-def _agreement(error: Array, flicker: Array, disturbed: Array) -> Agreement:
+def _agreement(error: Array, flicker: Array, disturbed: Array, t: Array, part_s: float) -> Agreement:
     told = flicker[np.isfinite(flicker)]
     floor = float(np.sqrt(np.mean(told))) if len(told) else np.nan
+    square = error**2 / (floor**2 + disturbed)
+    part, number = np.unique(np.floor(t / part_s), return_inverse=True)
+    worst_s = part_s * float(part[np.argmax(np.bincount(number, square) / np.bincount(number))])
     return Agreement(
         samples=len(error),
         rms=float(np.sqrt(np.mean(error**2))),
         bias=float(np.mean(error)),
         floor=floor,
         expected=float(np.sqrt(floor**2 + np.mean(disturbed))),
-        normalised=float(np.sqrt(np.mean(error**2 / (floor**2 + disturbed)))),
+        normalised=float(np.sqrt(np.mean(square))),
+        worst_s=worst_s,
     )
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from results_page import head_commit, provenance, share, wilson
 
-from faultline.analysis.calibration.fit import fit
+from faultline.analysis.calibration.fit import fit, nuisances
 from faultline.analysis.calibration.identify import Estimate, identify
 from faultline.analysis.calibration.sections import Section, sections
 from faultline.analysis.calibration.validate import STEADY, Agreement, validate
@@ -58,7 +58,7 @@ class Result:
 def run(number: int) -> Result:
     """Calibrates the truck of this number."""
     truck, model = vehicle(f"truck-{number}"), load_model("uds")
-    system = system_of(model, model.calibrated)
+    system = system_of(model, model.varying)
     with tempfile.TemporaryDirectory() as folder:
         training, validation = (_sections(truck, cycle, number, model, system, Path(folder)) for cycle in CYCLES_USED)
     start = time.monotonic()
@@ -70,7 +70,7 @@ def run(number: int) -> Result:
     for name, value in values.items():
         expected = value * (scale if name in WITH_FLOW else 1 / scale if name in AGAINST_FLOW else 1.0)
         error[name] = math.log(found.values[name] / expected)
-    runs = validate(system, validation, found.values, found.unknowns.nuisance(found.x))
+    runs = validate(system, validation, found.unknowns.usual(found.x), nuisances(found, validation))
     return Result(
         name=truck.name,
         error={name: e for name, e in error.items() if name != ANCHOR},

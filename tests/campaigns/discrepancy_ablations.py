@@ -64,7 +64,7 @@ def no_timing_noise() -> Iterator[None]:
     def nothing(section: Section, *_: Any) -> Array:
         return np.zeros((sum(len(s.t) for s in section.samples.values()), 1))
 
-    with patch("faultline.analysis.discrepancy.name.likelihood.disturbances", nothing):
+    with patch("faultline.analysis.calibration.likelihood.disturbances", nothing):
         yield
 
 

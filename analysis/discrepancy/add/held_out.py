@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.likelihood import Bins, Likelihood, bins_of
+from faultline.analysis.calibration.problem import Problem, carried, with_own
 from faultline.analysis.calibration.sections import Section, fitting
 from faultline.analysis.calibration.validate import STEADY, Agreement, validate
 from faultline.analysis.discrepancy.add.whiteness import Whiteness, whiteness
 from faultline.analysis.discrepancy.effects.compiled import system_with
-from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried
-from faultline.analysis.discrepancy.name.likelihood import Bins, Likelihood, bins_of
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study
 from faultline.analysis.simulation import System, Trajectory
 from faultline.service.core.signals.modes import EDGE
 
@@ -109,7 +109,7 @@ def shown(study: Study, baseline: Baseline, before: Attempt, after: Attempt) -> 
     """
     problem = _problem(study, before)
     likelihood = Likelihood(
-        problem, _without_zeros(problem, before), baseline.levels, [bins_of(section) for section in problem.sections]
+        problem, _as_usual(problem, before), baseline.levels, [bins_of(section) for section in problem.sections]
     )
     first = _free_run(problem, likelihood, before)
     if not after.effects:
@@ -123,22 +123,21 @@ def _problem(study: Study, attempt: Attempt) -> Problem:
     return Problem(system, sections, lagging=True, commands=attempt.unknowns.delays)
 
 
-def _without_zeros(problem: Problem, attempt: Attempt) -> Array:
-    """The attempt's x for the held-out recordings, none of which has a zero error."""
+def _as_usual(problem: Problem, attempt: Attempt) -> Array:
+    """The attempt's x for the held-out recordings, whose own conditions are as expected beforehand."""
     x = carried(attempt.x, attempt.unknowns, problem.unknowns)
-    x[problem.unknowns.of_zeros] = 0.0
+    x[problem.unknowns.own] = 0.0
     return x
 
 
 def _free_run(problem: Problem, likelihood: Likelihood, attempt: Attempt) -> FreeRun:
-    unknowns, x = problem.unknowns, _without_zeros(problem, attempt)
-    own = unknowns.of_zeros
-    J, e = likelihood.slopes(problem, x)[:, own], likelihood.left(problem, x)
-    x[own] = -np.linalg.solve(J.T @ J + np.eye(J.shape[1]), J.T @ e)
-    zeros = tuple(unknowns.zero(x, log) for log in range(unknowns.logs))
+    unknowns, x = problem.unknowns, with_own(problem, _as_usual(problem, attempt), likelihood.weighed)
+    nuisances = [unknowns.nuisance(x, log) for log in range(unknowns.logs)]
+    zeros = tuple(nuisance.zero for nuisance in nuisances)
     log = np.cumsum([section.number == 0 for section in problem.sections]) - 1
     sections = [_zeroed(section, zeros[k]) for section, k in zip(problem.sections, log, strict=True)]
-    found = validate(problem.system, sections, attempt.values, unknowns.nuisance(x)._replace(zero={}))
+    values = unknowns.usual(x)
+    found = validate(problem.system, sections, values, [nuisance._replace(zero={}) for nuisance in nuisances])
     return FreeRun(
         sections=tuple(sections),
         trajectories=found.trajectories,

@@ -25,7 +25,7 @@ def model_with(model: Model, effects: Sequence[Effect]) -> Model:
 
 
 def system_with(model: Model, effects: Sequence[Effect]) -> System:
-    """The system of that, with all parameters that are calibrated as symbols.
+    """The system of that, with all parameters that vary as symbols.
 
     Raises:
         ModelError: an effect has no place in the model.
@@ -35,5 +35,5 @@ def system_with(model: Model, effects: Sequence[Effect]) -> System:
         if len(_systems) == MOST:
             _systems.clear()
         changed = model_with(model, effects)
-        _systems[key] = system_of(changed, changed.calibrated)
+        _systems[key] = system_of(changed, changed.varying)
     return _systems[key]

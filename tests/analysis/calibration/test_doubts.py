@@ -2,12 +2,17 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from made_drive import calibrated
 
 from faultline.analysis.calibration.doubts import doubts
 from faultline.analysis.calibration.fit import Fit
+from faultline.analysis.calibration.sections import Section
 from faultline.analysis.calibration.validate import Agreement, Validation
+from faultline.analysis.model import load_model
+from faultline.analysis.simulation import Drive, Trajectory, system_of
+from faultline.service.core.time_scale import TimeScale
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +21,7 @@ def good() -> Fit:
 
 
 def off_by(rms: float, mode: str, normalised: float | None = None) -> dict[str, Validation]:
-    found = Agreement(100, rms, 0.0, 1000.0, 1500.0, rms / 1500.0 if normalised is None else normalised)
+    found = Agreement(100, rms, 0.0, 1000.0, 1500.0, rms / 1500.0 if normalised is None else normalised, 120.0)
     return {"rec": Validation((), (), {"y_p_du": {mode: found}})}
 
 
@@ -28,7 +33,8 @@ def test_a_good_fit_raises_none(good: Fit) -> None:
 def test_a_free_run_that_is_far_off_is_told(good: Fit) -> None:
     assert list(doubts(good, off_by(3100.0, "idle"))) == [
         "rec: the free run of y_p_du is off by 3100 Pa in mode idle; sample by sample that is 2.1 times what is "
-        "expected"
+        "expected, most from 120 to 140 s of the log: leave that out if something happened there, else let `faultline "
+        "discover` look for what the model lacks"
     ]
 
 
@@ -50,4 +56,19 @@ def test_what_the_fit_had_to_assume_is_told(good: Fit) -> None:
         f"{name} is 3.5 standard deviations of its prior away from the model file's value",
         "A_p has run into its bound",
         "only 1 of 4 searches came to the same place",
+    ]
+
+
+def test_a_pressure_below_nothing_is_told_with_its_time() -> None:
+    model = load_model("uds")
+    system = system_of(model, model.varying)
+    w = np.full((3, len(system.variables)), 1e5)
+    w[1, [str(v) for v in system.variables].index("p_bp")] = -2e4
+    drive = Drive(0.1, np.zeros((3, 2)), w[0, :4], w[:, :4])
+    section = Section(0, 100.0, drive, np.zeros((3, 2)), {}, {}, TimeScale(0.2, 8.0))
+    bent = Validation((section,), (Trajectory(system, drive, {}, w),), {})
+    fit = calibrated("uds/production", 0).fit
+    assert list(doubts(fit, {"rec": bent})) == [
+        "rec: at 100 s p_bp would be -2e+04 Pa, and nothing below 0 Pa is physical; give the parameters that make it "
+        "tighter priors"
     ]

@@ -70,8 +70,9 @@ def test_the_command_s_delay_is_found() -> None:
     errors = []
     for seed in SEEDS:
         case = calibrated("uds/production", seed)
-        stated = 0.3 * np.sqrt(case.fit.covariance[-1, -1])
-        assert 0.05 < stated < 0.08, seed
+        place = case.fit.unknowns.own.stop
+        stated = 0.3 * np.sqrt(case.fit.covariance[place, place])
+        assert 0.05 < stated < 0.12, seed
         errors.append(case.fit.unknowns.delay(case.fit.x)["dc_dose"] - DELAY_S)
         assert abs(errors[-1]) < 3.5 * stated, seed
     assert abs(np.mean(errors)) < 3.5 * 0.06 / np.sqrt(len(errors))

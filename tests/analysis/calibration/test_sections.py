@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_drive import DOSE, ECU, ECU_S, HOLD_S, LATE_S, SENSORS, SPEED, UDS4, UDS4_SYSTEM, Errors, frames, log_sections
 
+from faultline.analysis.calibration.inputs import is_command
 from faultline.analysis.calibration.sections import (
     BLIND,
     GAP,
@@ -16,7 +17,6 @@ from faultline.analysis.calibration.sections import (
     SHORTEST,
     Section,
     fitting,
-    is_command,
 )
 from faultline.analysis.calibration.sections import cut as divided
 from faultline.analysis.simulation import System
@@ -177,7 +177,7 @@ def test_where_the_speed_jumps_between_samples_its_mean_is_not_known() -> None:
     """A step of J anywhere in an interval leaves J / sqrt(12); of its neighbours' third differences it is half."""
     jumping = frames(UDS4, {}, seed=1, errors=Errors(jumps=True, wander=0.0))
     [section], [smooth] = cut(jumping), cut(LOG)
-    begin, end, deviation = section.jumps["n_p"].T
+    begin, end, deviation, _ = section.uncertain["n_p"].T
     assert (end - begin) == pytest.approx(np.full(len(begin), ECU_S), abs=1e-3)
     for k in range(1, len(SPEED)):
         height = abs(SPEED[k] - SPEED[k - 1])
@@ -186,13 +186,13 @@ def test_where_the_speed_jumps_between_samples_its_mean_is_not_known() -> None:
         expected = height * np.array([0.5, 1.0, 0.5]) / np.sqrt(12.0)
         assert deviation[near] == pytest.approx(expected if height else [], abs=0.1), k
     assert len(begin) < 3 * 4 + 0.01 * len(section.t)
-    assert len(smooth.jumps["n_p"]) < 0.01 * len(smooth.t)  # where it moves for two seconds, its noise says enough
-    assert len(section.jumps["dc_dose"]) == 0  # a command's steps have a time of their own
+    assert len(smooth.uncertain["n_p"]) < 0.01 * len(smooth.t)  # where it moves for two seconds, its noise says enough
+    assert "dc_dose" not in section.uncertain  # a command's steps have a time of their own
 
 
 def test_a_section_for_another_system_has_its_jumps() -> None:
     [section] = cut(frames(UDS4, {}, seed=1, errors=Errors(jumps=True)))
-    assert fitting(section, UDS4_SYSTEM).jumps is section.jumps
+    assert fitting(section, UDS4_SYSTEM).uncertain is section.uncertain
 
 
 def test_a_signal_that_never_tells_is_named() -> None:

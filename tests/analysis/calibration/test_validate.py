@@ -27,7 +27,7 @@ def validated(errors: Errors, changed: float = 1.0, seed: int = 1) -> Validation
     true = drawn(UDS1, 3)
     log = frames(UDS1, true, seed, delay_s=DELAY_S, errors=errors, speed=SPEED, dose=DOSE, zero=ZERO)
     values = {name: true[name] * (changed if name == "A_ori" else 1.0) for name in SYSTEM.parameters}
-    return validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, Nuisance(ZERO, {}, {"dc_dose": DELAY_S}))
+    return validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, [Nuisance(ZERO, {}, {"dc_dose": DELAY_S})])
 
 
 def test_the_true_model_is_as_far_off_as_expected() -> None:
@@ -46,11 +46,11 @@ def test_jumps_of_the_speed_excuse_nothing_between_them() -> None:
     """With a few intervals in which nobody knows the speed, the mean of what is expected says little of the rest."""
     true = drawn(UDS1, 3)
     [section] = log_sections(UDS1, SYSTEM, frames(UDS1, true, 1, delay_s=DELAY_S, errors=ALL, zero=ZERO))
-    often = np.array([[at, at + 0.2, 15.0] for at in (72.0, 73.0, 134.0)])
+    often = np.array([[at, at + 0.2, 15.0, k] for k, at in enumerate((72.0, 73.0, 134.0))])
     values = {name: true[name] * (1.01 if name == "A_ori" else 1.0) for name in SYSTEM.parameters}
-    nuisance = Nuisance(ZERO, {}, {"dc_dose": DELAY_S})
+    nuisance = [Nuisance(ZERO, {}, {"dc_dose": DELAY_S})]
     wrong, right = (
-        validate(SYSTEM, [dataclasses.replace(section, jumps={"n_p": often})], theta, nuisance).agreement["y_p_ap"]
+        validate(SYSTEM, [dataclasses.replace(section, uncertain={"n_p": often})], theta, nuisance).agreement["y_p_ap"]
         for theta in (values, {name: true[name] for name in SYSTEM.parameters})
     )
     assert wrong["partial"].rms < 2.0 * wrong["partial"].expected
@@ -95,5 +95,5 @@ def test_a_zero_error_that_is_not_told_is_a_bias() -> None:
     true = drawn(UDS1, 3)
     log = frames(UDS1, true, 1, zero={"y_p_tp": 2000.0}, speed=SPEED, dose=DOSE)
     values = {name: true[name] for name in SYSTEM.parameters}
-    found = validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, Nuisance({}, {}, {})).agreement
+    found = validate(SYSTEM, log_sections(UDS1, SYSTEM, log), values, [Nuisance({}, {}, {})]).agreement
     assert found["y_p_tp"][STEADY].bias == pytest.approx(2000.0, abs=50.0)

@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.noise import Whitening
+from faultline.analysis.calibration.inputs import is_command
+from faultline.analysis.calibration.noise import Whitening, disturbances
 from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Samples, Section
 from faultline.analysis.discrepancy.find.quantities import mode_of, quantities
@@ -38,10 +39,10 @@ def dosing(model: Model, missing: Mapping[str, Missing], seed: int, true: Model 
     return made(model, u, t, missing, seed, true)
 
 
-def tanks(model: Model, missing: Mapping[str, Missing], seed: int) -> Problem:
-    """The pump's command steps."""
+def tanks(model: Model, missing: Mapping[str, Missing], seed: int, true: Model | None = None) -> Problem:
+    """The pump's command steps; `true` is as of `dosing`."""
     t = np.arange(0.0, 60.0 * len(PUMP), 2.0 * STEP_S)
-    return made(model, _ramps(t, PUMP, 0.4, 60.0)[:, None], t, missing, seed)
+    return made(model, _ramps(t, PUMP, 0.4, 60.0)[:, None], t, missing, seed, true)
 
 
 def made(
@@ -52,7 +53,9 @@ def made(
     system, h = system_of(model, model.calibrated), float(t[1])
     noise = np.tile([model.known[name].noise for name in system.inputs], (len(t), 1))
     outputs, start = _outputs(true or model, u, h, missing)
-    section = Section(0, 0.0, Drive(h, u, start, np.tile(start, (len(t), 1))), noise, {}, {}, time_of(model))
+    commands = tuple(name for name, value in zip(system.inputs, u.T, strict=True) if is_command(value))
+    drive = Drive(h, u, start, np.tile(start, (len(t), 1)))
+    section = Section(0, 0.0, drive, noise, {}, {}, time_of(model), commands)
     mode = mode_of(model, system, section)
     samples = {}
     for name, value in outputs.items():
@@ -63,7 +66,11 @@ def made(
 
 def weights(problem: Problem, x: Array) -> list[Whitening]:
     """The weights with the noise that was added."""
-    return problem.weights(x, {n: np.full(4, _level(problem.system.model, n)) for n in problem.system.outputs})
+    found = []
+    for section, trajectory in zip(problem.sections, problem.trajectories(x), strict=True):
+        levels = [np.full(len(s.t), _level(problem.system.model, name)) for name, s in section.samples.items()]
+        found.append(Whitening(np.concatenate(levels), disturbances(section, trajectory, problem.commands)))
+    return found
 
 
 def _level(model: Model, name: str) -> float:

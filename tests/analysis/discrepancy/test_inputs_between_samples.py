@@ -44,5 +44,5 @@ def test_nothing_is_missing_where_the_speed_jumps_between_samples(logs: list[lis
 
 def test_without_the_jumps_something_would_be(logs: list[list[Section]]) -> None:
     """So that the test above can fail: the noise of its quiet samples says nothing of a jump."""
-    bare = [[dataclasses.replace(section, jumps={}) for section in log] for log in logs]
+    bare = [[dataclasses.replace(section, uncertain={}) for section in log] for log in logs]
     assert min(evidence(bare)) > REMAINDER

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made_study import UDS1, study
 
+from faultline.analysis.calibration.likelihood import BIN, Likelihood, bins_of, blocks, levels_of
 from faultline.analysis.calibration.problem import Problem
-from faultline.analysis.discrepancy.name.likelihood import BIN, Likelihood, bins_of, blocks, levels_of
 from faultline.analysis.simulation import system_of
 
 STUDY = study((), {})

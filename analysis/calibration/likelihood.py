@@ -7,12 +7,12 @@ same for every model that is compared: a bin's own level, and the errors of inpu
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.noise import Whitening, disturbances
+from faultline.analysis.calibration.noise import Whitening, disturbances, errors_of
 from faultline.analysis.calibration.problem import Problem
 from faultline.analysis.calibration.sections import Section
 from faultline.analysis.model import Model
@@ -109,12 +109,20 @@ def _deviation(change: Array) -> float:
 
 
 class Likelihood:
-    """Weights for one set of sections that hold near x, where `problem` had been fitted."""
+    """Weights for one set of sections that hold near x, where `problem` had been fitted.
 
-    def __init__(self, problem: Problem, x: Array, levels: Array, bins: Sequence[Bins]) -> None:
+    `besides` are columns of B (N, D) of each section more than the inputs' and readings' own.
+    """
+
+    def __init__(
+        self, problem: Problem, x: Array, levels: Array, bins: Sequence[Bins], besides: Sequence[Array] = ()
+    ) -> None:
+        columns = _disturbances(problem, x)
+        if besides:
+            columns = [np.hstack(pair) for pair in zip(columns, besides, strict=True)]
         self._parts = [
             Weight(part, Whitening(levels[part.output, part.mode] * part.larger, part.mean(B)))
-            for part, B in zip(bins, _disturbances(problem, x), strict=True)
+            for part, B in zip(bins, columns, strict=True)
         ]
 
     @property
@@ -122,13 +130,17 @@ class Likelihood:
         """Those of each section, from differences (N, ...) to unit independent noise (M, ...)."""
         return self._parts
 
+    def weighed(self, values: Sequence[Array]) -> Array:
+        """Differences (N, ...) of each section as unit independent noise (M, ...) of all."""
+        return np.concatenate([w(part) for w, part in zip(self._parts, values, strict=True)])
+
     def left(self, problem: Problem, x: Array) -> Array:
         """What a model leaves of all sections, whitened, (M,)."""
-        return np.concatenate([w(e) for w, e in zip(self._parts, problem.left(x), strict=True)])
+        return self.weighed(problem.left(x))
 
     def slopes(self, problem: Problem, x: Array) -> Array:
         """The derivatives of that, (M, n)."""
-        return np.concatenate([w(J) for w, J in zip(self._parts, problem.slopes(x), strict=True)])
+        return self.weighed(problem.slopes(x))
 
 
 @dataclass(frozen=True)
@@ -141,6 +153,36 @@ class Weight:
     def __call__(self, e: Array) -> Array:
         """Of (N, ...), (M, ...)."""
         return self.whitening(self.bins.mean(e))
+
+
+def corrected(problem: Problem, x: Array, levels: Array, bins: Sequence[Bins]) -> list[Section]:
+    """The sections with their measured inputs as the outputs make them likely, at a fit `x`.
+
+    Derivatives at an input with errors in it are correlated with what the errors do to the outputs, which flattens what
+    is fitted (errors in variables: Fuller, Measurement Error Models, 1987). At the most likely input they are not. What
+    the correction does to the outputs is added to the samples, so that it costs what it did.
+    """
+    found = []
+    for part, section, run, e in zip(bins, problem.sections, problem.trajectories(x), problem.left(x), strict=True):
+        errors = errors_of(section, run, problem.commands)
+        B = disturbances(section, run, problem.commands)
+        level = levels[part.output, part.mode] * part.larger
+        C = (part.mean(B).T / level).T
+        w = np.linalg.solve(np.eye(C.shape[1]) + C.T @ C, C.T @ (part.mean(e) / level))
+        inputs, place = section.drive.inputs.copy(), 0
+        measured = np.zeros(len(w))
+        for k, (name, error) in enumerate(errors.items()):
+            its = slice(place, place + error.shape[1])
+            place = its.stop
+            if name not in problem.commands:
+                inputs[:, k] += error @ w[its]
+                measured[its] = w[its]
+        shift = np.split(B @ measured, np.cumsum([len(s.t) for s in section.samples.values()])[:-1])
+        samples = {
+            name: replace(s, value=s.value + y) for (name, s), y in zip(section.samples.items(), shift, strict=True)
+        }
+        found.append(replace(section, drive=replace(section.drive, inputs=inputs), samples=samples))
+    return found
 
 
 def _disturbances(problem: Problem, x: Array) -> list[Array]:
