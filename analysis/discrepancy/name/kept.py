@@ -6,13 +6,13 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-from faultline.analysis.discrepancy.name.attempt import Attempt, Glance
+from faultline.analysis.discrepancy.name.attempt import Attempt, Glance, Scan
 from faultline.writing import write_file
 
-Kept = TypeVar("Kept", Attempt, Glance)
+Kept = TypeVar("Kept", bound=Attempt | Glance | Scan)
 
 
-def keep(path: Path, result: Attempt | Glance) -> None:
+def keep(path: Path, result: Attempt | Glance | Scan) -> None:
     """Writes it whole or not at all."""
     write_file(path, msgspec.json.encode(result, enc_hook=_plain))
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
+from faultline.analysis.calibration.likelihood import Likelihood
 from faultline.analysis.calibration.problem import Problem
-from faultline.analysis.discrepancy.name.likelihood import Likelihood
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]

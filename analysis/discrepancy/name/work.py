@@ -8,7 +8,7 @@ import gc
 import hashlib
 import os
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,12 +17,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
 
-from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Scan, Study
 from faultline.analysis.discrepancy.name.kept import keep, kept
 from faultline.analysis.discrepancy.name.sensitivity import Direction
 from faultline.service.core.errors import InputError
 
-Result = TypeVar("Result")
+Result = Attempt | Glance | Scan
+
+Made = TypeVar("Made")
 
 _judges: dict[str, Judge] = {}
 """In a worker: the judge that it made last, by the key of what it was made from."""
@@ -35,11 +37,21 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Order:
-    """An attempt that is wanted, or a glance of so many `steps`: with `effects`, searched from `begin`."""
+    """An attempt that is wanted, or a glance of so many `steps`: with `effects`, searched from `begin`.
+
+    With `globally` it is a scan: a global search over the last effect's own parameters, and so many steps from its
+    best.
+    """
 
     effects: tuple[str, ...]
     begin: Begin
     steps: int | None = None
+    globally: bool = False
+
+    @property
+    def result(self) -> type[Attempt] | type[Glance] | type[Scan]:
+        """What comes out."""
+        return Attempt if self.steps is None else Scan if self.globally else Glance
 
 
 class Crew:
@@ -66,13 +78,17 @@ class Crew:
         """The same of orders that have `steps`."""
         return [found for found in self._all(orders, say) if isinstance(found, Glance)]
 
-    def directions(self, effects: Sequence[str]) -> list[Direction]:
-        """What each effect would do to the data, but for those with which the model cannot be run.
+    def scans(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Scan]:
+        """The same of orders that search `globally`."""
+        return [found for found in self._all(orders, say) if isinstance(found, Scan)]
+
+    def directions(self, effects: Sequence[str], places: Mapping[str, Begin]) -> list[Direction]:
+        """What each effect would do to the data, at its place if it has one, but for those that cannot be run.
 
         Raises:
             InputError: a worker died.
         """
-        waiting = {e: self._executor.submit(_direction, self._key, self._payload, e) for e in effects}
+        waiting = {e: self._executor.submit(_direction, self._key, self._payload, e, places.get(e)) for e in effects}
         found = []
         for effect, future in waiting.items():
             result = _of(future)
@@ -82,7 +98,7 @@ class Crew:
                 found.append(result)
         return found
 
-    def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Attempt | Glance | None]:
+    def _all(self, orders: Sequence[Order], say: Callable[[int, int], None]) -> list[Result | None]:
         found = [self._kept(order) for order in orders]
         waiting = {
             self._executor.submit(_worked, self._key, self._payload, order): k
@@ -103,11 +119,11 @@ class Crew:
             say(number, len(orders))
         return found
 
-    def _kept(self, order: Order) -> Attempt | Glance | None:
+    def _kept(self, order: Order) -> Result | None:
         place = self._place(order)
         if place is None:
             return None
-        return kept(place, Attempt) if order.steps is None else kept(place, Glance)
+        return kept(place, order.result)
 
     def _place(self, order: Order) -> Path | None:
         if self._folder is None:
@@ -116,30 +132,30 @@ class Crew:
         begin = order.begin
         given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(begin.x.tolist())]
         text = "\n".join([self._code, *given, *entries])
-        digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}".encode()).hexdigest()[:16]
+        digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}\n{order.globally}".encode()).hexdigest()[:16]
         return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"
 
 
-def _worked(key: str, payload: bytes, order: Order) -> Attempt | Glance | str:
+def _worked(key: str, payload: bytes, order: Order) -> Result | str:
     """In a worker; the reason if the model cannot be run from there."""
     judge = _judge(key, payload)
     try:
         if order.steps is None:
             return judge.attempt(order.effects, order.begin)
-        return judge.glance(order.effects, order.begin, order.steps)
+        return (judge.scan if order.globally else judge.glance)(order.effects, order.begin, order.steps)
     except InputError as error:
         return str(error)
 
 
-def _direction(key: str, payload: bytes, effect: str) -> Direction | str:
+def _direction(key: str, payload: bytes, effect: str, place: Begin | None) -> Direction | str:
     judge = _judge(key, payload)
     try:
-        return judge.direction(effect)
+        return judge.direction(effect, place)
     except InputError as error:
         return str(error)
 
 
-def _of(future: Future[Result]) -> Result:
+def _of(future: Future[Made]) -> Made:
     """What a worker has made."""
     try:
         return future.result()

@@ -161,7 +161,7 @@ def test_a_model_that_cannot_be_run_is_left_out_and_said(tmp_path: Path, monkeyp
 
 def test_directions_are_the_judges() -> None:
     found, baseline, _ = made()
-    told = Crew(Inline(), found, baseline, None).directions(ENTRIES)
+    told = Crew(Inline(), found, baseline, None).directions(ENTRIES, {})
     for direction in told:
         assert (direction.visible == Judge(found, baseline).direction(direction.effect).visible).all()
     assert [direction.effect for direction in told] == [*ENTRIES]
@@ -214,15 +214,15 @@ def test_what_another_version_has_kept_is_made_again(tmp_path: Path, monkeypatch
 def test_directions_leave_away_what_cannot_be_run(monkeypatch: pytest.MonkeyPatch) -> None:
     direction = Judge.direction
 
-    def some(self: Judge, effect: str) -> Any:
+    def some(self: Judge, effect: str, place: Any = None) -> Any:
         if effect == ENTRIES[0]:
             raise InputError("it does not converge")
-        return direction(self, effect)
+        return direction(self, effect, place)
 
     monkeypatch.setattr(Judge, "direction", some)
     found, baseline, _ = made()
     crew = Crew(Inline(), found, baseline, None)
-    assert [d.effect for d in crew.directions(ENTRIES)] == [ENTRIES[1]]
+    assert [d.effect for d in crew.directions(ENTRIES, {})] == [ENTRIES[1]]
     assert crew.failures == {(ENTRIES[0],): "it does not converge"}
 
 
