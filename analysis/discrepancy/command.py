@@ -26,13 +26,16 @@ from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.discrepancy.name.experiment import MANY, Plan, propose
 from faultline.analysis.discrepancy.name.gauge import Gauge, gauge
 from faultline.analysis.discrepancy.name.work import workers
+from faultline.analysis.discrepancy.propose.entries import entries_toml
+from faultline.analysis.discrepancy.propose.proposal import Proposal, propose_formula
 from faultline.analysis.discrepancy.show.document import encoded
 from faultline.analysis.discrepancy.show.extras import Extras
+from faultline.analysis.discrepancy.show.proposed import proposal_told
 from faultline.analysis.discrepancy.show.report import DOCUMENT, PICTURES, files_of
 from faultline.analysis.discrepancy.show.sentences import sentences
 from faultline.analysis.discrepancy.show.told import document_of, origin_of
 from faultline.analysis.model import Model, dump_model
-from faultline.analysis.model.file import folder_of
+from faultline.analysis.model.file import alike, folder_of
 from faultline.analysis.progress import Progress
 from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
@@ -46,7 +49,8 @@ EXAMPLE = """examples:
 
 DIR gets report.html, discovery.json and summary.md; with --apply model.toml, which every other command takes; and
 experiment.toml where an experiment would tell which effect it is: record it, then call this again with that recording
-besides. What is done is kept in DIR/work: an interrupted call goes on there.
+besides; and proposal.toml where something is missing that has no name: formulas for review, which --apply adds only
+once they are given back with --library. What is done is kept in DIR/work: an interrupted call goes on there.
 
 Effects and experiments are those of effects.toml and experiments.toml in the system's folder. That is where MODEL lies,
 or the shipped system that has a model of its name.
@@ -57,6 +61,7 @@ where it looks like a fault, and where --apply is refused.
 
 
 MODEL, EXPERIMENT, WORK = "model.toml", "experiment.toml", "work"
+FORMULA = "proposal.toml"
 
 
 SEARCHES = ("apply", "held_out", "library", "without", "tune", "evaluate", "truth", "scheduler", "processes", "json")
@@ -127,7 +132,8 @@ def _discover(options: argparse.Namespace) -> int:
     _not_over(options.model, options.out)
     check_folder(options.out)
     model = sound_model(options.model)
-    system = folder_of(options.model, model.name)
+    own = folder_of(options.model, model.name)
+    system = own or alike(model)
     library, experiments = _library(system, options.library, options.without), load_experiments(system)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
         data = load(model, options.recording, options.held_out, progress.note)
@@ -135,15 +141,21 @@ def _discover(options: argparse.Namespace) -> int:
             progress.note(gap)
         for gap in _without_place(model, library):
             progress.note(gap)
+        if own is None and system is not None:
+            progress.note(
+                f"{model.name}: effects and experiments of the shipped system {system.name}, which it is like"
+            )
         if not library:
             progress.note(f"{model.name}: neither effects.toml of its system nor --library, so nothing gets a name")
         recordings = _trial(options, data, progress)
         with workers(options.scheduler, options.processes) as executor:
-            found = discover(data, library, executor, options.out / WORK, _Clock(progress.say))
+            clock = _Clock(progress.say)
+            found = discover(data, library, executor, options.out / WORK, clock)
+            set_in = found.onset([log.id for log in data.training], [log.id for log in data.held])
+            proposal = propose_formula(found, executor, options.out / WORK, clock) if set_in is None else None
         progress.say("free runs, structure, experiments")
         runs = shown(found.study, found.baseline, found.outcome.nominal, found.outcome.chosen)
         new = adoption(data, found, runs)
-        set_in = found.onset([log.id for log in data.training], [log.id for log in data.held])
         rivals = found.rivals if set_in is None else ()
         planned = experiments.planned
         plans = propose(found.study, found.baseline, rivals, planned, progress.note) if rivals else []
@@ -154,13 +166,14 @@ def _discover(options: argparse.Namespace) -> int:
             plans=plans,
             experiments=experiments,
             gauge=_gauge(found, rivals, plans, experiments.gauges),
+            proposal=proposal_told(found, proposal) if proposal else None,
             onset=set_in,
             refused=new.reasons,
             applied=options.apply and new.model is not None and not new.reasons and set_in is None,
         )
         document = document_of(found, runs, origin_of(data, options.without), extras)
         progress.say("report")
-        written = _written(options.out, files_of(found, document, runs) | _results(new, extras))
+        written = _written(options.out, files_of(found, document, runs) | _results(new, extras, proposal))
     if options.json:
         print(encoded(document).decode())
     else:
@@ -216,9 +229,11 @@ def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress
     return bundle_effect(before, new.model, recordings, progress)
 
 
-def _results(new: Adoption, extras: Extras) -> dict[str, bytes]:
-    """The model, if that is asked for and nothing speaks against it, and the experiment, if it would help."""
+def _results(new: Adoption, extras: Extras, proposal: Proposal | None) -> dict[str, bytes]:
+    """The model, if that is asked for and nothing speaks against it, an experiment and a formula, if there are any."""
     files = {}
+    if proposal is not None:
+        files[FORMULA] = entries_toml(proposal.study.model.name, proposal.terms, proposal.rivals).encode()
     if extras.applied and new.model is not None:
         files[MODEL] = dump_model(new.model).encode()
     if extras.plans and extras.plans[0].told:
@@ -230,7 +245,7 @@ def _written(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
     """The paths written; what an earlier call has left and is not of this one goes."""
     ours = (folder / DOCUMENT).exists()
     write_files({folder / name: content for name, content in files.items()})
-    for name in ({MODEL, EXPERIMENT, *(f"{each}.png" for each in PICTURES)} if ours else set()) - {*files}:
+    for name in ({MODEL, EXPERIMENT, FORMULA, *(f"{each}.png" for each in PICTURES)} if ours else set()) - {*files}:
         (folder / name).unlink(missing_ok=True)
     return [folder / name for name in files]
 

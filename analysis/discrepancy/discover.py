@@ -17,13 +17,17 @@ from faultline.analysis.discrepancy.name.contest import Outcome, Say, alone, ask
 from faultline.analysis.discrepancy.name.sensitivity import Direction, chance
 from faultline.analysis.discrepancy.name.work import Crew
 
-Kind = Literal["nothing missing", "named", "one of", "unnamed"]
+Kind = Literal["nothing missing", "named", "one of", "unnamed", "recordings differ"]
 
 REMAINDER = 30.0
 """Evidence [nats] of an unknown input that is left in the model with the best effects in it, ..."""
 
 REMAINDER_SHARE = 0.1
 """... and as a part of what they brought: more, and their names would be wrong."""
+
+ONE_SIDED = 0.1
+"""Of the evidence: where the training recordings have less, and not enough by themselves, the held-out ones were made
+under other conditions. What a model lacks shows in both, unless only one of them has the operation in which it acts."""
 
 
 @dataclass(frozen=True)
@@ -105,12 +109,13 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     def unbent() -> Begin | None:
         return Begin(nominal.unknowns, before.x) if before.members else None
 
-    outcome = contest(crew, [*fit], nominal, 0.0, unbent, say)
-    directions = tuple(crew.directions([*fit]))
+    own = tuple(name for name, effect in library.items() if is_own(effect))
+    asked_of = [name for name, effect in fit.items() if not effect.expected]
+    outcome = contest(crew, asked_of, nominal, 0.0, unbent, say, own)
+    directions = tuple(crew.directions(asked_of, _places(outcome, own)))
     law = chance(directions, *judge.left(outcome.chosen))
     if any(place.gain < law for place in outcome.places):
-        outcome = contest(crew, [*fit], nominal, law, unbent, say)
-    own = tuple(name for name, effect in library.items() if is_own(effect))
+        outcome = contest(crew, asked_of, nominal, law, unbent, say, own)
     singles = alone(crew, [name for name in own if name in fit], outcome, lambda n, of: say("your own entries", n, of))
     outcome = replace(outcome, singles=singles, threshold=asked(outcome.chosen, law))
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before
@@ -121,15 +126,32 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     return Discovery(study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted, own)
 
 
-def verdict_of(outcome: Outcome, *left: Location) -> Verdict:
-    """What to say of an outcome, with what is `left` unexplained in the training and the held-out recordings."""
-    remainder = max(map(_evidence, left))
-    sets = tuple(place.rivals for place in outcome.places)
+def _places(outcome: Outcome, own: Sequence[str]) -> dict[str, Begin]:
+    """Where effects were found that a global search was for, and the user's: where they begin they may do nothing."""
+    found = {attempt.effects[0]: Begin(attempt.unknowns, attempt.x) for attempt in outcome.singles}
+    searched = {
+        name: tried.nearest for name, tried in outcome.tried.items() if tried.sizes and tried.nearest is not None
+    }
+    places = {name: Begin(glance.unknowns, glance.x) for name, glance in searched.items()}
+    return places | {name: begin for name, begin in found.items() if name in places or name in own}
+
+
+def verdict_of(outcome: Outcome, after: Location, held: Location) -> Verdict:
+    """What to say of an outcome, with what is left unexplained in the training and the held-out recordings."""
+    of_training, of_held = _evidence(after), _evidence(held)
+    remainder, sets = max(of_training, of_held), tuple(place.rivals for place in outcome.places)
+    kind: Kind
     if not sets:
-        return Verdict("unnamed" if remainder > REMAINDER else "nothing missing", (), 0.0, remainder)
-    if remainder > max(REMAINDER, REMAINDER_SHARE * outcome.gain):
-        return Verdict("unnamed", sets, outcome.gain, remainder)
-    kind: Kind = "named" if all(len(names) == 1 for names in sets) else "one of"
+        kind = "unnamed" if remainder > REMAINDER else "nothing missing"
+        one_sided = of_training < ONE_SIDED * of_held
+    else:
+        brought = outcome.chosen.training - outcome.nominal.training
+        one_sided = brought < min(ONE_SIDED * outcome.gain, outcome.threshold)
+        kind = "named" if all(len(names) == 1 for names in sets) else "one of"
+        if remainder > max(REMAINDER, REMAINDER_SHARE * outcome.gain):
+            kind = "unnamed"
+    if one_sided and kind != "nothing missing":
+        kind = "recordings differ"
     return Verdict(kind, sets, outcome.gain, remainder)
 
 

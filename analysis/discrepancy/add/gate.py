@@ -64,13 +64,18 @@ def adoption(data: Data, found: Discovery, shown: Shown) -> Adoption:
     model = adopted(
         data.model, effects, chosen.values, {name: fact for name, fact in facts.items() if fact is not None}
     )
-    return Adoption(model, tuple(_reasons(found, shown)))
+    return Adoption(model, tuple(reasons(found, shown)))
 
 
-def _reasons(found: Discovery, shown: Shown) -> Iterator[str]:
+def reasons(found: Discovery, shown: Shown) -> Iterator[str]:
+    """Why the chosen effects should not be added to the model."""
     chosen = found.outcome.chosen
-    if found.verdict.kind == "unnamed":
-        yield f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name"
+    against = {
+        "unnamed": f"with {', '.join(chosen.effects)} in it the model misses as much again: that is not its name",
+        "recordings differ": "the held-out recordings show it and the training ones do not: no physics of the vehicle",
+    }
+    if found.verdict.kind in against:
+        yield against[found.verdict.kind]
     model = found.study.model
     units = {name: units_of(model).of(known.unit, signal=name) for name, known in model.known.items()}
     steady = [gap for gap in shown.gaps if gap.mode == STEADY]

@@ -64,7 +64,8 @@ class EffectEquation:
 class Effect:
     """An effect, in its own names; `place` says in messages where it is written.
 
-    Each role has one name of a model a position; the first position of which a model has all names holds.
+    Each role has one name of a model a position; the first position of which a model has all names holds. One that is
+    `expected` every such system has to some degree: it is tolerated, and not named.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Effect:
     equations: tuple[EffectEquation, ...]
     differentials: tuple[Differential, ...]
     place: str
+    expected: bool = False
 
     def prefixed(self, own: str) -> str:
         """What one of the effect's own names is in a model."""

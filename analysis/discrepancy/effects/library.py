@@ -4,6 +4,7 @@
     [[effect]]               name, statement, component, source, signature
       rivals, separated_by   entries that look alike; experiments of experiments.toml that tell which it is
       replaces = true        only for an entry that is to stand for one of its name in the system's file
+      expected = true        every such system has it to some degree: it is tolerated, and not named
     [effect.roles]           flow = ["q_filt_t", "q_pump"]: a name by model; those of one position go together
     [effect.parameter.g]     unit, description, min, max, and one of
       null, spread             how strong the effect is: null where there is none, spread its prior standard deviation
@@ -21,6 +22,8 @@ know the effect's own names, its roles and the names of the model; in the model,
 
 import re
 import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -70,6 +73,18 @@ def load_library(system: Path | None, own: Path | None = None) -> dict[str, Effe
 def is_own(effect: Effect) -> bool:
     """True if an effect is of a user's file, and not of a shipped system."""
     return not effect.place.startswith(str(SYSTEMS))
+
+
+def effect_of(table: Mapping[str, object], place: str) -> Effect:
+    """Return the effect of an entry's `table`, as one of a file has it.
+
+    Raises:
+        ModelError: the entry is not valid.
+    """
+    name = str(table["name"])
+    return _effect(
+        Table({key: value for key, value in table.items() if key != "name"}, f"{place}: effect {name}"), name
+    )
 
 
 def _read(path: Path) -> dict[str, tuple[Effect, bool]]:
@@ -126,11 +141,12 @@ def _entry(table: Table, path: Path) -> tuple[Effect, bool]:
     name = table.text("name")
     check_name(name, f"{table.at('name')}: {name!r}")
     written = table.rest()
-    replaces = written.pop("replaces", False)
+    marks = {mark: written.pop(mark, False) for mark in ("replaces", "expected")}
     entry = Table(written, f"{path}: effect {name}")  # named, not numbered
-    if not isinstance(replaces, bool):
-        raise entry.fail("replaces", f"must be true or false, not {replaces!r}")
-    return _effect(entry, name), replaces
+    for mark, value in marks.items():
+        if not isinstance(value, bool):
+            raise entry.fail(mark, f"must be true or false, not {value!r}")
+    return replace(_effect(entry, name), expected=bool(marks["expected"])), bool(marks["replaces"])
 
 
 def _effect(table: Table, name: str) -> Effect:

@@ -78,7 +78,7 @@ class Operation:
         self.runs, self.model = runs, runs.system.model
         by_section = [quantities(run) for run in runs.trajectories]
         self._lengths = [len(run.w) for run in runs.trajectories]
-        self._inputs = [name for name in runs.system.inputs if name in self.model.known]
+        self.inputs = [name for name in runs.system.inputs if name in self.model.known]
         self.values = {name: np.concatenate([part[name] for part in by_section]) for name in by_section[0]}
         self.numbers = {name: p.value for name, p in self.model.parameters.items()} | dict(
             runs.trajectories[0].parameters
@@ -94,6 +94,29 @@ class Operation:
         """Values (K, ...) by section."""
         return np.split(value, np.cumsum(self._lengths)[:-1])
 
+    def value(self, name: str) -> Array:
+        """The course (K,) of any name of the model; of an output it is the measured one."""
+        if name in self.values:
+            return self.values[name]
+        if name in self.numbers:
+            return np.full(self.time.shape, self.numbers[name])
+        samples = [(section.t, section.samples[name]) for section in self.runs.sections]
+        return np.concatenate([np.interp(t, s.t, s.value) for t, s in samples])
+
+    def unit(self, name: str) -> str:
+        """The unit of any name of the model."""
+        model = self.model
+        return (model.known.get(name) or model.unknown.get(name) or model.parameters[name]).unit
+
+    def total(self, name: str) -> Array:
+        """A signal's integral (K,) since its recording began."""
+        found, before = list[Array](), 0.0
+        for section, part in zip(self.runs.sections, self.split(self.values[name]), strict=True):
+            before = before if section.number else 0.0
+            found.append(before + np.cumsum(part) * section.drive.step_s)
+            before = float(found[-1][-1])
+        return np.concatenate(found)
+
     def features(self, equation: str) -> list[Feature]:
         """All features of an equation."""
         terms, courses = self.terms(equation), self._courses(equation)
@@ -104,7 +127,7 @@ class Operation:
         return [Feature(course, terms[0], False) for course in courses] + rest
 
     def _courses(self, equation: str) -> list[Course]:
-        own = self._own(equation)
+        own = self.own(equation)
         return [
             Course("always", np.ones(len(self.time)), 0.0, scales=False),
             *self._of_modes(own),
@@ -114,7 +137,7 @@ class Operation:
             *(course for name in self._summed(own) for course in self._of_sum(name, own)),
         ]
 
-    def _own(self, equation: str) -> set[str]:
+    def own(self, equation: str) -> set[str]:
         """The equation's quantities, with the states of derivatives and the derivatives of states."""
         found = {symbol.name for symbol in self.model.equations[equation].expression.free_symbols}
         for d in self.model.differentials:
@@ -124,7 +147,7 @@ class Operation:
 
     def _signals(self) -> list[str]:
         states = [d.state for d in self.model.differentials]
-        return [*self._inputs, *states]
+        return [*self.inputs, *states]
 
     def _rates(self) -> list[str]:
         return [d.derivative for d in self.model.differentials]
@@ -133,7 +156,7 @@ class Operation:
         """The inputs, and the equation's own flows: unknowns that are no state and no derivative."""
         no_flows = {name for d in self.model.differentials for name in (d.state, d.derivative)}
         flows = [name for name in self.model.unknown if name in own - no_flows and name in self.values]
-        return [*self._inputs, *flows]
+        return [*self.inputs, *flows]
 
     def _of_modes(self, own: set[str]) -> list[Course]:
         rule, found = self.model.modes, []
@@ -178,12 +201,7 @@ class Operation:
         ]
 
     def _of_sum(self, name: str, own: set[str]) -> list[Course]:
-        u, total, before = self.values[name], [], 0.0
-        for section, part in zip(self.runs.sections, self.split(u), strict=True):
-            before = before if section.number else 0.0
-            total.append(before + np.cumsum(part) * section.drive.step_s)
-            before = float(total[-1][-1])
-        joined = np.concatenate(total)
+        joined = self.total(name)
         if np.ptp(joined) <= 0.0:
             return []
         words = f"growing with the sum of {_named(self.model, name)}, at its end"

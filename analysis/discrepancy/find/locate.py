@@ -35,6 +35,9 @@ SAME = 6.0
 ALIKE, NEARLY = 0.75, 0.7
 """An equation that explains so much of what another's input does, with so much of its evidence, is of its class."""
 
+LEAVES = 0.001
+"""Of the first equation's evidence: so much its input may leave elsewhere, as what it does is taken for linear."""
+
 LITTLE = 4.0
 """Less evidence is not worth a null law."""
 
@@ -264,5 +267,6 @@ class _Search:
             if name not in members:
                 rest = response.beside(self.misfit, C, PLAUSIBLE).given(known, latent)
                 found.append(self._suspect(name, rest, *self._latent(rest), gained=0.0))
-        best = [suspect for suspect in found if suspect.significant]
+        least = LEAVES * self.suspects[told.equation].evidence
+        best = [suspect for suspect in found if suspect.significant and suspect.evidence > least]
         return tuple(sorted(best, key=lambda suspect: -suspect.evidence)[:1])

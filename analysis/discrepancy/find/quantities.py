@@ -1,6 +1,6 @@
 """Every quantity of a model along a run: also those that a solver has no need of."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +46,17 @@ def _solvable(model: Model, missing: list[str], at_hand: set[str]) -> tuple[str,
 def evaluated(expression: sp.Expr, values: Mapping[str, Array], numbers: Mapping[str, float]) -> Array:
     """An expression's values along a run."""
     names = sorted(symbol.name for symbol in expression.free_symbols)
-    meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
-    function = sp.lambdify([sp.Symbol(name) for name in names], expression, modules=[meaning, "numpy"])
+    function = compiled(expression, names)
     with np.errstate(all="ignore"):
         value = function(*(values[name] if name in values else numbers[name] for name in names))
     return np.nan_to_num(np.asarray(value, dtype=np.float64))
+
+
+def compiled(expression: sp.Expr, names: Sequence[str]) -> Callable[..., Array]:
+    """An expression as a function of arrays, one for each of its `names`."""
+    meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
+    function: Callable[..., Array] = sp.lambdify([*map(sp.Symbol, names)], expression, modules=[meaning, "numpy"])
+    return function
 
 
 @dataclass(frozen=True)

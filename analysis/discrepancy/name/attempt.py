@@ -1,7 +1,7 @@
 """A model with effects added, fitted and judged: how likely it makes the training data, and then the held-out data.
 
 Both are probabilities with everything unknown integrated out, around the optimum (Laplace). The held-out data are
-predicted: what the training has left uncertain may still move there, and every recording has zero errors of its own.
+predicted: what the training has left uncertain may still move there, and every recording has conditions of its own.
 All attempts have the same weights, those of the baseline, so that their evidences can be subtracted; the baseline is
 among them, because an effect at its null value is the baseline's model exactly.
 """
@@ -13,17 +13,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from faultline.analysis.calibration.problem import Problem, Unknowns
+from faultline.analysis.calibration.likelihood import Likelihood, bins_of, blocks, levels_of
+from faultline.analysis.calibration.problem import Problem, Unknowns, carried
 from faultline.analysis.calibration.sections import Section, fitting
 from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.find.latent import Known
+from faultline.analysis.discrepancy.find.disturbed import disturbed_runs
+from faultline.analysis.discrepancy.find.features import Operation
+from faultline.analysis.discrepancy.find.latent import Known, Misfit
 from faultline.analysis.discrepancy.find.locate import Location, locate
-from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of, blocks, levels_of
+from faultline.analysis.discrepancy.name.global_search import search
 from faultline.analysis.discrepancy.name.search import Optimum, descend
 from faultline.analysis.discrepancy.name.sensitivity import Direction, remaining
 from faultline.analysis.model import Model
 from faultline.analysis.simulation import System
+from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -119,6 +123,21 @@ class Glance:
     promised: float
 
 
+@dataclass(frozen=True)
+class Scan:
+    """A global search over the last effect's own parameters: of so many `sizes` it `failed` to run some.
+
+    `promised` [nats] is what the best size brings by the linear account, `glances` what a few steps from the best come
+    to.
+    """
+
+    effects: tuple[str, ...]
+    glances: tuple[Glance, ...]
+    sizes: int
+    failed: int
+    promised: float
+
+
 class Judge:
     """Makes attempts, with the weights that hold at the baseline."""
 
@@ -131,9 +150,22 @@ class Judge:
         self._baseline = baseline
         self._nominal = problems[0].unknowns
         self._likelihoods = [
-            Likelihood(problem, carried(baseline.x, self._nominal, problem.unknowns), baseline.levels, bins)
-            for problem, bins in zip(problems, self._bins, strict=True)
+            Likelihood(
+                problem, carried(baseline.x, self._nominal, problem.unknowns), baseline.levels, bins, self._expected(k)
+            )
+            for k, (problem, bins) in enumerate(zip(problems, self._bins, strict=True))
         ]
+
+    def _expected(self, held: int) -> list[Array]:
+        """What the effects that are expected may do to the samples (N, D) of each section: one column a strength."""
+        found: list[list[Array]] = []
+        for name, effect in self._study.library.items():
+            if effect.expected:
+                problem = self._with((name,))[held]
+                x = carried(self._baseline.x, self._nominal, problem.unknowns)
+                own = [k for k, parameter in enumerate(problem.unknowns.parameters) if parameter in effect.strengths]
+                found.append([slopes[:, own] for slopes in problem.slopes(x)])
+        return [np.hstack(parts) for parts in zip(*found, strict=True)]
 
     def glance(self, effects: Sequence[str], begin: Begin, steps: int) -> Glance:
         """How far a few steps come.
@@ -144,6 +176,29 @@ class Judge:
         training, _ = self._with(effects)
         found = descend(self._likelihoods[0], training, self._start(effects, begin, training.unknowns), steps)
         return Glance(tuple(effects), training.unknowns, found.x, found.cost, found.promised)
+
+    def scan(self, effects: Sequence[str], begin: Begin, steps: int) -> Scan:
+        """Search globally over the last effect's own parameters, and how far a few steps come from the best.
+
+        Raises:
+            InputError: an effect has no place in the model, or the model cannot be run without the last one.
+        """
+        training, _ = self._with(effects)
+        x, effect = self._start(effects, begin, training.unknowns), self._study.library[effects[-1]]
+        mine, strengths = {*map(effect.prefixed, effect.parameters)}, effect.strengths
+        names = training.unknowns.parameters
+        own, strong = (
+            np.isin(np.arange(len(x)), [names.index(n) for n in of if n in names]) for of in (mine, strengths)
+        )
+        trials, glances, failed = search(self._likelihoods[0], training, x, own, strong), list[Glance](), 0
+        for start in trials.begins:
+            try:
+                found = descend(self._likelihoods[0], training, start, steps)
+            except InputError:  # the linear account went too far
+                failed += 1
+                continue
+            glances.append(Glance(tuple(effects), training.unknowns, found.x, found.cost, found.promised))
+        return Scan(tuple(effects), tuple(glances), trials.tried, trials.failed + failed, trials.promised)
 
     def attempt(self, effects: Sequence[str], begin: Begin | None = None) -> Attempt:
         """The attempt with `effects`, searched from there (none: from the baseline).
@@ -177,14 +232,21 @@ class Judge:
         _, after = predictive(self._likelihoods[1], held, optimum, attempt.unknowns)
         return np.concatenate([self._likelihoods[0].left(training, attempt.x), after]), self._blocks
 
-    def direction(self, effect: str) -> Direction:
-        """What one effect would do to all data at the baseline, and what remains of it if all else may move."""
+    def direction(self, effect: str, place: Begin | None = None) -> Direction:
+        """What one effect would do to all data at the baseline, and what remains of it if all else may move.
+
+        Its parameters beside its strengths are as in `place`, if one is given: where a global search found it.
+        """
         strengths = self._study.library[effect].strengths
         problems = self._with((effect,))
         parts = []
         for likelihood, problem in zip(self._likelihoods, problems, strict=True):
             x = carried(self._baseline.x, self._nominal, problem.unknowns)
-            parts.append((likelihood.slopes(problem, x), problem.unknowns.of_zeros))
+            if place is not None:
+                for k, name in enumerate(problem.unknowns.parameters):
+                    if name not in self._nominal.parameters and name not in strengths:
+                        x[k] = place.x[place.unknowns.parameters.index(name)]
+            parts.append((likelihood.slopes(problem, x), problem.unknowns.own))
         unknowns = problems[0].unknowns
         what = np.flatnonzero([name in strengths for name in unknowns.parameters])
         lower, upper = problems[0].bounds[:, what]
@@ -200,8 +262,13 @@ class Judge:
         problem = self._with(attempt.effects)[held]
         x = carried(attempt.x, attempt.unknowns, problem.unknowns)
         if held:
-            x[problem.unknowns.of_zeros] = 0.0
+            x[problem.unknowns.own] = 0.0
         return locate(problem, x, self._likelihoods[held].weights)
+
+    def surroundings(self, attempt: Attempt, x: Array) -> tuple[Misfit, Operation]:
+        """What an attempt's model leaves of the training recordings at another `x` of it, and its runs there."""
+        problem = self._with(attempt.effects)[0]
+        return Misfit(problem, x, self._likelihoods[0].weights), Operation(disturbed_runs(problem, x))
 
     def unforetold(self, attempt: Attempt) -> Location:
         """Where the held-out recordings depart from what the training foretells of them.
@@ -210,7 +277,7 @@ class Judge:
         """
         problem = self._with(attempt.effects)[1]
         x = carried(attempt.x, attempt.unknowns, problem.unknowns)
-        x[problem.unknowns.of_zeros] = 0.0
+        x[problem.unknowns.own] = 0.0
         free, H = precision(problem, attempt.curvature, attempt.inside, attempt.unknowns)
         return locate(problem, x, self._likelihoods[1].weights, Known(free, np.asarray(np.linalg.cholesky(H).T)))
 
@@ -256,23 +323,10 @@ def _problems(study: Study, system: System) -> tuple[Problem, Problem]:
     return training, Problem(system, kept, lagging=True, commands=training.commands)
 
 
-def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
-    """The same x for a model with other parameters, or for other logs; what is new is as expected beforehand."""
-    found = np.zeros(new.size)
-    place = {name: k for k, name in enumerate(old.parameters)}
-    for k, name in enumerate(new.parameters):
-        if name in place:
-            found[k] = x[place[name]]
-    found[new.of_zeros.stop :] = x[old.of_zeros.stop :]
-    if old.logs == new.logs:  # with another number of logs they are others, with zero errors of their own
-        found[new.of_zeros] = x[old.of_zeros]
-    return found
-
-
 def predictive(likelihood: Likelihood, problem: Problem, optimum: Optimum, known: Unknowns) -> tuple[float, Array]:
     """The log probability [nats] of held-out data given the training, and what they leave (M,) at their own optimum.
 
-    `known` are the optimum's unknowns; zero errors are each recording's own.
+    `known` are the optimum's unknowns; each recording has conditions of its own.
     """
     e, J, H = foretold(likelihood, problem, optimum.x, optimum.curvature, optimum.inside, known)
     M, b = J.T @ J + H, J.T @ e
@@ -294,7 +348,7 @@ def foretold(
     All whitened: the prediction's covariance is 1 + J H^-1 J'.
     """
     begin = carried(x, known, problem.unknowns)
-    begin[problem.unknowns.of_zeros] = 0.0
+    begin[problem.unknowns.own] = 0.0
     free, H = precision(problem, curvature, inside, known)
     return likelihood.left(problem, begin), likelihood.slopes(problem, begin)[:, free], H
 
@@ -304,9 +358,9 @@ def precision(
 ) -> tuple[npt.NDArray[np.bool_], Array]:
     """Which unknowns (n,) of the problem are free (f), and how precisely (f, f) another fit tells them.
 
-    The zero errors of its own recordings are as uncertain as they are.
+    The conditions of its own recordings are as uncertain as they are.
     """
-    own, other, size = problem.unknowns.of_zeros, known.of_zeros, problem.unknowns.size
+    own, other, size = problem.unknowns.own, known.own, problem.unknowns.size
     place = np.flatnonzero(inside)
     between = np.linalg.inv(curvature[np.ix_(place, place)])[np.ix_(*2 * [~_within(place, other)])]
     kept = np.delete(np.arange(size), own)[np.delete(inside, other)]

@@ -4,13 +4,23 @@ Every entry is fitted and judged. Those that the data cannot tell from the best 
 model the rest is asked again (forward); once another has come in, the first may be replaced or dropped (backward).
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Glance
+from faultline.analysis.discrepancy.name.tried import (
+    UNSETTLED,
+    WORTH,
+    Tried,
+    promise,
+    scanned,
+    stuck,
+    tried_of,
+    unpromising,
+)
 from faultline.analysis.discrepancy.name.work import Crew, Order
 
 AT_MOST = 3
@@ -32,9 +42,6 @@ SHARE = 0.01
 STEPS, FURTHER, FAR = 2, 1, 4
 """Of a glance, of one for a further effect, and of one from the prior: by then most show that it is not they."""
 
-WORTH = 3.0
-"""Gain [nats] in a glance from which anything is looked at again."""
-
 FIELD, MOST = 8, 16
 """So many are fitted to the end, and besides those that come near the best, in `NEAR` of its gain, but not more than
 `MOST`: far from the optimum all promise a lot."""
@@ -46,8 +53,8 @@ their freedom yet."""
 HOPE = 2.0
 """Times what the next step of a glance promises may be won on the rest of its way."""
 
-UNSETTLED, LAPS = 1.0, 6
-"""Evidence [nats] in sight from which a search goes on for another lap, and how many it gets at most."""
+LAPS = 6
+"""How often a search that is not at its end goes on, at most."""
 
 Say = Callable[[str, int, int], None]
 
@@ -72,7 +79,7 @@ class Place:
 class Outcome:
     """The `nominal` attempt, all `singles` by evidence, the one that is `chosen`, and what its effects are.
 
-    `threshold` [nats] is what was asked for.
+    `threshold` [nats] is what was asked for. `tried` says of each effect how it was searched alone.
     """
 
     nominal: Attempt
@@ -80,6 +87,7 @@ class Outcome:
     chosen: Attempt
     places: tuple[Place, ...]
     threshold: float
+    tried: Mapping[str, Tried] = field(default_factory=dict)
 
     @property
     def gain(self) -> float:
@@ -94,35 +102,42 @@ def contest(
     law: float,
     unbent: Callable[[], Begin | None] | None,
     say: Say,
+    own: Collection[str] = (),
+    most: int = AT_MOST,
 ) -> Outcome:
-    """The contest of `effects` for a place in the model, for each of which chance brings `law` [nats] at most.
+    """The contest of `effects` for `most` places in the model, for each of which chance brings `law` [nats] at most.
 
     `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
-    Without it they begin at the nominal attempt only.
+    Without it they begin at the nominal attempt only. What no local search settles is searched globally: an effect of
+    the user's `own` always, others alone in the model and where `unbent` has a place, so that something is missing.
     """
-    singles = _round(crew, nominal, effects, WORTH, unbent, say)
+    singles, tried = _round(crew, nominal, effects, WORTH, unbent, say, own)
     chosen, places = nominal, list[Place]()
     if singles and singles[0].evidence - nominal.evidence > asked(singles[0], law):
         chosen = singles[0]
         places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
         for _ in range(2 * AT_MOST):  # each round adds one and may drop another: it must end
-            if len(chosen.effects) >= AT_MOST:
+            if len(chosen.effects) >= most:
                 break
             needed = max(asked(chosen, law), SHARE * places[0].gain)
-            field = _round(crew, chosen, [name for name in effects if name not in chosen.effects], needed, None, say)
-            if not field or field[0].evidence - chosen.evidence < needed:
+            rest = [name for name in effects if name not in chosen.effects]
+            others, _ = _round(crew, chosen, rest, needed, None, say, own)
+            if not others or others[0].evidence - chosen.evidence < needed:
                 break
-            places.append(Place(rivals(field, chosen), field[0].evidence - chosen.evidence))
-            chosen, places = _reconsidered(crew, field[0], places, needed, say)
-    return Outcome(nominal, tuple(singles), chosen, tuple(places), asked(chosen, law))
+            places.append(Place(rivals(others, chosen), others[0].evidence - chosen.evidence))
+            chosen, places = _reconsidered(crew, others[0], places, needed, say)
+    return Outcome(nominal, tuple(singles), chosen, tuple(places), asked(chosen, law), tried)
 
 
 def alone(crew: Crew, names: Sequence[str], outcome: Outcome, say: Callable[[int, int], None]) -> tuple[Attempt, ...]:
     """All singles by evidence, with those of `names` that were not fitted to the end as they promise little."""
     nominal, judged = outcome.nominal, {attempt.effects[0] for attempt in outcome.singles}
-    near = Begin(nominal.unknowns, nominal.x)
-    begins = (near, Begin(nominal.unknowns, np.zeros_like(nominal.x), typical=True))
-    attempts = crew.attempts([Order((n,), begin) for n in names if n not in judged for begin in begins], say)
+    begins = [Begin(nominal.unknowns, nominal.x), Begin(nominal.unknowns, np.zeros_like(nominal.x), typical=True)]
+    rest = [name for name in names if name not in judged]
+    nearest = {name: tried.nearest for name, tried in outcome.tried.items() if tried.nearest is not None}
+    orders = [Order((name,), begin) for name in rest for begin in begins]
+    orders += [Order((n,), Begin(nearest[n].unknowns, nearest[n].x)) for n in rest if n in nearest]
+    attempts = crew.attempts(orders, say)
     best: dict[str, Attempt] = {}
     for attempt in sorted(attempts, key=lambda attempt: attempt.cost):
         best.setdefault(attempt.effects[0], attempt)
@@ -153,27 +168,50 @@ def scale(best: Attempt) -> float:
 
 
 def _round(
-    crew: Crew, base: Attempt, names: Sequence[str], worth: float, unbent: Callable[[], Begin | None] | None, say: Say
-) -> list[Attempt]:
+    crew: Crew,
+    base: Attempt,
+    names: Sequence[str],
+    worth: float,
+    unbent: Callable[[], Begin | None] | None,
+    say: Say,
+    own: Collection[str],
+) -> tuple[list[Attempt], dict[str, Tried]]:
     """Attempts with one of `names` on top of `base`, by evidence, the best first: of those that may be the best.
 
-    None where a glance promises none of them a gain of `worth` [nats].
+    None where a glance promises none of them a gain of `worth` [nats]. Also how each of them was searched.
     """
     title = f"on top of {', '.join(base.effects)}" if base.effects else "effects one by one"
     begin = Begin(base.unknowns, base.x)
     orders = [Order((*base.effects, name), begin, FURTHER if base.effects else STEPS) for name in names]
-    found = crew.glances(orders, lambda n, of: say(title, n, of))
-    if all(base.cost - glance.cost + glance.promised < worth for glance in found):
-        return []
-    if unbent is not None:
+    found = crew.glances(orders, partial(say, title))
+    starts = [begin]
+    other = None if unbent is None else unbent()
+    if other is not None or (unbent is not None and any(promise(glance, base) >= worth for glance in found)):
         elsewhere = [(Begin(base.unknowns, np.zeros_like(base.x), typical=True), FAR)]
-        other = unbent()
-        if other is not None:
-            elsewhere.append((other, STEPS))
+        elsewhere += [] if other is None else [(other, STEPS)]
         orders = [Order((*base.effects, name), start, steps) for start, steps in elsewhere for name in names]
-        found += crew.glances(orders, lambda n, of: say(f"{title}, from elsewhere", n, of))
-    attempts: dict[str, Attempt] = {}
-    field = _field(found, base)
+        found += crew.glances(orders, partial(say, f"{title}, from elsewhere"))
+        starts += [start for start, _ in elsewhere]
+    wide = names if other is not None else [name for name in names if name in own]
+    scans = scanned(crew, base, unpromising(wide, found, base), partial(say, f"{title}, globally"))
+    found += [glance for scan in scans for glance in scan.glances]
+    attempts = dict[str, Attempt]()
+    if any(promise(glance, base) >= worth for glance in found):
+        attempts = _ended(crew, _field(found, base), {}, title, say)
+        first = {scan.effects[-1] for scan in scans}
+        again = [name for name in wide if name in attempts and name not in first and stuck(attempts[name], base)]
+        more = scanned(crew, base, again, partial(say, f"{title}, globally"))
+        attempts = _ended(crew, [[*scan.glances] for scan in more], attempts, title, say)
+        scans += more
+    tried = tried_of(dict.fromkeys(names, len(starts)), found, scans, base)
+    return sorted(attempts.values(), key=lambda attempt: -attempt.evidence), tried
+
+
+def _ended(
+    crew: Crew, field: Sequence[Sequence[Glance]], known: Mapping[str, Attempt], title: str, say: Say
+) -> dict[str, Attempt]:
+    """The best attempts from the glances of a `field`, by effect, and those `known` before."""
+    attempts = dict(known)
     for rest, wave in (("to the end", [glances[:1] for glances in field]), ("again", [g[1:] for g in field])):
         orders = [
             Order(glance.effects, Begin(glance.unknowns, glance.x))
@@ -182,11 +220,10 @@ def _round(
             if not _beaten(glance, attempts.get(glance.effects[-1]))
         ]
         for attempt in crew.attempts(orders, partial(say, f"{title}, {rest}")):
-            known = attempts.get(attempt.effects[-1])
-            if known is None or attempt.cost < known.cost:
+            before = attempts.get(attempt.effects[-1])
+            if before is None or attempt.cost < before.cost:
                 attempts[attempt.effects[-1]] = attempt
-    settled = _settled(crew, attempts, partial(say, f"{title}, to the very end"))
-    return sorted(settled.values(), key=lambda attempt: -attempt.evidence)
+    return _settled(crew, attempts, partial(say, f"{title}, to the very end"))
 
 
 def _settled(crew: Crew, attempts: Mapping[str, Attempt], say: Callable[[int, int], None]) -> dict[str, Attempt]:

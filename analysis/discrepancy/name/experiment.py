@@ -14,14 +14,14 @@ from math import exp
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.likelihood import Likelihood, bins_of
+from faultline.analysis.calibration.problem import Problem, carried
 from faultline.analysis.calibration.sections import Section, cut, fitting
 from faultline.analysis.discrepancy.data import STEP
 from faultline.analysis.discrepancy.effects.compiled import model_with, system_with
 from faultline.analysis.discrepancy.effects.experiments import Control, Experiment
 from faultline.analysis.discrepancy.find.quantities import mode_of
-from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, carried, foretold
-from faultline.analysis.discrepancy.name.likelihood import Likelihood, bins_of
+from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, foretold
 from faultline.analysis.model import Equation, Known, Model, Unknown
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.recordings.track import Track
@@ -100,11 +100,11 @@ class _Rival:
         self.attempt, self.name, self.how = attempt, attempt.effects[-1], how
         self.system, self._period_s = system_with(study.model, effects), study.model.period_s
         model = _closed(model_with(study.model, effects), how)
-        self._loop = system_of(model, model.calibrated)
+        self._loop = system_of(model, model.varying)
 
     def measured(self, experiment: Experiment, like: Section) -> dict[str, Track]:
         """Every signal as this model would have it, sampled as in the section `like`."""
-        how, values = self.how, self.attempt.values
+        how, values = self.how, self.attempt.unknowns.usual(self.attempt.x)
         step_s = STEP * self._period_s
         t = np.arange(0.0, experiment.duration_s, step_s)
         asked = _asked(experiment, t)
@@ -227,7 +227,7 @@ def divergence(difference: Array, true: Array, other: Array) -> float:
 def _punctual(attempt: Attempt) -> Array:
     """The attempt's x without delays and lags, which the plan has none of."""
     x = attempt.x.copy()
-    x[attempt.unknowns.of_zeros.stop :] = 0.0
+    x[attempt.unknowns.own.stop :] = 0.0
     return x
 
 

@@ -33,7 +33,7 @@ class Place(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """`kind` is *nothing missing*, *named*, *one of* or *unnamed*; `sentence` says it in words.
+    """`kind` is *nothing missing*, *named*, *one of*, *unnamed* or *recordings differ*; `sentence` says it in words.
 
     Of an unnamed one, `places` are the effects that come nearest: what is left with them is `remainder`. Chance alone
     brings less than `threshold` in 99 of 100 cases.
@@ -117,9 +117,11 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """An entry of the library, alone in the model: by how much it is better than the model as it was.
 
     The gains are null where a few steps of the fit showed that others do more, or where the entry has `no_place` in
-    this model. `smallest` is the size from which these recordings would show it, null if no possible one is; `alike`
-    are entries that do the same in these recordings; `halted` says why its model could not be run from everywhere. Of a
-    user's `own` entry that is not named, `against` says in sentences what speaks against it.
+    this model. `best` are its parameters where it was best. It was searched from so many `starts` and, if these settled
+    nothing, globally over so many `sizes`; `promised` [nats] is the most that was in sight. `against` says in sentences
+    what speaks against it. `smallest` is the size from which these recordings would show it, null if no possible one
+    is; `alike` are entries that do the same in these recordings; `halted` says why its model could not be run from
+    everywhere. `own` is a user's entry.
     """
 
     name: str
@@ -134,6 +136,10 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     halted: str | None = None
     own: bool = False
     against: tuple[str, ...] = ()
+    best: tuple[Strength, ...] = ()
+    promised: float = 0.0
+    starts: int = 0
+    sizes: int = 0
 
 
 class White(msgspec.Struct, frozen=True, kw_only=True):
@@ -194,6 +200,37 @@ class Section(msgspec.Struct, frozen=True, kw_only=True):
     data: Mapping[str, Any] = {}
 
 
+class Term(msgspec.Struct, frozen=True, kw_only=True):
+    """A term that is proposed: an entry by `name`, and its `equation` (= 0) as it is and with the term."""
+
+    name: str
+    equation: str
+    statement: str
+    before: str
+    after: str
+
+
+class Proposal(msgspec.Struct, frozen=True, kw_only=True):
+    """A formula for what has no name: `terms`, each an entry of `proposal.toml`, and `rivals` that do as well there.
+
+    Gains are evidences [nats], `remainder` that of an unknown input with the terms in, if told. `against` says
+    in sentences what speaks against it. `tried` terms were composed.
+    """
+
+    sentence: str
+    terms: tuple[Term, ...]
+    rivals: tuple[Term, ...]
+    strengths: tuple[Strength, ...]
+    gain: float
+    gain_training: float
+    gain_held_out: float
+    threshold: float
+    remainder: float | None
+    regimes: tuple[Regime, ...]
+    against: tuple[str, ...]
+    tried: int
+
+
 class Origin(msgspec.Struct, frozen=True, kw_only=True):
     """Where the recordings are from; `missing` says in sentences what they lack, `without` what was not looked for."""
 
@@ -217,7 +254,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     null where they were not asked for.
 
     `located` is where the model as it was misses something, `left` where that with the effects still does. `onset` is
-    there if something set in while it was recorded: a fault rather than a missing effect. `refused` are reasons why the
+    there if something set in while it was recorded: a fault rather than a missing effect. `proposal` is a formula for
+    what has no name, not added to any model. `refused` are reasons why the
     effects should not be added to the model, `applied` tells that a model with them was written.
     """
 
@@ -242,6 +280,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     unplanned: tuple[str, ...] = ()
     experiment: Section | None = None
     gauge: Section | None = None
+    proposal: Proposal | None = None
     onset: Section | None = None
     refused: tuple[str, ...] = ()
     applied: bool = False
@@ -250,6 +289,11 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     def named(self) -> bool:
         """Whether what is missing has a name, or one of several."""
         return self.verdict.kind in {"named", "one of"} and self.onset is None
+
+
+def nats(value: float) -> str:
+    """An amount of evidence in words: "0.0006 nats", "3.1 nats", "523 nats"."""
+    return f"{value:.0f} nats" if value >= 10.0 else f"{value:.2g} nats"
 
 
 def encoded(document: Document) -> bytes:

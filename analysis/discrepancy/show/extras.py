@@ -30,6 +30,7 @@ class Extras:
     plans: Sequence[Plan] = ()
     experiments: Experiments = NO_EXPERIMENTS
     gauge: Gauge | None = None
+    proposal: told.Proposal | None = None
     onset: Onset | None = None
     refused: Sequence[str] = ()
     applied: bool = False

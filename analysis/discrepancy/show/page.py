@@ -1,9 +1,10 @@
 """A discovery as one HTML file that needs nothing else: pictures inside, readable on a phone, in the dark, on paper."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from faultline.analysis.discrepancy.show.document import Document, Entry, Regime, White
+from faultline.analysis.discrepancy.show.proposed import proposal_lines
 from faultline.analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
 from faultline.analysis.model.display import Units
 from faultline.service.core.display import Display
@@ -42,7 +43,9 @@ def page(d: Document, pictures: Mapping[str, bytes]) -> str:
         strengths=_strengths(d),
         meaning=meaning(d),
         next_steps=next_steps(d),
-        regimes=_regimes(d),
+        proposal=proposal_lines(d.proposal) if d.proposal else (),
+        proposed=_regimes(d, d.proposal.regimes) if d.proposal else None,
+        regimes=_regimes(d, d.regimes),
         whiteness=_whiteness(d),
         evidence=_evidence(d),
         entries=_entries(d),
@@ -68,9 +71,9 @@ def _evidence(d: Document) -> Table:
     return Table(["recordings", "before", "after", "gain"], [*rows, left])
 
 
-def _regimes(d: Document) -> Table:
+def _regimes(d: Document, regimes: Sequence[Regime]) -> Table:
     head = ["output", "mode", "RMS before", "after", "bias before", "after", "floor", "expected", "gap closed"]
-    return Table(head, [_regime(r, d.units.of(r.unit, 0.0, r.output)) for r in d.regimes], text=(1,))
+    return Table(head, [_regime(r, d.units.of(r.unit, 0.0, r.output)) for r in regimes], text=(1,))
 
 
 def _regime(r: Regime, shown: Display) -> list[str]:
@@ -96,15 +99,25 @@ def _white(found: White | None) -> tuple[str, str]:
 
 
 def _entries(d: Document) -> Table:
-    head = ["entry", "evidence [nats]", "training", "held out", "smallest visible", "looks the same here"]
+    head = [
+        "entry",
+        "evidence [nats]",
+        "training",
+        "held out",
+        "best size",
+        "against it",
+        "smallest visible",
+        "looks the same here",
+    ]
     chosen = {c.name for place in d.verdict.places for c in place.candidates} if d.named else set()
     marked = [k for k, entry in enumerate(d.entries) if entry.name in chosen]
-    return Table(head, [_entry(entry, d.units) for entry in d.entries], text=(5,), chosen=marked)
+    return Table(head, [_entry(entry, d.units) for entry in d.entries], text=(4, 5, 7), chosen=marked)
 
 
 def _entry(e: Entry, units: Units) -> list[str]:
     if e.no_place is not None:
-        return [e.name, "-", "-", "-", "-", f"no place in this model: {e.no_place}"]
+        return [e.name, "-", "-", "-", "-", f"no place in this model: {e.no_place}", "-", ""]
     gains = ["-" if gain is None else f"{gain:.1f}" for gain in (e.gain, e.gain_training, e.gain_held_out)]
     smallest = "cannot be shown" if e.smallest is None else units.of(e.unit).difference(e.smallest)
-    return [e.name, *gains, smallest, ", ".join(e.alike)]
+    best = "; ".join(strength.words for strength in e.best)
+    return [e.name, *gains, best, "; ".join(e.against), smallest, ", ".join(e.alike)]

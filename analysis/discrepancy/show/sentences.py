@@ -2,6 +2,7 @@
 
 from faultline.analysis.calibration.validate import STEADY
 from faultline.analysis.discrepancy.show.document import Document, Regime
+from faultline.analysis.discrepancy.show.proposed import proposal_lines
 from faultline.analysis.discrepancy.show.verdicts import confidence, halted, next_steps
 
 MOST = 25
@@ -15,7 +16,10 @@ def sentences(d: Document) -> list[str]:
     lines += [f"  {nearest}{strength.effect}: {strength.words}" for strength in d.strengths]
     if d.located.equations:
         lines += ["where:", *(f"  {sentence}" for sentence in d.located.sentences)]
-    if d.left.equations and d.strengths:
+    if d.proposal:
+        first, *others = proposal_lines(d.proposal)
+        lines += [first, *(f"  {line}" for line in others)]
+    if d.left.equations and d.strengths and not d.proposal:
         lines += ["still left, with the effects in:", *(f"  {sentence}" for sentence in d.left.sentences[:1])]
     lines += gap_lines(d)
     if d.drift and d.named:

@@ -1,7 +1,8 @@
 """A discovery on one page in plain words, for those who look after the vehicles: `summary.md`."""
 
 from faultline.analysis.calibration.validate import STEADY
-from faultline.analysis.discrepancy.show.document import Document
+from faultline.analysis.discrepancy.show.document import Document, nats
+from faultline.analysis.discrepancy.show.proposed import proposal_lines
 from faultline.analysis.discrepancy.show.sentences import gap_words
 from faultline.analysis.discrepancy.show.verdicts import confidence, limits, meaning, next_steps
 
@@ -10,6 +11,7 @@ HEADS = {
     "named": "The model lacks something, and it has a name",
     "one of": "The model lacks something: one of several effects",
     "unnamed": "The model lacks something that has no name yet",
+    "recordings differ": "The recordings were made under different conditions, it seems",
 }
 
 SET_IN = "Something set in while this was recorded: a fault, it seems"
@@ -24,12 +26,15 @@ def summary(d: Document) -> str:
     parts = [f"# {SET_IN if d.onset else HEADS[v.kind]}", f"Model {d.model}{of}. {_origin(d)}"]
     parts += ["## What was found", *_found(d)]
     parts += ["## How sure this is", *_bullets([_upper(line) for line in confidence(d)]), NATS, *_gap(d)]
+    if d.proposal:
+        parts += ["## A formula that is proposed", *_bullets([_upper(line) for line in proposal_lines(d.proposal)])]
     parts += ["## What it means for diagnosis", *meaning(d)]
     if d.bundle:
         parts += ["For the tests on the vehicle:", *_bullets([*d.bundle.sentences])]
     if d.refused:
         parts += ["It should not be added to the model as it is:", *_bullets([*d.refused])]
     parts += ["## What to do next", *_bullets([_upper(step) for step in next_steps(d)])]
+    parts += ["## What was tried", *_tried(d)]
     parts += ["## What this does not say", *_bullets([_upper(limit) for limit in limits(d)])]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -60,6 +65,22 @@ def _found(d: Document) -> list[str]:
             where.append(f"a sensor of {d.located.sensors[0]} would tell more")
         found += ["Where in the model, told from the data alone, without any library:", *_bullets(where)]
     return found
+
+
+def _tried(d: Document) -> list[str]:
+    """The entries that were fitted to the end as a table, the others by the most that any of them promised."""
+    fitted = [entry for entry in d.entries if entry.gain is not None]
+    rows = [
+        f"| {e.name} | {e.gain:.1f} | {'; '.join(s.words for s in e.best)} | {'; '.join(e.against)} |" for e in fitted
+    ]
+    head = ["| entry | evidence [nats] | best size | against it |", "|---|---:|---|---|"]
+    rest = [entry for entry in d.entries if entry.gain is None and entry.no_place is None]
+    table = ["\n".join([*head, *rows])] if rows else []
+    if not rest:
+        return table
+    most, wide = max(entry.promised for entry in rest), sum(entry.sizes > 0 for entry in rest)
+    globally = f"; searched globally: {wide} of them" if wide else ""
+    return [*table, f"Left behind after a few steps: {len(rest)}, with at most {nats(most)} in sight{globally}."]
 
 
 def _gap(d: Document) -> list[str]:

@@ -1,19 +1,16 @@
 """A discovery told: the document made of what a search came to, with what else was found out."""
 
-from collections.abc import Iterator, Sequence
-from math import isfinite
+from collections.abc import Sequence
 
 from msgspec import structs
 
-from faultline.analysis.discrepancy.add.held_out import Gap, Shown
-from faultline.analysis.discrepancy.add.whiteness import Whiteness
+from faultline.analysis.discrepancy.add.held_out import Shown
 from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.discrepancy.effects.effect import Effect
 from faultline.analysis.discrepancy.find.locate import Location, Suspect
-from faultline.analysis.discrepancy.name.attempt import Attempt
-from faultline.analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from faultline.analysis.discrepancy.show import document as told
+from faultline.analysis.discrepancy.show.entries import entries
 from faultline.analysis.discrepancy.show.extras import (
     Extras,
     bundle_told,
@@ -22,7 +19,7 @@ from faultline.analysis.discrepancy.show.extras import (
     gauge_told,
     section,
 )
-from faultline.analysis.discrepancy.show.sizes import sizes
+from faultline.analysis.discrepancy.show.sized import regimes_told, strengths_told
 from faultline.analysis.discrepancy.show.verdicts import sentence_of
 from faultline.analysis.model import Model
 from faultline.analysis.model.display import units_of
@@ -59,24 +56,12 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
             dispersion_before=outcome.nominal.dispersion,
             dispersion_after=outcome.chosen.dispersion,
         ),
-        strengths=tuple(
-            told.Strength(
-                effect=size.effect,
-                parameter=size.parameter,
-                description=size.description,
-                unit=size.unit,
-                value=size.value,
-                interval=size.interval,
-                no_effect=size.null,
-                words=size.words,
-            )
-            for size in sizes(outcome.chosen, library, units)
-        ),
+        strengths=strengths_told(outcome.chosen, library, units),
         located=_located(found.study.model, found.before, first),
         left=_left(found, first),
-        regimes=tuple(_regime(gap, found.study.model.known[gap.output].unit) for gap in shown.gaps),
+        regimes=regimes_told(found.study.model, shown),
         zeros=_zeros(found, shown, origin),
-        entries=_entries(found),
+        entries=entries(found),
         drifts=drifts_told(extras.drifts),
         drift=section(extras.drifts.sentences()) if extras.drifts else None,
         structure=section(extras.structure.sentences(), extras.structure) if extras.structure else None,
@@ -85,6 +70,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
         unplanned=extras.experiments.unplanned,
         experiment=experiment_told(extras.plans[0]) if extras.plans else None,
         gauge=gauge_told(extras.gauge, units) if extras.gauge else None,
+        proposal=extras.proposal,
         onset=section([extras.onset.advice()], extras.onset) if extras.onset else None,
         refused=tuple(extras.refused),
         applied=extras.applied,
@@ -165,32 +151,6 @@ def _course(suspect: Suspect) -> told.Course:
     )
 
 
-def _regime(gap: Gap, unit: str) -> told.Regime:
-    return told.Regime(
-        output=gap.output,
-        unit=unit,
-        mode=gap.mode,
-        samples=gap.after.samples,
-        rms_before=gap.before.rms,
-        rms_after=gap.after.rms,
-        bias_before=gap.before.bias,
-        bias_after=gap.after.bias,
-        floor=_known(gap.after.floor),
-        expected=_known(gap.expected),
-        closure=gap.closure,
-        white_before=_white(gap.white_before),
-        white_after=_white(gap.white_after),
-    )
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-def _white(found: Whiteness | None) -> told.White | None:
-    return None if found is None else told.White(lag1=found.lag1, probability=found.probability)
-
-
 def _zeros(found: Discovery, shown: Shown, origin: told.Origin) -> tuple[told.Zero, ...]:
     sd = found.outcome.nominal.unknowns.zeros
     pairs = zip(origin.held_out, shown.before.zeros, shown.after.zeros, strict=True)
@@ -198,75 +158,4 @@ def _zeros(found: Discovery, shown: Shown, origin: told.Origin) -> tuple[told.Ze
         told.Zero(recording=recording, output=name, before=was[name] / sd[name], after=now[name] / sd[name])
         for recording, was, now in pairs
         for name in sd
-    )
-
-
-def _entries(found: Discovery) -> tuple[told.Entry, ...]:
-    """All entries: those that were fitted to the end by their evidence, then the rest, then those without a place."""
-    nominal, library = found.outcome.nominal, found.study.library
-    smallest = smallest_sizes(found.directions, found.outcome.threshold)
-    same = alike(found.directions)
-    singles = {attempt.effects[0]: attempt for attempt in found.outcome.singles}
-    order = [*singles, *(name for name in library if name not in singles)]
-    entries = []
-    for name in order:
-        single = singles.get(name)
-        entries.append(
-            told.Entry(
-                name=name,
-                statement=library[name].statement,
-                gain=single.evidence - nominal.evidence if single else None,
-                gain_training=single.training - nominal.training if single else None,
-                gain_held_out=single.predicted - nominal.predicted if single else None,
-                smallest=_known(smallest[name]) if name in smallest else None,
-                unit=next(iter(library[name].strengths.values())).unit,
-                alike=same.get(name, ()),
-                no_place=None,
-                halted=found.halted.get(name),
-                own=name in found.own,
-                against=tuple(_against(found, name, single)) if name in found.own else (),
-            )
-        )
-    return (*entries, *(_without_place(name, reason, name in found.own) for name, reason in found.unfit.items()))
-
-
-def _against(found: Discovery, name: str, single: Attempt | None) -> Iterator[str]:
-    """The reasons why an entry is not named, none if it is."""
-    outcome, nominal, kind = found.outcome, found.outcome.nominal, found.verdict.kind
-    if name in (rival for names in found.verdict.sets for rival in names):
-        if kind == "unnamed":
-            yield f"with it in, {found.verdict.remainder:.0f} nats of evidence for an unknown input are left"
-        return
-    if single is None:
-        yield found.halted.get(name, "its model could not be run")
-        return
-    best = outcome.singles[0]
-    if single.evidence - nominal.evidence <= outcome.threshold:
-        yield f"{outcome.threshold:.1f} nats are asked for"
-    if best is not single and best.evidence > nominal.evidence:
-        yield f"{best.effects[0]} brings {best.evidence - single.evidence:.1f} nats more"
-    elif outcome.chosen.effects:
-        yield f"with {', '.join(outcome.chosen.effects)} in the model it is not needed"
-    if single.predicted < nominal.predicted:
-        yield "the held-out recordings speak against it"
-    for parameter, inside in zip(single.unknowns.parameters, single.inside.tolist(), strict=False):
-        strength = found.study.library[name].strengths.get(parameter)
-        if strength is not None and not inside:
-            nothing = single.values[parameter] == strength.null
-            yield f"{parameter} has gone to where {'it does nothing' if nothing else 'its bound is'}"
-
-
-def _without_place(name: str, reason: str, own: bool) -> told.Entry:
-    return told.Entry(
-        name=name,
-        statement="",
-        gain=None,
-        gain_training=None,
-        gain_held_out=None,
-        smallest=None,
-        unit="",
-        alike=(),
-        no_place=reason,
-        own=own,
-        against=(reason,) if own else (),
     )

@@ -17,6 +17,13 @@ TUNE_AND_EXPORT = (
     "`faultline export {model} --tuning tuning.json --dbc DBC --out bundle`"
 )
 
+DIFFER = (
+    "let `faultline diagnose` look at the held-out recordings, and call again with the recordings exchanged: what is "
+    "missing in the model shows then too; or record both again in one session, in the same operation",
+    "if the conditions do change that much, say so by the `drift` of a parameter or a sensor in the model file",
+)
+"""What to do where only the held-out recordings depart from the model."""
+
 FAR = 3.0
 """Standard deviations from which a zero error is not what the datasheet says."""
 
@@ -32,6 +39,9 @@ def sentence_of(kind: Kind, places: Sequence[Place], where: str, set_in: str | N
         return "nothing is missing in the model that these recordings could show"
     if kind == "unnamed":
         return f"something is missing in the model that no entry of the library describes: {where}"
+    if kind == "recordings differ":
+        like = f"; they look as if {'; and '.join(_one(place.candidates) for place in places)}" if places else ""
+        return f"the held-out recordings depart from the model in a way that the training recordings do not{like}"
     return f"missing in the model: {'; and besides, '.join(_one(place.candidates) for place in places)}"
 
 
@@ -62,6 +72,8 @@ def confidence(d: Document) -> list[str]:
             )
         return [*found, *_own(d)]
     lines = []
+    if v.kind == "recordings differ":
+        lines.append("what a model lacks shows in both, so this is hardly physics that it lacks")
     if v.places:
         e, what = d.evidence, "evidence" if d.named else "the nearest effects bring"
         lines.append(
@@ -75,8 +87,12 @@ def confidence(d: Document) -> list[str]:
 
 
 def _own(d: Document) -> list[str]:
-    """The user's own entries that are not named: their evidence, and what speaks against them."""
-    return [f"your entry {e.name}: {_brought(e)}; against it: {'; '.join(e.against)}" for e in d.entries if e.against]
+    """The user's own entries that something speaks against: their evidence, and what it is."""
+    return [
+        f"your entry {e.name}: {_brought(e)}; against it: {'; '.join(e.against)}"
+        for e in d.entries
+        if e.own and e.against
+    ]
 
 
 def _brought(e: Entry) -> str:
@@ -107,6 +123,11 @@ def meaning(d: Document) -> list[str]:
     if kind == "nothing missing":
         seen = "little more than noise" if d.verdict.remainder > 0.0 else "nothing but noise"
         return [f"Tests made from this model see {seen} on a healthy vehicle, as far as these recordings go."]
+    if kind == "recordings differ":
+        return [
+            "The model may be right: between the recordings the conditions may have changed (temperature, ambient "
+            "pressure, a sensor's zero) by more than the model's `drift` says, or a component may have."
+        ]
     found = [
         "Until the model has this, its tests see a deviation on a healthy vehicle: either they are set so that they "
         "tolerate it, and small faults stay unseen, or they raise false alarms."
@@ -136,28 +157,35 @@ def next_steps(d: Document) -> list[str]:
     """What to do now."""
     if d.onset:
         return list(d.onset.sentences)
-    kind = d.verdict.kind
-    if kind == "nothing missing":
-        return [f"use the model as it is: {TUNE_AND_EXPORT.format(model='MODEL')}"]
-    if kind == "named" and d.refused:
+    steps = {"recordings differ": [*DIFFER], "named": _once_named(d), "one of": _to_tell_apart(d)}
+    steps["nothing missing"] = [f"use the model as it is: {TUNE_AND_EXPORT.format(model='MODEL')}"]
+    return steps.get(d.verdict.kind) or _to_name(d)
+
+
+def _once_named(d: Document) -> list[str]:
+    if d.refused:
         return [f"do not add it as it is, {d.refused[0]}: try other forms of the same effect in a file for --library"]
-    if kind == "named" and d.applied:
+    if d.applied:
         return [f"make a bundle of the model that was written: {TUNE_AND_EXPORT.format(model='model.toml')}"]
-    if kind == "named":
-        return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
-    if kind == "one of":
-        taken = [f"`model.toml` has {_names(d)[0]}, the most probable: which it is stays open"] if d.applied else []
-        read = d.gauge.sentences if d.gauge else ()
-        if d.experiment and d.experiment.data.get("tells"):
-            return [*d.experiment.sentences, *read, *taken]
-        named = [name for name in experiments(d) if d.experiment is None or name in d.unplanned]
-        record = [f"record what may tell them apart: {'; or '.join(d.experiments.get(name, name) for name in named)}"]
-        planned = (
-            d.experiment.sentences if d.experiment else () if named else ("no experiment is known that tells them",)
-        )
-        known = ["once you know what it is not, call again with --without and its name"] if read else []
-        return [*planned, *(record if named else []), *read, *known, *taken]
+    return ["take it into the model (`faultline discover ... --apply`), then tune and export anew"]
+
+
+def _to_tell_apart(d: Document) -> list[str]:
+    taken = [f"`model.toml` has {_names(d)[0]}, the most probable: which it is stays open"] if d.applied else []
+    read = d.gauge.sentences if d.gauge else ()
+    if d.experiment and d.experiment.data.get("tells"):
+        return [*d.experiment.sentences, *read, *taken]
+    named = [name for name in experiments(d) if d.experiment is None or name in d.unplanned]
+    record = [f"record what may tell them apart: {'; or '.join(d.experiments.get(name, name) for name in named)}"]
+    planned = d.experiment.sentences if d.experiment else () if named else ("no experiment is known that tells them",)
+    known = ["once you know what it is not, call again with --without and its name"] if read else []
+    return [*planned, *(record if named else []), *read, *known, *taken]
+
+
+def _to_name(d: Document) -> list[str]:
     steps = ["have an engineer describe it as an entry of the library, and give that file with --library"]
+    if d.proposal:
+        steps.append("the formula in `proposal.toml` is an entry to begin with: review it and name it by what it means")
     if d.located.sensors:
         steps.append(f"a sensor of {d.located.sensors[0]} would tell better where it is")
     return steps
@@ -186,7 +214,7 @@ def limits(d: Document) -> list[str]:
             "the operation in which it acts"
         )
     named = {candidate.name for place in d.verdict.places for candidate in place.candidates}
-    unseen = [e.name for e in d.entries if e.no_place is None and e.smallest is None and e.name not in named]
+    unseen = [e.name for e in d.entries if _is_unseen(e) and e.name not in named]
     if unseen:
         found.append(f"these recordings cannot show, at any possible size: {_listed(unseen)}")
     groups = alike_groups(d.entries)
@@ -208,6 +236,11 @@ def limits(d: Document) -> list[str]:
     if d.simulated:
         found.append("these data are simulated: no figure here is of a real vehicle")
     return found
+
+
+def _is_unseen(e: Entry) -> bool:
+    """True if no strength could be seen; of a searched entry with another parameter that is true at one value only."""
+    return e.no_place is None and e.smallest is None and not (e.sizes and len(e.best) > 1)
 
 
 def halted(d: Document) -> list[str]:

@@ -136,6 +136,36 @@ def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: 
     assert "uds_production" in capsys.readouterr().out
 
 
+def test_what_no_entry_describes_gets_a_formula_and_is_added_once_it_is_given_back(
+    made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without its entry the valve's effect has no name: a term is proposed, which --apply alone does not add."""
+    out, again = made.model.parent / "formula", made.model.parent / "given-back"
+    given = (made.model, made.training, "--held-out", made.held, "--apply")
+    code, printed = run(*given, "--out", out, "--without", "full_open_gain")
+    assert code == 1
+    told = json.loads((out / "discovery.json").read_bytes())
+    assert told["verdict"]["kind"] == "unnamed"
+    proposal = told["proposal"]
+    assert proposal["terms"][0]["equation"] == "e04"
+    assert "_step_dc_dose" in proposal["terms"][0]["name"]
+    assert proposal["remainder"] == 0.0
+    strength = proposal["strengths"][0]
+    assert strength["value"] == pytest.approx(GAIN, abs=0.04)
+    assert all(r["rms_after"] < r["rms_before"] for r in proposal["regimes"] if r["mode"] == "maximum")
+    assert "a formula is proposed, to be reviewed: in dosed flow" in printed
+    assert "proposal.toml" in printed
+    assert not (out / "model.toml").exists()
+    for name in ("report.html", "summary.md"):
+        assert "A formula that is proposed" in (out / name).read_text()
+
+    monkeypatch.setattr(command, "load_library", lambda _, own: load_library(None, own))
+    code, printed = run(*given, "--out", again, "--library", out / "proposal.toml")
+    assert (again / "model.toml").exists(), printed
+    assert f"{proposal['terms'][0]['name']}_c" in load_model(again / "model.toml").parameters
+    assert not (again / "proposal.toml").exists()
+
+
 def test_what_makes_the_held_out_free_run_worse_is_not_written(
     found: Found, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -207,6 +207,24 @@ def test_an_unnamed_effect_is_not_called_by_the_nearest_name(document: Document)
     assert '<tr class="chosen">' not in page(d, {})
 
 
+def test_what_the_held_out_recordings_show_alone_is_no_missing_physics() -> None:
+    found = discovery()
+    outcome, nominal = found.outcome, found.outcome.nominal
+    chosen = dataclasses.replace(
+        outcome.chosen, training=nominal.training + 1.0, predicted=nominal.predicted + outcome.gain
+    )
+    alone = dataclasses.replace(outcome, chosen=chosen)
+    verdict = verdict_of(alone, found.after, found.held)
+    assert verdict.kind == "recordings differ"
+    nothing = dataclasses.replace(outcome, chosen=nominal, places=())
+    assert verdict_of(nothing, found.after, found.before).kind == "recordings differ"
+    assert verdict_of(nothing, found.before, found.after).kind == "unnamed"
+    d, _ = described(dataclasses.replace(found, outcome=alone, verdict=verdict), ORIGIN, Extras())
+    assert not d.named
+    assert "depart from the model in a way that the training recordings do not" in d.verdict.sentence
+    assert "exchanged" in " ".join(next_steps(d))
+
+
 def test_what_is_left_in_the_held_out_recordings_has_a_place_too() -> None:
     found = discovery()
     assert found.left is found.after
