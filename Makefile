@@ -6,7 +6,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients power screenshots emps logs)
+	endurance mutation compose alarms clients power screenshots emps logs proposals families)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -54,6 +54,9 @@ SET ?= B
 campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added? writes docs/results
 	@$(BIN)/python tests/campaigns/discrepancy.py --set $(SET)
 
+campaign-proposals: .venv/.test  ## hours: effects in no library, is the right formula proposed? writes docs/results
+	@$(BIN)/python tests/campaigns/proposals.py
+
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@$(BIN)/python tests/campaigns/discrepancy_ablations.py
 
@@ -80,6 +83,9 @@ campaign-clients: .venv/.test  ## HTTP clients that are slow, hostile or vanish;
 
 campaign-power: .venv/.test  ## 20 power cuts of a guest while alarms are told, as root; writes docs/results
 	@$(BIN)/python tests/campaigns/power.py
+
+campaign-families: .venv/.test  ## two hours: plants of other structures, in which nothing is missing; writes docs/results
+	@$(BIN)/python tests/campaigns/families.py
 
 campaign-emps: .venv/.test  ## a real linear drive at 200 Hz, EMPS=the folder of its two files; writes docs/results
 	@$(BIN)/python tests/campaigns/emps.py $(EMPS)
