@@ -87,4 +87,4 @@ def test_a_hose_that_creeps(tmp_path: Path) -> None:
     assert added(found / "model.toml") == {"creeping_hose_C", "creeping_hose_tau"}
     [idle] = [r for r in discovered(found)["regimes"] if (r["output"], r["mode"]) == ("y_p_ap", "idle")]
     assert idle["rms_before"] > 1.5 * idle["expected"]
-    assert idle["rms_after"] < idle["expected"]
+    assert idle["rms_after"] < 1.1 * idle["expected"]
