@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,11 @@ class Subscriber(threading.Thread):
                 self.lines += (line for line in stream if line.endswith(b"\n"))
 
 
+def runs(lines: Sequence[bytes]) -> set[str]:
+    """The runs of the daemon that the records' ids begin with."""
+    return {json.loads(line)["id"].rpartition("-")[0] for line in tuple(lines)}
+
+
 @pytest.mark.waits
 def test_what_was_seen_before_a_kill_is_there_after_it(tmp_path: Path) -> None:
     seed = int.from_bytes(os.urandom(4))
@@ -89,7 +95,8 @@ def test_what_was_seen_before_a_kill_is_there_after_it(tmp_path: Path) -> None:
             subscriber = Subscriber(service.socket, after)
             subscriber.start()
             begin = time.monotonic()
-            while not subscriber.lines and time.monotonic() < begin + WITHIN_S:
+            # The first lines may be what the run before had stored and not yet sent: each run is to add one of its own.
+            while runs(subscriber.lines) <= runs(seen) and time.monotonic() < begin + WITHIN_S:
                 time.sleep(0.005)
             time.sleep(float(chance.uniform(0.0, 1.5)))
             service.kill()
@@ -109,4 +116,4 @@ def test_what_was_seen_before_a_kill_is_there_after_it(tmp_path: Path) -> None:
     records = [json.loads(line) for line in lines]
     assert [record["seq"] for record in records] == list(range(1, len(records) + 1))
     assert len({record["id"] for record in records}) == len(records)
-    assert len({record["id"].rpartition("-")[0] for record in records}) >= KILLS, "every run has a name of its own"
+    assert len(runs(lines)) >= KILLS, "every run has a name of its own"
