@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from faultline.analysis.calibration.doubts import doubts
+from faultline.analysis.calibration.doubts import TWICE, doubts
 from faultline.analysis.calibration.fit import Fit, Globally
 from faultline.analysis.calibration.identify import Identified
 from faultline.analysis.calibration.pulses import Pulses
@@ -19,6 +19,7 @@ from faultline.analysis.calibration.validate import STEADY, Agreement, Validatio
 from faultline.analysis.model import Known, Model
 from faultline.analysis.model.display import Units, units_of
 from faultline.service.core.display import Display
+from faultline.service.core.manifest import EDGE
 
 CORRELATED = 0.9
 """Parameters that are correlated more than this are hard to tell apart."""
@@ -116,8 +117,8 @@ def report(
 
 def sentences(r: Report, known: Mapping[str, Known]) -> list[str]:
     """The report as lines of text."""
-    lines = [f"the model does NOT describe these data: {doubt}" for doubt in r.doubts]
-    lines += [f"the model does not fit the recordings: {misfit}" for misfit in r.misfits]
+    lines = [f"the model does NOT describe these data: {doubt}" for doubt in r.doubts] or [_accepted(r)]
+    lines += [f"a setting to check, not the equations: {misfit}" for misfit in r.misfits]
     lines += [f"{'parameter':<10}{'model file':>12}{'calibrated':>12}{'95 %':>9}  unit"]
     lines += [_row(name, p, r) for name, p in r.parameters.items()]
     for anchor, others in r.anchors.items():
@@ -153,6 +154,21 @@ def _of_global_search(found: Globally) -> str:
     return (
         f"{found.reason}, so {found.tried} sets of parameters all over the priors were tried{unrun}; the searches from "
         f"the best of them {ended}"
+    )
+
+
+def _accepted(r: Report) -> str:
+    steady = [
+        (a.normalised, name, mode)
+        for by_output in r.agreement.values()
+        for name, by_mode in by_output.items()
+        for mode, a in by_mode.items()
+        if mode not in (EDGE, STEADY)
+    ]
+    most, name, mode = max(steady, default=(0.0, "", ""))
+    return (
+        f"the model describes these data: sample by sample it is off by at most {most:.1f} times what is expected "
+        f"({name} in mode {mode}; {TWICE:g} times are allowed)"
     )
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,6 +125,9 @@ def test_a_report_is_a_page_a_picture_and_numbers(reported: Reported) -> None:
     assert height > 600
     page = (folder / "report.md").read_text()
     assert page.startswith("# Calibration of uds of vehicle made\n")
+    assert re.search(
+        r"\nthe model describes these data: .* at most [01]\.\d times .* mode \w+; 2 times are allowed", page
+    )
     assert "![Free run](free-run.png)" in page
     for name in (*FREE, "holds-3", "holds-4"):
         assert name in page
