@@ -32,6 +32,10 @@ DELAY = 1.5
 """Periods. Prior standard deviation of a command's delay."""
 
 
+Runs = Sequence[tuple[Section, Trajectory]]
+"""Every section, on the grid of a run, and the run."""
+
+
 class Nuisance(NamedTuple):
     """What is of one recording: `zero` errors, `lag` [s] of outputs, `delay` [s] of commands.
 
@@ -199,23 +203,23 @@ class Problem:
 
         return least_squares(residual, x, jac=slope, bounds=self.bounds, ftol=tolerance, xtol=1e-8, gtol=1e-10)
 
-    def left(self, x: Array) -> list[Array]:
-        """The differences y - y_hat of every section (N,)."""
+    def left(self, x: Array, runs: Runs | None = None) -> list[Array]:
+        """The differences y - y_hat of every section (N,), of its run at x or of another."""
         lag, found = self.unknowns.lag(x), []
-        for section, log, trajectory in zip(self.sections, self._log, self.trajectories(x), strict=True):
+        for log, (section, trajectory) in zip(self._log, self._pairs(x, runs), strict=True):
             zero = self.unknowns.zero(x, log)
             measured = [s.value - zero.get(name, 0.0) for name, s in section.samples.items()]
             found.append(np.concatenate(measured) - stacked(section, trajectory.outputs(), lag))
         return found
 
-    def slopes(self, x: Array) -> list[Array]:
+    def slopes(self, x: Array, runs: Runs | None = None) -> list[Array]:
         """Their derivatives (N, n)."""
         unknowns, found = self.unknowns, []
         scale, lag, usual = unknowns.theta_by_x(x), unknowns.lag(x), unknowns.usual(x)
         place = {name: k for k, name in enumerate(self.system.parameters)}
         fitted, drifting = ([place[name] for name in names] for names in (unknowns.parameters, unknowns.drifts))
         size = np.array([sd * usual[name] for name, sd in unknowns.drifts.items()])
-        for section, log, trajectory in zip(self.sections, self._log, self.trajectories(x), strict=True):
+        for log, (section, trajectory) in zip(self._log, self._pairs(x, runs), strict=True):
             by_parameter = stacked(section, trajectory.by_parameters(), lag)
             columns = [by_parameter[:, fitted] * scale]
             for other in range(unknowns.logs):
@@ -231,12 +235,19 @@ class Problem:
             found.append(-np.concatenate(columns, axis=1))
         return found
 
+    def _pairs(self, x: Array, runs: Runs | None) -> Runs:
+        return [*zip(self.sections, self.trajectories(x), strict=True)] if runs is None else runs
+
+    def parameters(self, x: Array) -> list[dict[str, float]]:
+        """The parameters of every section, by name."""
+        usual = self.unknowns.usual(x)
+        return [usual | self.unknowns.drifted(x, log) for log in self._log]
+
     def trajectories(self, x: Array) -> list[Trajectory]:
         """The free runs of every section."""
         if self._at is None or not np.array_equal(x, self._at):
-            usual, delay = self.unknowns.usual(x), self.unknowns.delay(x)
-            theta = [usual | self.unknowns.drifted(x, log) for log in self._log]
-            self._runs = runs(self.system, self.sections, theta, delay, self._runs)
+            delay = self.unknowns.delay(x)
+            self._runs = runs(self.system, self.sections, self.parameters(x), delay, self._runs)
             self._at = x.copy()
         return self._runs
 

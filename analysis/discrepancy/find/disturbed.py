@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +21,8 @@ Array = npt.NDArray[np.float64]
 class DisturbedRuns:
     """The runs of a problem at an x, on a coarser grid: `sections` are the problem's with that grid.
 
-    `system` has the disturbances, all zero in the runs; `commands` are its inputs that hold still between steps, `lag`
-    [s] is what the outputs lag behind.
+    `system` has the disturbances, all zero in the runs but for those that were asked for; `commands` are its inputs
+    that hold still between steps, `lag` [s] is what the outputs lag behind.
     """
 
     system: System
@@ -29,6 +30,11 @@ class DisturbedRuns:
     trajectories: tuple[Trajectory, ...]
     commands: tuple[str, ...]
     lag: Mapping[str, float]
+
+    @property
+    def pairs(self) -> list[tuple[Section, Trajectory]]:
+        """Every section and its run."""
+        return [*zip(self.sections, self.trajectories, strict=True)]
 
     def outputs(self, equation: str, directions: Sequence[Array]) -> list[Array]:
         """What disturbances (K, D) by section of an equation add to the samples, (N, D)."""
@@ -59,18 +65,22 @@ class DisturbedRuns:
         return found
 
 
-def disturbed_runs(problem: Problem, x: Array) -> DisturbedRuns:
-    """The problem's runs at `x`.
+def disturbed_runs(
+    problem: Problem, x: Array, added: Mapping[str, Sequence[Array]] = MappingProxyType({})
+) -> DisturbedRuns:
+    """The problem's runs at `x`, with what is `added` to equations (K,) by section.
 
     Raises:
         InputError: the model cannot be run at `x`.
     """
     system = system_of(problem.system.model, problem.system.parameters, disturbed=True)
     sections, trajectories = [], []
-    for section, fine in zip(problem.sections, problem.trajectories(x), strict=True):
+    for k, (section, fine) in enumerate(zip(problem.sections, problem.trajectories(x), strict=True)):
         every = max(1, round(section.time.period_s / fine.drive.step_s))
         inputs = fine.drive.inputs[::every]
         extra = np.zeros((len(inputs), len(system.inputs) - inputs.shape[1]))
+        for equation, by_section in added.items():
+            extra[:, system.inputs.index(disturbance(equation)) - inputs.shape[1]] = by_section[k]
         guess = fine.w[::every]
         states = guess[:, : len(system.states)]
         drive = Drive(every * fine.drive.step_s, np.hstack([inputs, extra]), fine.drive.start, states)

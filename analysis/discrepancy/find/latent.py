@@ -13,6 +13,7 @@ random walk and looking whether its intensity is zero is Kristensen, Madsen and 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from faultline.analysis.calibration.noise import Weigh
-from faultline.analysis.calibration.problem import Problem
+from faultline.analysis.calibration.problem import Problem, Runs
 
 Array = npt.NDArray[np.float64]
 
@@ -43,14 +44,18 @@ class Known:
 class Misfit:
     """The whitened misfit of `problem` at `x` without what another x would take of it.
 
-    `left` (N + n) is it, with the priors' n rows at the end; `known` stands for them, if it is there.
+    `left` (N + n) is it, with the priors' n rows at the end; `known` stands for them, if it is there. It is that of the
+    free `runs` at `x`, or of others.
     """
 
-    def __init__(self, problem: Problem, x: Array, weights: Sequence[Weigh], known: Known | None = None) -> None:
+    def __init__(
+        self, problem: Problem, x: Array, weights: Sequence[Weigh], known: Known | None = None, runs: Runs | None = None
+    ) -> None:
         free = np.abs(problem.bounds - x).min(axis=0) > AT_BOUND if known is None else known.free
         root, behind = (np.eye(int(free.sum())), -x[free]) if known is None else (known.root, np.zeros(len(known.root)))
-        e = np.concatenate([white(part) for white, part in zip(weights, problem.left(x), strict=True)])
-        J = np.concatenate([white(-part[:, free]) for white, part in zip(weights, problem.slopes(x), strict=True)])
+        e = np.concatenate([white(part) for white, part in zip(weights, problem.left(x, runs), strict=True)])
+        slopes = problem.slopes(x, runs)
+        J = np.concatenate([white(-part[:, free]) for white, part in zip(weights, slopes, strict=True)])
         self._weights = weights
         self._Q = np.linalg.qr(np.concatenate([J, root]))[0]
         self.left = self._projected(np.concatenate([e, behind]))
@@ -75,6 +80,12 @@ class Misfit:
         """Whitened, projected columns (N + n, D) of inputs that all sections share."""
         D = np.concatenate([white(part) for white, part in zip(self._weights, by_section, strict=True)])
         return self._projected(np.concatenate([D, np.zeros((self._Q.shape[1], D.shape[1]))]))
+
+    def without(self, explained: Array) -> "Misfit":
+        """The misfit less what something explains of it, whitened and projected (N + n)."""
+        found = copy(self)
+        found.left = self.left - explained
+        return found
 
     def _rows(self, parts: Sequence[Array], values: Array | None = None) -> list[Array]:
         """The rows of values, or of Q, that belong to each section."""

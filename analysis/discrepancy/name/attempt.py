@@ -7,7 +7,7 @@ among them, because an effect at its null value is the baseline's model exactly.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +18,8 @@ from faultline.analysis.calibration.problem import Problem, Unknowns, carried
 from faultline.analysis.calibration.sections import Section, fitting
 from faultline.analysis.discrepancy.effects.compiled import system_with
 from faultline.analysis.discrepancy.effects.effect import Effect
-from faultline.analysis.discrepancy.find.disturbed import disturbed_runs
-from faultline.analysis.discrepancy.find.features import Operation
-from faultline.analysis.discrepancy.find.latent import Known, Misfit
+from faultline.analysis.discrepancy.find.followed import Followed, followed
+from faultline.analysis.discrepancy.find.latent import Known
 from faultline.analysis.discrepancy.find.locate import Location, locate
 from faultline.analysis.discrepancy.name.global_search import search
 from faultline.analysis.discrepancy.name.search import Optimum, descend
@@ -105,11 +104,15 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Begin:
-    """Where a search begins: the values `x` of other `unknowns`, and what is new at null, or `typical` in size."""
+    """Where a search begins: the values `x` of other `unknowns`, and what is new at null, or `typical` in size.
+
+    What is new may begin elsewhere, at `places` by name [standard deviations of its prior].
+    """
 
     unknowns: Unknowns
     x: Array
     typical: bool = False
+    places: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -265,10 +268,12 @@ class Judge:
             x[problem.unknowns.own] = 0.0
         return locate(problem, x, self._likelihoods[held].weights)
 
-    def surroundings(self, attempt: Attempt, x: Array) -> tuple[Misfit, Operation]:
-        """What an attempt's model leaves of the training recordings at another `x` of it, and its runs there."""
-        problem = self._with(attempt.effects)[0]
-        return Misfit(problem, x, self._likelihoods[0].weights), Operation(disturbed_runs(problem, x))
+    def followed(self, attempt: Attempt, x: Array, equation: str) -> Followed:
+        """Runs of an attempt's model that follow the training recordings, from another `x` of it on.
+
+        An unknown input of the equation is in place of what is missing.
+        """
+        return followed(self._with(attempt.effects)[0], x, self._likelihoods[0].weights, equation)
 
     def unforetold(self, attempt: Attempt) -> Location:
         """Where the held-out recordings depart from what the training foretells of them.
@@ -291,6 +296,8 @@ class Judge:
         if begin.typical:
             strengths = {name for effect in effects for name in self._study.library[effect].strengths}
             x[[k for k, name in enumerate(unknowns.parameters) if name in strengths]] = 1.0
+        for k, name in enumerate(unknowns.parameters):
+            x[k] = begin.places.get(name, x[k])
         return x
 
 

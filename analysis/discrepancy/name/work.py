@@ -130,7 +130,8 @@ class Crew:
             return None
         entries = [repr(self._study.library[name]) for name in order.effects]
         begin = order.begin
-        given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(begin.x.tolist())]
+        place = begin.x.tolist(), sorted(begin.places.items())
+        given = [self._study.key, self._weights, repr(begin.unknowns.parameters), repr(place)]
         text = "\n".join([self._code, *given, *entries])
         digest = hashlib.sha256(f"{text}\n{begin.typical}\n{order.steps}\n{order.globally}".encode()).hexdigest()[:16]
         return self._folder / f"{'+'.join(order.effects) or 'none'}-{digest}.json"

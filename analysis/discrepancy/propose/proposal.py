@@ -33,8 +33,9 @@ MOST_EQUATIONS = 24
 NEARLY, NEAR_MOST = 0.9, 6
 """Of the best term's evidence: those that bring as much are near it, and so many of them are gone on with."""
 
-SAME_EACH, SAME_MOST = 2, 14
-"""Of candidates that do the same as one of the best to first order, so many of an equation are fitted too."""
+SAME_EACH, SAME_MOST = 2, 20
+"""Of candidates that do the same as one of the best to first order, so many of an equation are fitted too: the one that
+would explain the most, and the plainest."""
 
 
 @dataclass(frozen=True)
@@ -84,28 +85,35 @@ def propose_formula(found: Discovery, executor: Executor, folder: Path | None, s
         return None
     nominal, study = found.outcome.nominal, found.study
     say("composing formulas", 0, 1)
-    misfit, operation = Judge(study, found.baseline).surroundings(nominal, found.before.x)
+    first = found.before.suspects[0].equation
+    near = Judge(study, found.baseline).followed(nominal, found.before.x, first)
     equations = [suspect.equation for suspect in found.before.suspects[:MOST_EQUATIONS]]
-    field, tried = screened(misfit, operation, equations, lambda candidate: _effect(study.model, candidate) is not None)
+    field, tried = screened(
+        near.misfit, near.operation, equations, lambda candidate: _effect(study.model, candidate) is not None
+    )
     law = found.outcome.threshold + log(max(tried, 1))  # as many had the chance
 
-    def compete(those: Sequence[Candidate], most: int) -> tuple[Study, Outcome]:
-        effects = (_effect(study.model, candidate) for candidate in those)
-        made = {effect.name: effect for effect in effects if effect is not None}
+    def compete(those: Sequence[Screened], most: int) -> tuple[Study, Outcome]:
+        made, places = dict[str, Effect](), dict[str, float]()
+        for each in those:
+            effect = _effect(study.model, each.candidate)
+            if effect is not None:
+                made[effect.name] = effect
+                places |= dict.fromkeys(effect.strengths, each.strength)
         expected = {name: effect for name, effect in study.library.items() if effect.expected}
         its = replace(study, library=expected | made)
         crew = Crew(executor, its, found.baseline, folder)
-        begin = Begin(nominal.unknowns, found.before.x)
+        begin = Begin(nominal.unknowns, near.x, places=places)
         return its, contest(crew, [*made], nominal, law, lambda: begin, say, most=most)
 
-    _, first = compete([each.candidate for each in field], 1)
-    if not first.places:
+    _, single = compete(field, 1)
+    if not single.places:
         return None
-    again = _with_same(_near(first, {each.candidate.name: each for each in field}))
+    again = _with_same(_near(single, {each.candidate.name: each for each in field}))
     its, outcome = compete(again, AT_MOST)
     if not outcome.places:
         return None
-    candidates = {candidate.name: candidate for candidate in again}
+    candidates = {each.candidate.name: each.candidate for each in again}
     outcome = _plainest(outcome, candidates)
     left, halted = _left(Judge(its, found.baseline), outcome.chosen)
     return Proposal(its, outcome, candidates, left, halted, tried)
@@ -129,16 +137,15 @@ def _near(outcome: Outcome, field: Mapping[str, Screened]) -> list[Screened]:
     return [field[name] for name in (*names[:NEAR_MOST], *chosen)]
 
 
-def _with_same(field: Sequence[Screened]) -> list[Candidate]:
-    """The candidates of a field, and of those that do the same as one the plainest, some of every equation."""
-    found = [each.candidate for each in field]
+def _with_same(field: Sequence[Screened]) -> list[Screened]:
+    """The field, and of those that do the same as one of it the best and the plainest of every equation."""
+    found = [*field]
     for each in field:
-        count: dict[str, int] = {}
-        for other in sorted(each.same, key=lambda candidate: candidate.cost):
-            count[other.equation] = count.get(other.equation, 0) + 1
-            if count[other.equation] <= SAME_EACH and len(found) < SAME_MOST:
-                found.append(other)
-    return found
+        for equation in dict.fromkeys(other.candidate.equation for other in each.same):
+            best, *more = (other for other in each.same if other.candidate.equation == equation)
+            plain = sorted(more, key=lambda other: other.candidate.cost)
+            found += [best, *plain[: SAME_EACH - 1]]
+    return found[:SAME_MOST]
 
 
 def _plainest(outcome: Outcome, candidates: Mapping[str, Candidate]) -> Outcome:

@@ -9,7 +9,7 @@ with the whitened response c of the outputs and what is left e, both without wha
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,28 +29,32 @@ FIELD, EACH = 12, 4
 
 @dataclass(frozen=True)
 class Screened:
-    """A candidate with its evidence to first order [nats], and those that do the same, the best first."""
+    """A candidate, to first order: its evidence [nats] and its strength [spreads].
+
+    `same` are those that do the same, the best first.
+    """
 
     candidate: Candidate
     evidence: float
-    same: tuple[Candidate, ...]
+    strength: float
+    same: tuple["Screened", ...] = ()
 
 
 def screened(
     misfit: Misfit, operation: Operation, equations: Sequence[str], sound: Callable[[Candidate], bool]
 ) -> tuple[list[Screened], int]:
     """Return those `sound` candidates of the equations that are worth a fit, best first, and how many there were."""
-    found: list[tuple[float, Candidate, Array]] = []
+    best: dict[tuple[str, ...], tuple[Screened, Array]] = {}
+    count = 0
     for equation in equations:
         made = candidates(operation, equation)
-        if made:
-            C = _responses(misfit, operation, equation, made)
-            values = _evidences(C, misfit.left, [c.one_sided for c in made])
-            found += [(value - c.cost, c, C[:, k]) for k, (value, c) in enumerate(zip(values, made, strict=True))]
-    best: dict[tuple[str, ...], tuple[float, Candidate, Array]] = {}
-    for each in sorted(found, key=lambda each: -each[0]):
-        best.setdefault(each[1].family, each)
-    return _field([each for each in best.values() if each[0] > 0.0], sound), len(found)
+        count += len(made)
+        for each in _judged(misfit, _responses(misfit, operation, equation, made), made) if made else ():
+            before = best.get(each[0].candidate.family)
+            if before is None or each[0].evidence > before[0].evidence:
+                best[each[0].candidate.family] = each
+    ordered = sorted(best.values(), key=lambda each: -each[0].evidence)
+    return _field([each for each in ordered if each[0].evidence > 0.0], sound), count
 
 
 def _responses(misfit: Misfit, operation: Operation, equation: str, made: Sequence[Candidate]) -> Array:
@@ -58,23 +62,30 @@ def _responses(misfit: Misfit, operation: Operation, equation: str, made: Sequen
     return misfit.shared(operation.runs.outputs(equation, directions))
 
 
-def _evidences(C: Array, left: Array, one_sided: Sequence[bool]) -> list[float]:
-    power, pull = np.sum(C * C, axis=0), C.T @ left
+def _judged(misfit: Misfit, C: Array, made: Sequence[Candidate]) -> list[tuple[Screened, Array]]:
+    """The candidates with what each costs taken off, and with their columns of C (N, D)."""
+    power, pull = np.sum(C * C, axis=0), C.T @ misfit.left
     gain = 0.5 * pull**2 / (1.0 + power) - 0.5 * np.log1p(power)
-    return [float(value) for value in np.where(np.asarray(one_sided) & (pull < 0.0), -np.inf, gain)]
+    gain = np.where(np.array([c.one_sided for c in made]) & (pull < 0.0), -np.inf, gain)
+    gain -= [c.cost for c in made]
+    strength = pull / (1.0 + power)
+    return [
+        (Screened(c, float(value), float(size)), column)
+        for c, value, size, column in zip(made, gain, strength, C.T, strict=True)
+    ]
 
 
-def _field(ordered: Sequence[tuple[float, Candidate, Array]], sound: Callable[[Candidate], bool]) -> list[Screened]:
+def _field(ordered: Sequence[tuple[Screened, Array]], sound: Callable[[Candidate], bool]) -> list[Screened]:
     """Those to fit: no two that do the same, and not too many of one equation."""
-    chosen: list[tuple[float, Candidate, Array]] = []
-    same, counted = dict[str, list[Candidate]](), dict[str, int]()
-    for value, candidate, column in ordered:
-        unit = column / np.linalg.norm(column)
-        twin = next((c.name for _, c, other in chosen if abs(float(unit @ other)) > SAME), None)
+    chosen: list[tuple[Screened, Array]] = []
+    same, counted = dict[str, list[Screened]](), dict[str, int]()
+    for each, column in ordered:
+        unit, equation = column / np.linalg.norm(column), each.candidate.equation
+        twin = next((other.candidate.name for other, its in chosen if abs(float(unit @ its)) > SAME), None)
         if twin is not None:
-            same[twin].append(candidate)
-        elif len(chosen) < FIELD and counted.get(candidate.equation, 0) < EACH and sound(candidate):
-            counted[candidate.equation] = counted.get(candidate.equation, 0) + 1
-            chosen.append((value, candidate, unit))
-            same[candidate.name] = []
-    return [Screened(candidate, value, tuple(same[candidate.name])) for value, candidate, _ in chosen]
+            same[twin].append(each)
+        elif len(chosen) < FIELD and counted.get(equation, 0) < EACH and sound(each.candidate):
+            counted[equation] = counted.get(equation, 0) + 1
+            chosen.append((each, unit))
+            same[each.candidate.name] = []
+    return [replace(each, same=tuple(same[each.candidate.name])) for each, _ in chosen]

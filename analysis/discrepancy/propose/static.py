@@ -13,7 +13,10 @@ from faultline.analysis.model.model import Mode
 Array = npt.NDArray[np.float64]
 
 LEVELS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
-"""Where in a signal's range a kink is tried; its place is fitted then."""
+"""Where in a signal's usual range a kink is tried; its place is fitted then, within that range."""
+
+RARE = 0.01
+"""Of all instants, either way: what lies beyond is a start or a stop, and not the signal's usual range."""
 
 STEADY = 0.1
 """A signal whose least size is above this part of its largest never comes near zero: its inverse is a shape."""
@@ -54,13 +57,23 @@ def powers(operation: Operation, name: str) -> Iterator[Shape]:
 def levels(operation: Operation, name: str) -> Iterator[Shape]:
     """What of a signal is above or below a level."""
     s, unit = operation.values[name], operation.unit(name)
-    least, width = float(s.min()), float(np.ptp(s))
+    least, most = np.quantile(s, (RARE, 1.0 - RARE)).tolist()
+    width = most - least
+    if width <= 0.0:
+        return
     s_0 = nice(width)
     for share in LEVELS:
         level = nice(least + share * width, 3)
         tables = {
             "s_0": scale(unit, s_0, f"scale of {name}"),
-            "L": {"unit": unit, "description": f"level of {name}", "value": level, "spread": nice(0.1 * width)},
+            "L": {
+                "unit": unit,
+                "description": f"level of {name}",
+                "value": level,
+                "spread": nice(0.1 * width),
+                "min": nice(least, 3),
+                "max": nice(most, 3),
+            },
         }
         for words, d, side in (("above", s - level, f"{name} - L"), ("below", level - s, f"L - {name}")):
             formula, value = f"({side} + abs({side}))/(2*s_0)", np.maximum(d, 0.0) / s_0

@@ -12,7 +12,7 @@ from made_runs import made as made_run
 from made_study import Inline
 
 from faultline.analysis.calibration.problem import Problem
-from faultline.analysis.calibration.sections import fitting
+from faultline.analysis.calibration.sections import Section, fitting
 from faultline.analysis.discrepancy.data import Data
 from faultline.analysis.discrepancy.discover import Discovery, discover
 from faultline.analysis.discrepancy.effects.compiled import system_with
@@ -20,6 +20,7 @@ from faultline.analysis.discrepancy.effects.library import effect_of, load_libra
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.find.disturbed import disturbed_runs
 from faultline.analysis.discrepancy.find.features import Operation
+from faultline.analysis.discrepancy.find.followed import followed
 from faultline.analysis.discrepancy.find.latent import Misfit
 from faultline.analysis.discrepancy.propose.candidates import Candidate, candidates
 from faultline.analysis.discrepancy.propose.entries import entries_toml
@@ -27,7 +28,7 @@ from faultline.analysis.discrepancy.propose.proposal import Proposal, propose_fo
 from faultline.analysis.discrepancy.propose.screen import FIELD, screened
 from faultline.analysis.discrepancy.show.proposed import proposal_lines, proposal_told
 from faultline.analysis.model import ModelError, load_model
-from faultline.analysis.simulation import system_of
+from faultline.analysis.simulation import Trajectory, system_of
 
 UDS4, TANKS, DRIVE = load_model("uds"), load_model("three-tank"), load_model("emps")
 EVERY = 29
@@ -130,9 +131,25 @@ def test_the_screening_finds_what_was_added() -> None:
     assert tried > 500
     assert len(field) <= FIELD
     best = field[0]
-    does = {c.name for c in (best.candidate, *best.same)}
+    does = {each.candidate.name for each in (best, *best.same)}
     assert "e04_q_dos_times_step_dc_dose_1" in does
     assert best.evidence > 5.0 + field[-1].evidence
+
+
+def test_runs_follow_what_was_measured_with_an_unknown_input() -> None:
+    """Less and less goes on to the hose above 9.5 bar: the free run is bars away from what was measured."""
+    problem = dosing(UDS4, {"e10": lambda v: 0.3 * np.maximum(v["p_ap"] - 9.5e5, 0.0)}, 1)
+    x = np.zeros(problem.unknowns.size)
+    near = followed(problem, x, weights(problem, x), "e10")
+    measured = problem.sections[0].samples["y_p_ap"]
+
+    def off(section: Section, trajectory: Trajectory) -> float:
+        e = np.interp(measured.t, section.t, trajectory.outputs()["y_p_ap"]) - measured.value
+        return float(np.sqrt(np.mean(e**2)))
+
+    free = off(problem.sections[0], problem.trajectories(x)[0])
+    assert free > 1e5
+    assert off(*near.operation.runs.pairs[0]) < 0.1 * free
 
 
 def search(runs_over: float) -> Discovery:
