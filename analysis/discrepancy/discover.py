@@ -111,11 +111,12 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
 
     own = tuple(name for name, effect in library.items() if is_own(effect))
     asked_of = [name for name, effect in fit.items() if not effect.expected]
-    outcome = contest(crew, asked_of, nominal, 0.0, unbent, say, own)
+    missing = _evidence(before)
+    outcome = contest(crew, asked_of, nominal, 0.0, unbent, say, own, missing=missing)
     directions = tuple(crew.directions(asked_of, _places(outcome, own)))
     law = chance(directions, *judge.left(outcome.chosen))
     if any(place.gain < law for place in outcome.places):
-        outcome = contest(crew, asked_of, nominal, law, unbent, say, own)
+        outcome = contest(crew, asked_of, nominal, law, unbent, say, own, missing=missing)
     singles = alone(crew, [name for name in own if name in fit], outcome, lambda n, of: say("your own entries", n, of))
     outcome = replace(outcome, singles=singles, threshold=asked(outcome.chosen, law))
     after = judge.locate(outcome.chosen) if outcome.chosen.effects else before

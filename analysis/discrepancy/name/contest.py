@@ -30,6 +30,10 @@ LEAST = 10.0
 """Evidence [nats] below which nothing is said, whatever chance may bring: with less, dozens of entries can be told
 apart no more than the noise allows, and the right one may be out of the contest."""
 
+PART = 0.1
+"""Of the evidence for an unknown input: where the best effect brings less, no few of them are what is missing, and no
+further one is looked for."""
+
 UNLIKELY = 5.0
 """Evidence [nats] by which a rival must be worse to be out: odds of 150 to 1."""
 
@@ -104,12 +108,14 @@ def contest(
     say: Say,
     own: Collection[str] = (),
     most: int = AT_MOST,
+    missing: float = 0.0,
 ) -> Outcome:
     """The contest of `effects` for `most` places in the model, for each of which chance brings `law` [nats] at most.
 
-    `unbent` gives a place for searches to begin from where no parameter does a missing effect's work; it takes a while.
-    Without it they begin at the nominal attempt only. What no local search settles is searched globally: an effect of
-    the user's `own` always, others alone in the model and where `unbent` has a place, so that something is missing.
+    `missing` [nats] is what an unknown input would bring. `unbent` gives a place for searches to begin from where no
+    parameter does a missing effect's work; it takes a while. Without it they begin at the nominal attempt only. What no
+    local search settles is searched globally: an effect of the user's `own` always, others alone in the model and where
+    `unbent` has a place, so that something is missing.
     """
     singles, tried = _round(crew, nominal, effects, WORTH, unbent, say, own)
     chosen, places = nominal, list[Place]()
@@ -117,7 +123,7 @@ def contest(
         chosen = singles[0]
         places = [Place(rivals(singles, nominal), chosen.evidence - nominal.evidence)]
         for _ in range(2 * AT_MOST):  # each round adds one and may drop another: it must end
-            if len(chosen.effects) >= most:
+            if len(chosen.effects) >= most or places[0].gain < PART * missing:
                 break
             needed = max(asked(chosen, law), SHARE * places[0].gain)
             rest = [name for name in effects if name not in chosen.effects]

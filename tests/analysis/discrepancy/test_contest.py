@@ -131,14 +131,22 @@ def test_an_effect_that_was_no_more_than_the_way_to_a_better_optimum_is_dropped(
     assert {*outcome.chosen.effects} == {"a", "b"}
 
 
-def scripted(evidence: Mapping[str, float], law: float = 0.0, dispersion: float = 1.0) -> dict[str, float]:
+def scripted(
+    evidence: Mapping[str, float], law: float = 0.0, dispersion: float = 1.0, missing: float = 0.0
+) -> dict[str, float]:
     """The gain of every effect that is chosen."""
     crew: Any = Scripted(evidence, dispersion)
     names = sorted({letter for key in evidence for letter in key})
-    outcome = contest(crew, names, crew.attempt(""), law, None, lambda *_: None)
+    outcome = contest(crew, names, crew.attempt(""), law, None, lambda *_: None, missing=missing)
     gains = {place.rivals[0]: place.gain for place in outcome.places}
     assert {*gains} == {*outcome.chosen.effects}
     return gains
+
+
+def test_no_second_effect_is_looked_for_where_the_first_is_a_small_part_of_what_is_missing() -> None:
+    evidence = {"": 0.0, "a": 100.0, "b": 50.0, "ab": 160.0}
+    assert {*scripted(evidence, missing=900.0)} == {"a", "b"}
+    assert {*scripted(evidence, missing=1100.0)} == {"a"}
 
 
 def test_an_effect_that_stood_in_for_two_is_dropped_and_the_others_are_weighed_without_it() -> None:
