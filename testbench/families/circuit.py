@@ -7,9 +7,10 @@
 
 The pressures (p_tp, p_bp, p_ap, p_du) are absolute [Pa], flows in m^3/s; `opening` is the part of the time that the
 dosing valve is open. The fast volumes settle within milliseconds, so that explicit integrators cannot have them:
-`implicit_euler` and `runge_kutta` (R. Alexander, SIAM Journal on Numerical Analysis, 1977) solve by Newton's method;
-`reduced` takes them for settled and integrates p_ap alone by the classical method of Runge and Kutta. Linearly implicit
-methods were tried: a root's steep slope at nought sends them to a wrong steady state.
+`implicit_euler`, `runge_kutta` (R. Alexander, SIAM Journal on Numerical Analysis, 1977) and `tr_bdf2` (Bank and others,
+IEEE Transactions on Electron Devices, 1985) solve by Newton's method; `reduced` takes them for settled and integrates
+p_ap alone by the classical method of Runge and Kutta. Linearly implicit methods were tried: a root's steep slope at
+nought sends them to a wrong steady state.
 """
 
 from collections.abc import Callable
@@ -107,6 +108,31 @@ def runge_kutta(circuit: Circuit, x: State, h: float, speed: float, opening: flo
     on = (1.0 - GAMMA) / GAMMA
     p_tp, p_bp, p_ap, p_du = (a + on * (b - a) for a, b in zip(x, first, strict=True))
     return _solved(circuit, (p_tp, p_bp, p_ap, p_du), first, GAMMA * h, speed, opening)
+
+
+def tr_bdf2(circuit: Circuit, x: State, h: float, speed: float, opening: float) -> State:
+    """A trapezoidal step to a part of `h`, then a backward difference; raises ArithmeticError as `implicit_euler`."""
+    part = 2.0 - sqrt(2.0)
+    half = 0.5 * part * h
+    slopes = _rates(circuit, x, speed, opening)
+    p_tp, p_bp, p_ap, p_du = (a + half * slope for a, slope in zip(x, slopes, strict=True))
+    y = _solved(circuit, (p_tp, p_bp, p_ap, p_du), x, half, speed, opening)
+    new, old = 1.0 / (part * (2.0 - part)), (1.0 - part) ** 2 / (part * (2.0 - part))
+    p_tp, p_bp, p_ap, p_du = (new * b - old * a for a, b in zip(x, y, strict=True))
+    return _solved(circuit, (p_tp, p_bp, p_ap, p_du), y, (1.0 - part) / (2.0 - part) * h, speed, opening)
+
+
+def _rates(c: Circuit, x: State, speed: float, opening: float) -> State:
+    """Of the pressures [Pa/s]."""
+    p_tp, p_bp, p_ap, p_du = x
+    q_t, q_p, q_f = c.k_t * root(c.ambient - p_tp), c.k_p * root(p_tp - p_bp), c.k_f * root(p_ap - p_du)
+    q_pump, q_o = c.delivered(speed, p_bp, p_ap), (c.k_o + opening * c.k_v) * root(p_du - c.ambient)
+    return (
+        (q_t - q_p) / c.c_tp,
+        (q_p - q_pump) / c.c_bp,
+        (q_pump - q_f - c.lost(p_ap)) / c.compliance(p_ap),
+        (q_f - q_o) / c.c_du,
+    )
 
 
 def _solved(circuit: Circuit, base: State, guess: State, h: float, speed: float, opening: float) -> State:

@@ -80,6 +80,25 @@ class Steps:
 
 
 @dataclass
+class Foreknowing:
+    """The speed that idle and dose would need by the maker's figures, and an integral that rests within a dead band."""
+
+    idle: float  # rev/s
+    dose: float  # rev/s more at full dose
+    gain: float  # rev/s/bar
+    time: float  # s
+    band: float  # bar, either way
+    integral: float = 0.0
+
+    def __call__(self, error: float, dose: float, h: float) -> float:
+        """As `PI`."""
+        e = error / BAR
+        if abs(e) > self.band:
+            self.integral = min(max(self.integral + h / self.time * self.gain * e, -20.0), 20.0)
+        return max(self.idle + self.dose * dose + self.gain * e + self.integral, 0.0)
+
+
+@dataclass
 class Motor:
     """Follows the ordered speed with a lag [s] (0: at once), at most so fast [rev/s/s]. State: `speed` [rev/s]."""
 
@@ -93,6 +112,23 @@ class Motor:
         change = min(max(wanted, -self.fastest * h), self.fastest * h)
         before = self.speed
         self.speed += change
+        return 0.5 * (before + self.speed)
+
+
+@dataclass
+class Swinging:
+    """A motor of second order: its natural `frequency` [rad/s] and `damping`. State: `speed` [rev/s] and its rate."""
+
+    frequency: float
+    damping: float
+    speed: float = 0.0
+    rate: float = 0.0
+
+    def step(self, h: float, ordered: float) -> float:
+        """As of `Motor`; by the semi-implicit method of Euler."""
+        w, before = self.frequency, self.speed
+        self.rate += h * (w * w * (ordered - self.speed) - 2.0 * self.damping * w * self.rate)
+        self.speed = max(self.speed + h * self.rate, 0.0)
         return 0.5 * (before + self.speed)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from faultline.testbench.families.circuit import Circuit, Integrator
-from faultline.testbench.families.control import Motor, Pulses
+from faultline.testbench.families.control import Motor, Pulses, Swinging
 from faultline.testbench.families.cycle import Asked, Style
 from faultline.testbench.families.sensed import Course, Seen
 
@@ -30,7 +30,7 @@ class Plant:
     step: float
     controller: Callable[[], Controller]
     period: float
-    motor: Callable[[], Motor]
+    motor: Callable[[], Motor | Swinging]
     pulses: Callable[[], Pulses]
     seen: Seen
     style: Style

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """First-order `lag` [s], `noise` (standard deviation), `resolution`, and an error `zero`, in the signal's unit.
+    """First-order `lag` [s], mean over a `window` [s], `noise` (standard deviation), `resolution`, and an error `zero`.
 
     `pulsation` is the amplitude of the pump's ripple at 30 rev/s, `pulses` how many there are in a revolution.
     """
@@ -23,6 +23,7 @@ class Sensor:
     noise: float
     resolution: float = 0.0
     lag: float = 0.0
+    window: float = 0.0
     zero: float = 0.0
     pulsation: float = 0.0
     pulses: int = 6
@@ -30,12 +31,16 @@ class Sensor:
 
 @dataclass(frozen=True, kw_only=True)
 class Tachometer:
-    """The pump's speed: a mean over `window` [s], `noise` and `resolution` [rev/s], renewed each `renewed` [s]."""
+    """The pump's speed: a mean over `window` [s], `noise` and `resolution` [rev/s], renewed each `renewed` [s].
+
+    With `teeth` it is counted how many of so many on a wheel have passed within the window.
+    """
 
     noise: float = 0.03
     resolution: float = 0.0
     window: float = 0.0
     renewed: float = 0.0
+    teeth: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,12 +89,14 @@ def frames(course: Course, seen: Seen, dbc: Dbc, rng: np.random.Generator) -> It
     """The frames of a run, from its first to its last."""
     turned = np.cumsum(course.speed) * course.step
     felt = {
-        name: _lagged(course.pressures[:, PLACE[name]], sensor.lag / course.step)
+        name: _lagged(_mean(course.pressures[:, PLACE[name]], sensor.window / course.step), sensor.lag / course.step)
         + sensor.pulsation * np.sqrt(course.speed / 30.0) * np.sin(2 * np.pi * sensor.pulses * turned)
         for name, sensor in seen.sensors.items()
     }
     width = max(1, round(seen.speed.window / course.step))
     whole = np.concatenate([np.zeros(width), turned])
+    if seen.speed.teeth:
+        whole = np.floor(whole * seen.speed.teeth) / seen.speed.teeth
     mean = (whole[width:] - whole[: len(turned)]) / (width * course.step)
     senders = {sender.message.name: sender for sender in (*dbc.controllers, dbc.sensor_box)}
     due = [
@@ -123,6 +130,14 @@ def _lagged(value: Array, steps: float) -> Array:
         return value
     share = 1.0 - np.exp(-1.0 / steps)
     return np.asarray(value[0] + lfilter([share], [1.0, share - 1.0], value - value[0]))
+
+
+def _mean(value: Array, steps: float) -> Array:
+    """Over the last so many steps, from a steady start."""
+    width = max(1, round(steps))
+    return np.asarray(
+        np.convolve(np.concatenate([np.full(width - 1, value[0]), value]), np.ones(width) / width, "valid")
+    )
 
 
 def _read(value: float, sensor: Sensor, rng: np.random.Generator) -> float:

@@ -35,6 +35,7 @@ from faultline.analysis.model.file import SYSTEMS
 from faultline.analysis.recordings.observe import open_for
 from faultline.analysis.simulation import system_of
 from faultline.testbench.bus import load_dbc
+from faultline.testbench.families.development import DEVELOPMENT
 from faultline.testbench.families.draw import FAMILIES, plant_of
 from faultline.testbench.families.plant import Plant, on_a_day
 from faultline.testbench.families.recording import record
@@ -42,9 +43,6 @@ from faultline.testbench.streams import stream
 
 DURATION_S = 480.0
 PAGE = Path("docs/results/families.md")
-DEVELOPMENT = ("stepped", "slow", "relay", "highland", "ripple", "sluggish", "changing")
-"""The families that the methods were chosen on."""
-
 PRINTED = ("family", "number", "verdict", "sets", "gain", "evidence", "dispersion", "cpu_s")
 
 
@@ -177,7 +175,7 @@ def main() -> None:
                 file.write(json.dumps({**result, "commit": commit}) + "\n")
             print({key: result.get(key) for key in PRINTED}, flush=True)
     rows = [json.loads(line) for line in options.results.read_text().splitlines()]
-    options.results.with_suffix(".md").write_text(page(rows, commit, time.monotonic() - start, DEVELOPMENT))
+    options.results.with_suffix(".md").write_text(page(rows, commit, time.monotonic() - start, [*DEVELOPMENT]))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import pytest
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.command import main
 from faultline.testbench.errors import RigError
-from faultline.testbench.families.circuit import implicit_euler, reduced, runge_kutta
+from faultline.testbench.families.circuit import implicit_euler, reduced, runge_kutta, tr_bdf2
 from faultline.testbench.families.control import Motor, Pulses, Relay
 from faultline.testbench.families.cycle import STANDING_S, asked
 from faultline.testbench.families.draw import FAMILIES, plant_of
@@ -27,7 +27,13 @@ def test_the_integrators_agree() -> None:
     cycle = asked(plant.style, DURATION_S, stream(1, "cycle"))
     runs = [
         run(replace(plant, integrator=integrator, step=step), cycle, DURATION_S).pressures[:: round(0.05 / step)]
-        for integrator, step in ((implicit_euler, 0.01), (implicit_euler, 0.005), (runge_kutta, 0.01), (reduced, 0.01))
+        for integrator, step in (
+            (implicit_euler, 0.01),
+            (implicit_euler, 0.005),
+            (runge_kutta, 0.01),
+            (tr_bdf2, 0.01),
+            (reduced, 0.01),
+        )
     ]
     for other in runs[1:]:
         count = min(len(other), len(runs[0]))
