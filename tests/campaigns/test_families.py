@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
-from families import DEVELOPMENT, tried
+from families import tried
 from families_page import page
+
+from faultline.testbench.families.development import DEVELOPMENT
 
 
 @pytest.mark.parametrize(("family", "number"), [("slow", 1), ("changing", 1)])
@@ -14,7 +16,7 @@ def test_nothing_is_claimed_and_the_model_is_accepted(family: str, number: int, 
     assert found["calibrate"]["doubts"] == []
     within = [abs(error) <= 1.5 * half for error, half, told in found["calibrate"]["errors"].values() if told]
     assert all(within), found["calibrate"]["errors"]
-    text = page([found], "0", 1.0, DEVELOPMENT)
+    text = page([found], "0", 1.0, [*DEVELOPMENT])
     assert f"| {family} | 1 | 0 | 0 | 0 | 0 |" in text
     assert "Something claimed: 0 of 1" in text
 
