@@ -6,7 +6,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients power screenshots emps logs proposals families)
+	endurance mutation compose alarms clients power screenshots emps logs proposals families time-constants)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -105,6 +105,9 @@ campaign-mutation: .venv/.test .venv-mutation/.done  ## which changes of the cod
 
 campaign-stories: .venv/.test  ## all stories of docs/: do their commands print what the pages say?
 	@$(BIN)/python -m pytest tests/thread/test_stories.py
+
+campaign-time-constants: .venv/.test  ## ten minutes: how often intervals hold a drift's time constant; writes docs/results
+	@$(BIN)/python tests/campaigns/time_constants.py
 
 campaign-training: .venv/.test  ## networks beside the calibrated equations; writes docs/results
 	@$(BIN)/python tests/campaigns/grey_box.py

@@ -81,9 +81,11 @@ class Unknowns(NamedTuple):
 
     def theta(self, x: Array) -> dict[str, float]:
         """The values of the parameters that are fitted."""
-        xi = x[: len(self.parameters)]
-        values = self.values * np.exp(self.priors * xi) + self.spreads * xi
-        return dict(zip(self.parameters, values.tolist(), strict=True))
+        return {name: self.value(k, float(x[k])) for k, name in enumerate(self.parameters)}
+
+    def value(self, k: int, xi: float) -> float:
+        """The value of the parameter with the number `k`, so many standard deviations from what is expected."""
+        return float(self.values[k] * np.exp(self.priors[k] * xi) + self.spreads[k] * xi)
 
     def usual(self, x: Array) -> dict[str, float]:
         """The values of all parameters that a system has as symbols, as they are when nothing has drifted."""

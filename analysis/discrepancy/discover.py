@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +14,7 @@ from faultline.analysis.discrepancy.find.locate import Location
 from faultline.analysis.discrepancy.find.onset import Onset, onset
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Judge, Study, baseline_of
 from faultline.analysis.discrepancy.name.contest import Outcome, Say, alone, asked, contest
+from faultline.analysis.discrepancy.name.profile import Ends
 from faultline.analysis.discrepancy.name.sensitivity import Direction, chance
 from faultline.analysis.discrepancy.name.work import Crew
 
@@ -50,7 +51,8 @@ class Discovery:
     `before` is where the model as it was misses something, `after` where that with the chosen effects does, `held`
     where that does in the held-out recordings, `unforetold` where those depart from what the training tells of them.
     `unfit` are entries that have no place in this model, with the reason; `halted` those whose model could not be run
-    from some beginning, and that came to nothing from the others; `own` those of a user's file.
+    from some beginning, and that came to nothing from the others; `own` those of a user's file. `intervals` are of the
+    chosen effects' parameters that enter non-linearly (see `profile`).
     """
 
     study: Study
@@ -65,6 +67,7 @@ class Discovery:
     unfit: Mapping[str, str]
     halted: Mapping[str, str]
     own: tuple[str, ...] = ()
+    intervals: Mapping[str, Ends] = field(default_factory=dict)
 
     @property
     def rivals(self) -> tuple[Attempt, ...]:
@@ -124,7 +127,10 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     judged = {attempt.effects for attempt in outcome.singles}
     halted = {effects[0]: why for effects, why in crew.failures.items() if len(effects) == 1 and effects not in judged}
     verdict = verdict_of(outcome, after, held)
-    return Discovery(study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted, own)
+    intervals = judge.intervals(outcome.chosen)
+    return Discovery(
+        study, baseline, outcome, before, after, held, unforetold, verdict, directions, unfit, halted, own, intervals
+    )
 
 
 def _places(outcome: Outcome, own: Sequence[str]) -> dict[str, Begin]:

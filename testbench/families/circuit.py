@@ -111,15 +111,21 @@ def runge_kutta(circuit: Circuit, x: State, h: float, speed: float, opening: flo
 
 
 def tr_bdf2(circuit: Circuit, x: State, h: float, speed: float, opening: float) -> State:
-    """A trapezoidal step to a part of `h`, then a backward difference; raises ArithmeticError as `implicit_euler`."""
+    """A trapezoidal step to a part of `h`, then a backward difference; raises ArithmeticError as `implicit_euler`.
+
+    Where a flow has just turned round, so that the root's kink keeps Newton's method from the solution, it is that one.
+    """
     part = 2.0 - sqrt(2.0)
     half = 0.5 * part * h
     slopes = _rates(circuit, x, speed, opening)
     p_tp, p_bp, p_ap, p_du = (a + half * slope for a, slope in zip(x, slopes, strict=True))
-    y = _solved(circuit, (p_tp, p_bp, p_ap, p_du), x, half, speed, opening)
     new, old = 1.0 / (part * (2.0 - part)), (1.0 - part) ** 2 / (part * (2.0 - part))
-    p_tp, p_bp, p_ap, p_du = (new * b - old * a for a, b in zip(x, y, strict=True))
-    return _solved(circuit, (p_tp, p_bp, p_ap, p_du), y, (1.0 - part) / (2.0 - part) * h, speed, opening)
+    try:
+        y = _solved(circuit, (p_tp, p_bp, p_ap, p_du), x, half, speed, opening)
+        p_tp, p_bp, p_ap, p_du = (new * b - old * a for a, b in zip(x, y, strict=True))
+        return _solved(circuit, (p_tp, p_bp, p_ap, p_du), y, (1.0 - part) / (2.0 - part) * h, speed, opening)
+    except ArithmeticError:
+        return implicit_euler(circuit, x, h, speed, opening)
 
 
 def _rates(c: Circuit, x: State, speed: float, opening: float) -> State:

@@ -1,6 +1,7 @@
 """The page of the campaign over plants of other structures."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -35,7 +36,9 @@ def page(rows: Rows, commit: str, seconds: float, development: Sequence[str]) ->
     if hidden:
         lines += ["## Effects hidden in them", "", *_hidden(hidden), ""]
     lines += ["| family | what it is like |", "|---|---|", *(f"| {k} | {v.text} |" for k, v in FAMILIES.items()), ""]
-    return "\n".join([*lines, provenance(commit, seconds), ""])
+    made = Counter(row["commit"] for row in rows if "commit" in row)
+    by = "; ".join(f"{count} of {name}" for name, count in made.items())
+    return "\n".join([*lines, provenance(commit, seconds), *([f"Plants by commit: {by}."] if made else []), ""])
 
 
 def _nulls(rows: Rows, families: Sequence[str]) -> list[str]:

@@ -22,6 +22,7 @@ from faultline.analysis.discrepancy.find.followed import Followed, followed
 from faultline.analysis.discrepancy.find.latent import Known
 from faultline.analysis.discrepancy.find.locate import Location, locate
 from faultline.analysis.discrepancy.name.global_search import search
+from faultline.analysis.discrepancy.name.profile import Ends, profile, widened
 from faultline.analysis.discrepancy.name.search import Optimum, descend
 from faultline.analysis.discrepancy.name.sensitivity import Direction, remaining
 from faultline.analysis.model import Model
@@ -227,6 +228,27 @@ class Judge:
             blocks=np.asarray(-0.5 * np.bincount(self._blocks, e**2), dtype=np.float64),
             dispersion=float(e @ e) / len(e),
         )
+
+    def intervals(self, attempt: Attempt) -> dict[str, Ends]:
+        """The 95 % intervals of what effects with a parameter besides their strengths bring, by the profile likelihood.
+
+        None is an end that is open: the training recordings say nothing against any value beyond.
+        """
+        found: dict[str, Ends] = {}
+        place = {name: k for k, name in enumerate(attempt.unknowns.parameters)}
+        for effect in (self._study.library[name] for name in attempt.effects):
+            own = [name for name in map(effect.prefixed, effect.parameters) if name in place]
+            if {*own} <= {*effect.strengths}:
+                continue  # strengths alone are nearly linear: the curvature will do
+            problem = self._with(attempt.effects)[0]
+            x = widened(problem, attempt.x, [place[name] for name in own])
+            for name in own:
+                k = place[name]
+                sd = attempt.spreads[name] / abs(float(problem.unknowns.theta_by_x(x)[k]))
+                ends = profile(self._likelihoods[0], problem, x, k, sd or 0.01, max(attempt.dispersion, 1.0))
+                low, high = (None if end is None else problem.unknowns.value(k, end) for end in ends)
+                found[name] = low, high
+        return found
 
     def left(self, attempt: Attempt) -> tuple[Array, npt.NDArray[np.int64]]:
         """What an attempt leaves of all data, whitened (M,), and the number of each bin's block."""

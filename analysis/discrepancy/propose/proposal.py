@@ -18,6 +18,7 @@ from faultline.analysis.discrepancy.effects.rewrite import applicable, rewritten
 from faultline.analysis.discrepancy.find.locate import Location
 from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Judge, Study
 from faultline.analysis.discrepancy.name.contest import Outcome, Say, contest
+from faultline.analysis.discrepancy.name.profile import Ends
 from faultline.analysis.discrepancy.name.work import Crew
 from faultline.analysis.discrepancy.propose.candidates import Candidate
 from faultline.analysis.discrepancy.propose.screen import Screened, screened
@@ -43,7 +44,7 @@ class Proposal:
     """Terms that are proposed: the `outcome` of the contest among `candidates` by name, in a study of their own.
 
     `left` is where the model with the terms misses something still; None where that cannot be asked, as `halted` says.
-    `tried` is how many terms were composed.
+    `tried` is how many terms were composed; `intervals` are those of parameters that enter non-linearly.
     """
 
     study: Study
@@ -52,6 +53,7 @@ class Proposal:
     left: Location | None
     halted: str
     tried: int
+    intervals: Mapping[str, Ends]
 
     @property
     def remainder(self) -> float:
@@ -115,8 +117,9 @@ def propose_formula(found: Discovery, executor: Executor, folder: Path | None, s
         return None
     candidates = {each.candidate.name: each.candidate for each in again}
     outcome = _plainest(outcome, candidates)
-    left, halted = _left(Judge(its, found.baseline), outcome.chosen)
-    return Proposal(its, outcome, candidates, left, halted, tried)
+    judge = Judge(its, found.baseline)
+    left, halted = _left(judge, outcome.chosen)
+    return Proposal(its, outcome, candidates, left, halted, tried, judge.intervals(outcome.chosen))
 
 
 def _left(judge: Judge, chosen: Attempt) -> tuple[Location | None, str]:

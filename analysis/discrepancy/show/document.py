@@ -62,14 +62,17 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Strength(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter of an effect; `interval` (95 %) is null at a bound, `no_effect` is its value without the effect."""
+    """A parameter of an effect; `interval` (95 %) is null at a bound, `no_effect` is its value without the effect.
+
+    An end of the interval is null where the recordings do not bound it.
+    """
 
     effect: str
     parameter: str
     description: str
     unit: str
     value: float
-    interval: tuple[float, float] | None
+    interval: tuple[float | None, float | None] | None
     no_effect: float | None
     words: str
 

@@ -54,7 +54,8 @@ def entries(found: Discovery) -> tuple[told.Entry, ...]:
 def _best(found: Discovery, name: str, single: Attempt | None, how: Tried, units: Units) -> tuple[told.Strength, ...]:
     """The entry's parameters at their best, or where the most was in sight, then without intervals."""
     if single is not None:
-        return tuple(map(strength_told, sizes(single, found.study.library, units)))
+        profiled = found.intervals if single.effects == found.outcome.chosen.effects else {}
+        return tuple(map(strength_told, sizes(single, found.study.library, units, profiled)))
     return () if how.nearest is None else tuple(_on_the_way(found, name, how.nearest, units))
 
 

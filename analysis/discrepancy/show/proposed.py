@@ -38,7 +38,7 @@ def proposal_told(found: Discovery, proposal: Proposal) -> told.Proposal:
         sentence=f"a formula is proposed, to be reviewed: {'; and '.join(_formula(model, t) for t in proposal.terms)}",
         terms=tuple(_term(model, proposal, term) for term in proposal.terms),
         rivals=tuple(_term(model, proposal, term) for term in proposal.rivals),
-        strengths=strengths_told(chosen, library, units_of(model)),
+        strengths=strengths_told(chosen, library, units_of(model), proposal.intervals),
         gain=outcome.gain,
         gain_training=chosen.training - nominal.training,
         gain_held_out=chosen.predicted - nominal.predicted,

@@ -7,15 +7,18 @@ from faultline.analysis.discrepancy.add.held_out import Gap, Shown
 from faultline.analysis.discrepancy.add.whiteness import Whiteness
 from faultline.analysis.discrepancy.effects.effect import Effect
 from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.discrepancy.name.profile import Ends
 from faultline.analysis.discrepancy.show import document as told
 from faultline.analysis.discrepancy.show.sizes import Size, sizes
 from faultline.analysis.model import Model
 from faultline.analysis.model.display import Units
 
 
-def strengths_told(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tuple[told.Strength, ...]:
+def strengths_told(
+    attempt: Attempt, library: Mapping[str, Effect], units: Units, profiled: Mapping[str, Ends]
+) -> tuple[told.Strength, ...]:
     """The sizes of an attempt's effects."""
-    return tuple(strength_told(size) for size in sizes(attempt, library, units))
+    return tuple(strength_told(size) for size in sizes(attempt, library, units, profiled))
 
 
 def strength_told(size: Size) -> told.Strength:

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from faultline.analysis.discrepancy.effects.effect import Effect
 from faultline.analysis.discrepancy.name.attempt import Attempt
+from faultline.analysis.discrepancy.name.profile import Ends
 from faultline.analysis.model.display import Units
 from faultline.service.core.display import Display
 
@@ -18,6 +20,8 @@ SURE = 1.96
 class Size:
     """A parameter that an effect brings, with its 95 % interval, None for one at its bound; `null` is no effect.
 
+    An end of the interval that is None is open.
+
     People read it in the unit `shown`. Of a parameter without a null value, a time constant for example, it is None.
     """
 
@@ -26,7 +30,7 @@ class Size:
     description: str
     unit: str
     value: float
-    interval: tuple[float, float] | None
+    interval: Ends | None
     null: float | None
     shown: Display
 
@@ -36,12 +40,18 @@ class Size:
         value = f"{self.description}: {self.shown.short(self.value)}"
         if self.interval is None:
             return f"{value}, the end of what is possible"
-        low, high = map(self.shown.short, self.interval)
+        low, high = (None if end is None else self.shown.short(end) for end in self.interval)
+        if low is None and high is None:
+            return f"{value} (these recordings say nothing against another)"
+        if low is None or high is None:
+            return f"{value} (95 %: {f'at most {high}' if low is None else f'at least {low}'}; beyond, they do not say)"
         return f"{value} (95 %: {low} to {high})"
 
 
-def sizes(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tuple[Size, ...]:
-    """Return the sizes of all effects in an attempt, in the `units` that people read.
+def sizes(
+    attempt: Attempt, library: Mapping[str, Effect], units: Units, profiled: Mapping[str, Ends] = MappingProxyType({})
+) -> tuple[Size, ...]:
+    """Return the sizes of all effects in an attempt, in the `units` that people read; `profiled` are known intervals.
 
     What is left even of the best model may be more than the noise; then the intervals are as much wider.
     """
@@ -55,7 +65,7 @@ def sizes(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tupl
                 k = unknowns.parameters.index(name)
                 sd = attempt.spreads[name] / scale[name] * np.sqrt(max(attempt.dispersion, 1.0))
                 ends = (_moved(attempt, k, side * SURE * sd, p.min, p.max) for side in (-1.0, 1.0))
-                low, high = ends
+                low, high = profiled.get(name) or ends
                 found.append(
                     Size(
                         effect=effect.name,
@@ -63,7 +73,7 @@ def sizes(attempt: Attempt, library: Mapping[str, Effect], units: Units) -> tupl
                         description=p.description,
                         unit=p.unit,
                         value=attempt.values[name],
-                        interval=(low, high) if attempt.inside[k] else None,
+                        interval=(low, high) if attempt.inside[k] or name in profiled else None,
                         null=p.null,
                         shown=units.of(p.unit, shifted=False),
                     )

@@ -56,7 +56,7 @@ def document_of(found: Discovery, shown: Shown, origin: told.Origin, extras: Ext
             dispersion_before=outcome.nominal.dispersion,
             dispersion_after=outcome.chosen.dispersion,
         ),
-        strengths=strengths_told(outcome.chosen, library, units),
+        strengths=strengths_told(outcome.chosen, library, units, found.intervals),
         located=_located(found.study.model, found.before, first),
         left=_left(found, first),
         regimes=regimes_told(found.study.model, shown),

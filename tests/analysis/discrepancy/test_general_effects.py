@@ -44,9 +44,14 @@ USES = {
     "delay": ('{ quantity = "v", beside = "y_v" }', {"tau": "spread = 0.01"}),
     "offset": ('{ quantity = "v", beside = "y_v" }', {"o": 'unit = "m/s", spread = 0.01'}),
     "gain": ('{ quantity = "v", beside = "y_v" }', {}),
+    "second_order": ('{ quantity = "v", beside = "y_v" }', {"tau": "spread = 0.01"}),
+    "drift": ('{ quantity = "v", beside = "y_v" }', {}),
 }
 BEHIND = 'unknown.z = { unit = "m/s", initial = ["y_v"] }\nunknown.dz = { unit = "m/s2" }\n'
 LATE = 'unknown.late = { unit = "m/s" }\n'
+SWINGS = 'unknown.v = { unit = "m/s" }\nunknown.dv = { unit = "m/s2" }\n'
+SEEN = 'unknown.seen = { unit = "m/s" }\n'
+UNKNOWNS = {"lag": BEHIND, "delay": BEHIND + LATE, "second_order": BEHIND + SWINGS, "drift": SEEN}
 
 
 def bound(folder: Path, text: str) -> Path:
@@ -58,14 +63,14 @@ def use(name: str) -> str:
     roles, parameters = USES[name]
     lines = [f"parameter.{own} = {{ {given} }}" for own, given in parameters.items()]
     head = f'schema = 1\n[[use]]\neffect = "{name}"\ncomponent = "drive"\nroles = {roles}\n'
-    return head + "\n".join(lines) + "\n" + {"lag": BEHIND, "delay": BEHIND + LATE}.get(name, "")
+    return head + "\n".join(lines) + "\n" + UNKNOWNS.get(name, "")
 
 
 def without(model: Model, effect: Effect) -> dict[str, sp.Expr]:
     """The equations with the effect in them at nothing, a lag of none solved."""
     after = rewritten(model, effect)
     nothing = {sp.Symbol(name): 0.0 for name, p in effect.strengths.items() if p.null == 0.0}
-    unlagged = {sp.Symbol(effect.prefixed(own)): sp.Symbol("v") for own in ("z", "late")}
+    unlagged = {sp.Symbol(effect.prefixed(own)): sp.Symbol("v") for own in ("z", "late", "seen")}
     return {name: e.expression.xreplace(nothing).xreplace(unlagged) for name, e in after.equations.items()}
 
 

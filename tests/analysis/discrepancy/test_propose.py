@@ -178,8 +178,10 @@ def test_a_formula_is_proposed_for_another_system() -> None:
     assert told.gain > told.threshold
     assert told.gain_held_out > 0.0
     level = next(s for s in told.strengths if s.parameter.endswith("_L"))
-    assert level.interval is not None
-    assert level.interval[0] < LEVEL < level.interval[1]
+    low, high = level.interval or (None, None)
+    assert low is not None
+    assert high is not None
+    assert low < LEVEL < high
     steady = [r for r in told.regimes if r.output == "y2"]
     assert all(r.rms_after < r.rms_before for r in steady)
     lines = proposal_lines(told)
