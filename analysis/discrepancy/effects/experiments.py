@@ -4,14 +4,16 @@ schema = 1
 [control]                how a plan runs the model in a closed loop; without it nothing is planned
 actuator, follows, command, offset, gain, ramp   see `Control`
 before_s, start          from a recording's start until its cycle begins [s]; the set point until then
+longest_s                of a recording: experiments are joined to cycles no longer than this
 unit, columns            of set points in this file; what the values of a segment are called in a cycle file
 [gauge]                  "Pa" = 0.003: a unit that a workshop has a gauge for, precise to this part of the reading
 [[experiment]]           name, text, segments = [[duration_s, set point, command], ...]  (absent: none can be planned)
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 from faultline.analysis.model import ModelError
@@ -27,7 +29,8 @@ class Control:
     """A plan sets `actuator` = offset + gain*(set point - `follows`), not below zero, and `command` as it says.
 
     The set point moves by `ramp` [1/s] at most, as it does in operation, from `start`, which it has for `before_s` [s]:
-    standing still, starting, the model's warm-up. One `unit` of a cycle file, with these `columns`, is so much in SI.
+    standing still, starting, the model's warm-up. No recording takes longer than `longest_s` [s]. One `unit` of a cycle
+    file, with these `columns`, is so much in SI.
     """
 
     actuator: str
@@ -37,6 +40,7 @@ class Control:
     gain: float
     ramp: float
     before_s: float
+    longest_s: float
     start: float
     unit: float
     columns: tuple[str, ...]
@@ -65,6 +69,17 @@ class Experiment:
             for row in rows
         ]
         return head + "".join(parts)
+
+
+def joined(parts: Sequence[Experiment]) -> Experiment:
+    """One experiment after the other, in one recording."""
+    runs = [(part, len([*same])) for part, same in groupby(parts)]
+    return Experiment(
+        name="-".join(part.name if times == 1 else f"{part.name}-x{times}" for part, times in runs),
+        text=", then ".join(part.text if times == 1 else f"{times} times {part.text}" for part, times in runs),
+        segments=tuple(segment for part in parts for segment in part.segments),
+        control=parts[0].control,
+    )
 
 
 @dataclass(frozen=True)
@@ -134,6 +149,7 @@ def _control(table: Table) -> Control:
         gain=table.number("gain"),
         ramp=table.number("ramp"),
         before_s=table.number("before_s"),
+        longest_s=table.number("longest_s"),
         start=table.number("start") * unit,
         unit=unit,
         columns=table.texts("columns"),

@@ -160,12 +160,17 @@ def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[Attempt, ...]:
     best = field[0]
     found = [best]
     for other in field[1:]:
-        gap = best.evidence - other.evidence
-        spread = float(np.std(best.blocks - other.blocks)) * np.sqrt(len(best.blocks))
+        gap, spread = difference(best, other)
         helps = other.evidence - without.evidence > 0.0
         if helps and gap < max(UNLIKELY * scale(best), QUANTILE * spread):
             found.append(other)
     return tuple(found)
+
+
+def difference(one: Attempt, other: Attempt) -> tuple[float, float]:
+    """How much more evidence one attempt has than another, and the standard deviation of that by the blocks [nats]."""
+    blocks = one.blocks - other.blocks
+    return one.evidence - other.evidence, float(np.std(blocks) * np.sqrt(len(blocks)))
 
 
 def scale(best: Attempt) -> float:

@@ -1,27 +1,32 @@
 """The experiment that tells rivals apart: planned on their fitted models, written as a cycle file.
 
-For every experiment of the system and every rival in turn, the rival's model is run in a closed loop: that is
-what would be measured if it were the one. Every rival predicts it with what the recordings so far have left uncertain;
-the evidence to expect is the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey
-2003). The best experiment is the one after which the fewest rivals are left to be expected.
+For every experiment of the system the model of the most probable rival is run in a closed loop. Every rival predicts
+what would be measured with these inputs, and how uncertain the recordings so far leave that; the evidence to expect is
+the divergence of one prediction from another (Kullback and Leibler; after Chen and Asprey 2003). The best experiment is
+the one after which the fewest rivals are left to be expected. Where it leaves some, it is continued with what tells
+most besides, for as long as the system lets a recording be.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import exp
+from itertools import permutations
+from math import exp, sqrt
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
 from faultline.analysis.calibration.likelihood import Likelihood, bins_of
 from faultline.analysis.calibration.problem import Problem, carried
 from faultline.analysis.calibration.sections import Section, cut, fitting
 from faultline.analysis.discrepancy.data import STEP
 from faultline.analysis.discrepancy.effects.compiled import model_with, system_with
-from faultline.analysis.discrepancy.effects.experiments import Control, Experiment
+from faultline.analysis.discrepancy.effects.experiments import Control, Experiment, joined
 from faultline.analysis.discrepancy.find.quantities import mode_of
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Study, foretold
+from faultline.analysis.discrepancy.name.contest import QUANTILE, UNLIKELY, difference, scale
 from faultline.analysis.model import Equation, Known, Model, Unknown
 from faultline.analysis.model.expression import parse_expression
 from faultline.analysis.recordings.track import Track
@@ -30,34 +35,46 @@ from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-MANY = 6
+MANY = 10
 """More rivals than these are not planned for: the experiment is repeated for those that are left."""
 
-RESOLVES = 5.0
-"""Evidence [nats] to expect for the right one of a pair, from which they are told apart."""
+RESOLVES = 0.5
+"""Probability from which a pair counts as told apart."""
+
+ENOUGH = 0.1
+"""Rivals left to be expected, below which an experiment is not continued ..."""
+
+WORTH = 0.03
+"""... or where going on takes away fewer than these."""
+
+AHEAD = 3
+"""Experiments that a cycle is continued with in turn, the best by themselves first."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """An experiment with the evidence [nats] to expect for each pair: the first is what is there, the second is not.
 
+    `likely` is the probability that this evidence, with that of the recordings so far, rules the second one out.
+    `left` is how many wrong rivals are to be expected after it, whichever is right, as probable as it is by now.
     `beyond` are further rivals, too many to plan for.
     """
 
     experiment: Experiment
     expected: Mapping[tuple[str, str], float]
+    likely: Mapping[tuple[str, str], float]
+    left: float
     beyond: tuple[str, ...] = ()
-
-    @property
-    def left(self) -> float:
-        """About how many rivals will not be told from what is there: each counts less, the more evidence it brings."""
-        return sum(exp(-nats / RESOLVES) for nats in self.expected.values()) / len({true for true, _ in self.expected})
 
     @property
     def told(self) -> Mapping[tuple[str, str], float]:
         """The pairs that it tells apart, whichever of the two is there, with the evidence [nats] of the harder case."""
-        worst = {(a, b): min(nats, self.expected[b, a]) for (a, b), nats in self.expected.items() if a < b}
-        return {pair: nats for pair, nats in worst.items() if nats > RESOLVES}
+        pairs = [(a, b) for a, b in self.expected if a < b]
+        return {
+            (a, b): min(self.expected[a, b], self.expected[b, a])
+            for a, b in pairs
+            if min(self.likely[a, b], self.likely[b, a]) > RESOLVES
+        }
 
     @property
     def untold(self) -> tuple[tuple[str, str], ...]:
@@ -82,14 +99,28 @@ def propose(
     if not {how.actuator, how.command} <= study.model.known.keys() or how.follows not in study.model.unknown:
         return []
     fitted = [_Rival(study, how, attempt) for attempt in rivals[:MANY]]
-    plans = []
-    for experiment in experiments:
-        try:
-            expected = _expected(study, baseline, experiment, fitted)
-            plans.append(Plan(experiment, expected, tuple(rival.effects[-1] for rival in rivals[MANY:])))
-        except InputError as error:
-            note(f"no plan for {experiment.name}: {error}")
-    return sorted(plans, key=lambda plan: plan.left)
+    noise = _noise_by_mode(study.model, fitted[0].system, study.training)
+    beyond = tuple(rival.effects[-1] for rival in rivals[MANY:])
+
+    def planned(experiments: Iterable[Experiment]) -> list[Plan]:
+        plans = []
+        for experiment in experiments:
+            try:
+                plans.append(_plan(study, baseline, experiment, fitted, noise, beyond))
+            except InputError as error:
+                note(f"no plan for {experiment.name}: {error}")
+        return sorted(plans, key=lambda plan: plan.left)
+
+    plans = planned(experiments)
+    parts = [plan.experiment for plan in plans[:AHEAD]]
+    sequence = parts[:1]
+    while plans and plans[0].left > ENOUGH:
+        further = {joined(after): after for after in (*([*sequence, part] for part in parts), 2 * sequence)}
+        longer = planned(experiment for experiment in further if experiment.duration_s <= how.longest_s)
+        if not longer or longer[0].left > plans[0].left - WORTH:
+            break
+        sequence, plans = further[longer[0].experiment], [longer[0], *plans]
+    return plans
 
 
 class _Rival:
@@ -181,27 +212,45 @@ def _start(system: System, values: Mapping[str, float], level: float) -> Array:
     return np.array(found)
 
 
-def _expected(
-    study: Study, baseline: Baseline, experiment: Experiment, rivals: Sequence[_Rival]
-) -> dict[tuple[str, str], float]:
-    """The evidence to expect for each pair [nats]."""
-    expected = {}
-    for true in rivals:
-        tracks = true.measured(experiment, study.training[0])
-        sections = cut(study.model, true.system, tracks, experiment.name, STEP)
-        sections = [
-            dataclasses.replace(section, noise=_noise(study.model, true.system, section, study.training))
-            for section in sections
-        ]
-        problem = _problem(true, sections)
-        x = carried(_punctual(true.attempt), true.attempt.unknowns, problem.unknowns)
-        likelihood = Likelihood(problem, x, baseline.levels, [bins_of(section) for section in sections])
-        mean, covariance = _prediction(likelihood, true, sections)
-        for other in rivals:
-            if other is not true:
-                e, wider = _prediction(likelihood, other, sections)
-                expected[true.name, other.name] = divergence(e - mean, covariance, wider)
-    return expected
+def _plan(
+    study: Study,
+    baseline: Baseline,
+    experiment: Experiment,
+    rivals: Sequence[_Rival],
+    noise: Mapping[int, Array],
+    beyond: tuple[str, ...],
+) -> Plan:
+    """What is to be expected of an experiment."""
+    first = rivals[0]
+    tracks = first.measured(experiment, study.training[0])
+    sections = [
+        dataclasses.replace(
+            section, noise=np.array([noise[k] for k in mode_of(study.model, first.system, section).tolist()])
+        )
+        for section in cut(study.model, first.system, tracks, experiment.name, STEP)
+    ]
+    problem = _problem(first, sections)
+    x = carried(_punctual(first.attempt), first.attempt.unknowns, problem.unknowns)
+    likelihood = Likelihood(problem, x, baseline.levels, [bins_of(section) for section in sections])
+    of = {rival.name: _prediction(likelihood, rival, sections) for rival in rivals}
+    expected = {(a, b): divergence(of[a], of[b]) for a, b in permutations(of, 2)}
+    attempts = {rival.name: rival.attempt for rival in rivals}
+    likely = {(a, b): ruled_out(attempts[a], attempts[b], nats) for (a, b), nats in expected.items()}
+    best = max(a.evidence for a in attempts.values())
+    probable = {name: exp((a.evidence - best) / scale(a)) for name, a in attempts.items()}
+    left = sum(probable[a] * (1.0 - p) for (a, _), p in likely.items()) / sum(probable.values())
+    return Plan(experiment, expected, likely, left, beyond)
+
+
+def ruled_out(true: Attempt, other: Attempt, nats: float) -> float:
+    """The probability that a rival is no longer one, where the true one is to get so many `nats` more than it.
+
+    A log ratio of likelihoods with the mean D has about the variance 2 D, as it has for normal distributions of the
+    same covariance. It adds to what the recordings so far say of the two.
+    """
+    so_far, spread = difference(true, other)
+    needed = max(UNLIKELY * scale(true), QUANTILE * sqrt(spread**2 + 2.0 * nats))
+    return float(ndtr((so_far + nats - needed) / sqrt(2.0 * nats + TINY)))
 
 
 def _problem(rival: _Rival, sections: Sequence[Section]) -> Problem:
@@ -209,19 +258,43 @@ def _problem(rival: _Rival, sections: Sequence[Section]) -> Problem:
     return Problem(rival.system, fitted, lagging=True, commands=rival.attempt.unknowns.delays)
 
 
-def _prediction(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> tuple[Array, Array]:
-    """How far (M,) a rival's prediction is off, and its covariance (M, M), whitened."""
+@dataclass(frozen=True)
+class Prediction:
+    """A normal distribution of whitened data with the mean (M,) and the covariance 1 + J H^-1 J'.
+
+    J (M, f) is what f unknowns do to the data, H (f, f) how precisely they are known.
+    """
+
+    mean: Array
+    J: Array
+    H: Array
+
+
+def _prediction(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> Prediction:
+    """What a rival predicts, by the difference from what was made of the sections."""
     a = rival.attempt
     e, J, H = foretold(likelihood, _problem(rival, sections), _punctual(a), a.curvature, a.inside, a.unknowns)
-    return e, np.eye(len(e)) + J @ np.linalg.solve(H, J.T)
+    return Prediction(-e, J, H)
 
 
-def divergence(difference: Array, true: Array, other: Array) -> float:
-    """Of normal distributions with means `difference` (M,) apart and covariances (M, M): evidence [nats]."""
-    ratio = np.linalg.solve(other, true)
-    logs = np.linalg.slogdet(other)[1] - np.linalg.slogdet(true)[1]
-    square = float(difference @ np.linalg.solve(other, difference))
-    return 0.5 * float(np.trace(ratio) - len(difference) + square + logs)
+def divergence(true: Prediction, other: Prediction) -> float:
+    """Of the other prediction from the true one (Kullback and Leibler): evidence [nats] to expect.
+
+    Inverse and determinant of a covariance are Woodbury's: the unknowns are far fewer than the data.
+    """
+    d, between = other.mean - true.mean, other.J.T @ true.J
+    within = [p.J.T @ p.J for p in (true, other)]
+    known = np.linalg.solve(true.H, between.T)
+    K = np.linalg.inv(other.H + within[1])
+    pulled = other.J.T @ d
+    trace = np.trace(np.linalg.solve(true.H, within[0])) - np.trace(K @ (within[1] + between @ known))
+    square = float(d @ d - pulled @ K @ pulled)
+    logs = _log_determinant(other, within[1]) - _log_determinant(true, within[0])
+    return 0.5 * (float(trace) + square + logs)
+
+
+def _log_determinant(p: Prediction, within: Array) -> float:
+    return float(np.linalg.slogdet(p.H + within)[1] - np.linalg.slogdet(p.H)[1])
 
 
 def _punctual(attempt: Attempt) -> Array:
@@ -231,9 +304,9 @@ def _punctual(attempt: Attempt) -> Array:
     return x
 
 
-def _noise(model: Model, system: System, planned: Section, recorded: Sequence[Section]) -> Array:
-    """The inputs' noise, which a plan has none of, as it was recorded on average in the same mode."""
+def _noise_by_mode(model: Model, system: System, recorded: Sequence[Section]) -> Mapping[int, Array]:
+    """The inputs' noise, which a plan has none of, as it was recorded on average in each mode, or else in all."""
     noise = np.concatenate([section.noise for section in recorded])
     mode = np.concatenate([mode_of(model, system, section) for section in recorded])
-    level = {k: noise[mode == k].mean(axis=0) for k in np.unique(mode)}
-    return np.array([level.get(k, noise.mean(axis=0)) for k in mode_of(model, system, planned)])
+    mean = noise.mean(axis=0)
+    return defaultdict(lambda: mean, {int(k): noise[mode == k].mean(axis=0) for k in np.unique(mode)})

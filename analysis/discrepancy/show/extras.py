@@ -66,8 +66,9 @@ def experiment_told(plan: Plan) -> told.Section:
     record = f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s)"
     untold = "; ".join(f"{a} or {b}" for a, b in plan.untold)
     if plan.told:
-        least = min(plan.told.values())
-        sentence = f"{record}: at least {least:.0f} nats of evidence are expected for the right candidate"
+        least, surest = min(plan.told.values()), min(min(plan.likely[a, b], plan.likely[b, a]) for a, b in plan.told)
+        sentence = f"{record}: at least {least:.0f} nats of evidence are expected for the right candidate, and that "
+        sentence += f"rules a wrong one out with a probability of at least {min(surest, 0.99):.2f}"
         if untold:
             sentence += f", but it will not tell whether it is {untold}"
     else:
@@ -79,7 +80,10 @@ def experiment_told(plan: Plan) -> told.Section:
         "duration_s": experiment.duration_s,
         "left": plan.left,
         "tells": bool(plan.told),
-        "expected": [{"true": true, "rival": rival, "nats": nats} for (true, rival), nats in plan.expected.items()],
+        "expected": [
+            {"true": true, "rival": rival, "nats": nats, "probability": plan.likely[true, rival]}
+            for (true, rival), nats in plan.expected.items()
+        ],
     }
     return told.Section(sentences=(sentence,), data=data)
 

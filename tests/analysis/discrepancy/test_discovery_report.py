@@ -243,26 +243,29 @@ def test_what_is_left_in_the_held_out_recordings_has_a_place_too() -> None:
 def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     found = discovery()
     steady = Experiment("hold", "the pressure held", ((60.0, 1e6, 0.0),), UDS_EXPERIMENTS.planned[0].control)
-    plan = Plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
+    plan = _plan(steady, {("a", "b"): 40.0, ("b", "a"): 12.0})
     onset = Onset(100.0, "e04", (), "t-1")
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
     assert d.experiment is not None
     assert plan.told == {("a", "b"): 12.0}
-    assert d.experiment.data["left"] == plan.left < 0.1
+    assert d.experiment.data["left"] == plan.left
+    assert d.experiment.data["expected"][1] == {"true": "b", "rival": "a", "nats": 12.0, "probability": 0.75}
     assert d.refused == ("it grew worse",)
     assert d.verdict.sentence.startswith("something set in at 100 s of t-1, as faults do (e04)")
     assert "faultline diagnose" in next_steps(d)[0]
     asked = msgspec.structs.replace(as_kind(d, "one of"), onset=None)
     assert next_steps(asked) == [
-        "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate"
+        "record the pressure held (hold, 100 s): at least 12 nats of evidence are expected for the right candidate, "
+        "and that rules a wrong one out with a probability of at least 0.75"
     ]
     some, _ = described(
-        found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 40.0, ("a", "c"): 30.0, ("b", "c"): 0.1}))])
+        found, ORIGIN, Extras(plans=[_plan(steady, _expected({("a", "b"): 40.0, ("a", "c"): 30.0, ("b", "c"): 0.1}))])
     )
     assert some.experiment is not None
     assert some.experiment.sentences[0].endswith("at least 30 nats of evidence are expected for the right candidate, "
-        "but it will not tell whether it is b or c")  # fmt: skip
-    weak, _ = described(found, ORIGIN, Extras(plans=[Plan(steady, _expected({("a", "b"): 1.0}))]))
+        "and that rules a wrong one out with a probability of at least 0.94, but it will not tell whether it is "
+        "b or c")  # fmt: skip
+    weak, _ = described(found, ORIGIN, Extras(plans=[_plan(steady, _expected({("a", "b"): 1.0}))]))
     assert weak.experiment is not None
     [step, *_] = next_steps(as_kind(weak, "one of"))
     assert step == "no experiment that can be planned is expected to tell the candidates apart"
@@ -277,6 +280,16 @@ def test_a_reading_that_would_tell_is_told(document: Document) -> None:
         "10 bar +- 0.02 bar if it is a; 10.2 bar +- 0.03 bar if it is b"
     )
     assert "gauge of the workshop" in page(as_kind(d, "one of"), {})
+
+
+def _plan(experiment: Experiment, nats: Mapping[tuple[str, str], float]) -> Plan:
+    """Each nat a sixteenth of certainty, up to all of it."""
+    return Plan(
+        experiment,
+        nats,
+        {pair: min(value / 16.0, 1.0) if value < 16.0 else 0.9375 for pair, value in nats.items()},
+        0.1,
+    )
 
 
 def _expected(nats: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], float]:

@@ -9,15 +9,15 @@ import pytest
 from made_study import study
 from scipy.stats import multivariate_normal
 
-from faultline.analysis.discrepancy.effects.experiments import load_experiments
+from faultline.analysis.discrepancy.effects.experiments import joined, load_experiments
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from faultline.analysis.discrepancy.name.experiment import Plan, divergence, propose
+from faultline.analysis.discrepancy.name.experiment import ENOUGH, Plan, Prediction, divergence, propose, ruled_out
 from faultline.analysis.model import load_model
 from faultline.analysis.model.file import SYSTEMS
 from faultline.testbench.cycles import DOSING_FROM, Segment, read_cycle
 
 RIVALS = ("full_open_gain", "valve_shuts_late")
-LONGEST_S = 120.0
+LONGEST_S = 300.0
 SHIPPED = load_experiments(SYSTEMS / "uds").planned
 
 
@@ -26,7 +26,11 @@ def fitted() -> tuple[Study, Baseline, list[Attempt]]:
     found = study(RIVALS, {"full_open_gain": 0.03})
     baseline = baseline_of(found)
     judge = Judge(found, baseline)
-    return found, baseline, [judge.attempt((name,)) for name in RIVALS]
+    right, wrong = (judge.attempt((name,)) for name in RIVALS)
+    alike = dataclasses.replace(  # as if these recordings did not tell
+        wrong, training=right.training, predicted=right.predicted, blocks=right.blocks
+    )
+    return found, baseline, [right, alike]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,7 @@ def plans(fitted: tuple[Study, Baseline, list[Attempt]]) -> list[Plan]:
     return propose(*fitted, SHIPPED)
 
 
-def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_path: Path) -> None:
+def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_five_minutes(tmp_path: Path) -> None:
     assert len({e.name for e in SHIPPED}) == len(SHIPPED) >= 7
     how = SHIPPED[0].control
     assert (how.actuator, how.command, how.before_s) == ("n_p", "dc_dose", DOSING_FROM)
@@ -56,7 +60,7 @@ def test_every_shipped_experiment_can_be_recorded_on_the_rig_in_two_minutes(tmp_
 
 
 def test_every_experiment_is_planned_the_best_first(plans: list[Plan]) -> None:
-    assert {plan.experiment.name for plan in plans} == {e.name for e in SHIPPED}
+    assert {plan.experiment.name for plan in plans} >= {e.name for e in SHIPPED}
     assert [plan.left for plan in plans] == sorted(plan.left for plan in plans)
     for plan in plans:
         assert {*plan.expected} == {RIVALS, RIVALS[::-1]}
@@ -79,16 +83,43 @@ def test_where_nothing_is_dosed_rivals_of_the_dosing_valve_are_not_told_apart(pl
 def test_evidence_to_expect_is_the_divergence_of_predictions() -> None:
     """Against the mean of log ratios over draws."""
     rng = np.random.default_rng(5)
-    A, B = rng.normal(size=(2, 3, 6))
-    true, other, d = np.eye(3) + A @ A.T, np.eye(3) + B @ B.T, np.array([0.5, -1.0, 2.0])
-    assert divergence(np.zeros(3), true, true) == pytest.approx(0.0, abs=1e-9)
-    drawn = multivariate_normal(np.zeros(3), true)
+    true, other = (
+        Prediction(rng.normal(size=3), rng.normal(size=(3, f)), np.diag(rng.uniform(0.5, 2.0, f))) for f in (2, 5)
+    )
+    assert divergence(true, true) == pytest.approx(0.0, abs=1e-9)
+    drawn, wrong = (multivariate_normal(p.mean, np.eye(3) + p.J @ np.linalg.solve(p.H, p.J.T)) for p in (true, other))
     y = drawn.rvs(100_000, random_state=5)
-    ratio = drawn.logpdf(y) - multivariate_normal(d, other).logpdf(y)
-    assert divergence(d, true, other) == pytest.approx(np.mean(ratio), abs=5 * np.std(ratio) / np.sqrt(len(y)))
+    ratio = drawn.logpdf(y) - wrong.logpdf(y)
+    assert divergence(true, other) == pytest.approx(np.mean(ratio), abs=5 * np.std(ratio) / np.sqrt(len(y)))
 
 
 def test_a_model_of_something_else_has_no_experiments(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
     found, baseline, rivals = fitted
     assert propose(dataclasses.replace(found, model=load_model("three-tank")), baseline, rivals, SHIPPED) == []
     assert propose(*fitted, ()) == []
+
+
+def test_an_experiment_that_tells_too_little_is_continued(fitted: tuple[Study, Baseline, list[Attempt]]) -> None:
+    study, baseline, rivals = fitted
+    short = dataclasses.replace(SHIPPED[3], segments=((15.0, 1e6, 0.5), (15.0, 1e6, 1.0)))
+    best, *others, first = propose(study, baseline, rivals, [short])
+    assert first.experiment == short
+    assert first.left > ENOUGH
+    assert best.left < min(plan.left for plan in [*others, first])
+    assert best.experiment == joined([short] * (len(best.experiment.segments) // 2))
+    assert best.experiment.duration_s <= short.control.longest_s
+    assert best.experiment.text.endswith(f" times {short.text}")
+    bounded = dataclasses.replace(short, control=dataclasses.replace(short.control, longest_s=short.duration_s))
+    assert [plan.experiment for plan in propose(study, baseline, rivals, [bounded])] == [bounded]
+
+
+def test_a_rival_is_the_likelier_ruled_out_the_more_evidence_is_to_come(
+    fitted: tuple[Study, Baseline, list[Attempt]],
+) -> None:
+    right, wrong = fitted[2]
+    chances = [ruled_out(right, wrong, nats) for nats in (0.0, 5.0, 20.0, 80.0)]
+    assert chances == sorted(chances)
+    assert chances[0] == 0.0
+    assert chances[-1] > 0.99
+    ahead = dataclasses.replace(right, training=right.training + 4.0)
+    assert ruled_out(ahead, wrong, 5.0) > chances[1]
