@@ -6,7 +6,7 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients power screenshots emps logs proposals families time-constants)
+	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -56,6 +56,9 @@ campaign-discrepancy: .venv/.test  ## hours: hidden effects found, named, added?
 
 campaign-proposals: .venv/.test  ## hours: effects in no library, is the right formula proposed? writes docs/results
 	@$(BIN)/python tests/campaigns/proposals.py
+
+campaign-experiments: .venv/.test  ## two hours: several names for an effect, does the experiment tell? writes docs/results
+	@$(BIN)/python tests/campaigns/experiments.py
 
 campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts, and pysindy; writes docs/results
 	@$(BIN)/python tests/campaigns/discrepancy_ablations.py
