@@ -8,6 +8,8 @@ is no matter of this module. All are learnt from the samples; of the model comes
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from faultline.analysis.recordings.track import Track
 from faultline.service.core.time_scale import TimeScale
@@ -37,8 +39,12 @@ COARSE = 2.0
 """Times the noise of a sample, from which a resolution is coarse: the noise does not carry the reading to the next
 level, and its error lasts as long as the reading."""
 
-USUAL, USUAL_SHARE = 0.9, 0.6
-"""The part of all second differences that no step is in, and what their mean square is of that of all, in noise."""
+USUAL = 0.9
+"""The part of all second differences that no step is in."""
+
+SMALLEST, LARGEST = 0.2, 1e3
+"""Standard deviations of a second difference, in steps of the resolution, between which noise is looked for: with less,
+readings only tell that it is small."""
 
 FAINT = 0.1
 """Of a sensor's noise: a smaller error of a mean does not show."""
@@ -147,9 +153,9 @@ def misread(track: Track, noise: float, time: TimeScale) -> Array:
     read: intervals with the same mean have it in common. As for `uncertain`, but times are the track's.
     """
     step = resolution(track.value)
-    square = np.diff(track.value, 2) ** 2 / 6.0
-    quick = float(np.mean(square[square <= np.quantile(square, USUAL)])) / USUAL_SHARE
-    left = UNIFORM * step * np.exp(-2.0 * np.pi**2 * max(quick - step**2 / 12.0, 0.0) / max(step, 1e-300) ** 2)
+    if not step:
+        return np.zeros((0, 4))
+    left = UNIFORM * step * np.exp(-2.0 * np.pi**2 * rounded_noise(track.value / step) ** 2)
     if left < FAINT * noise:
         return np.zeros((0, 4))
     part = np.floor(track.t / (PART * time.settling_s))
@@ -158,6 +164,33 @@ def misread(track: Track, noise: float, time: TimeScale) -> Array:
     group = np.unique(np.round(mean / (0.5 * step)), return_inverse=True)[1]
     begin = PART * time.settling_s * np.unique(part)
     return np.column_stack([begin, begin + PART * time.settling_s, np.full(len(begin), left), group])
+
+
+def rounded_noise(value: Array) -> float:
+    """The standard deviation of the noise that was in samples (N,) before they were rounded to integers.
+
+    By the mean square of second differences, without the largest, which steps are in: as that of a normal variable that
+    is rounded too. Rounding adds a variance of 1/12 to each sample (Sheppard).
+    """
+    square = np.sort(np.diff(value, 2) ** 2)
+    seen = _usual(square, np.full(len(square), 1.0 / len(square)))
+    if not _rounded_square(SMALLEST) < seen < _rounded_square(LARGEST):
+        return 0.0 if seen < 1.0 else float(np.sqrt(seen / 6.0))
+    sd = brentq(lambda sd: _rounded_square(sd) - seen, SMALLEST, LARGEST, xtol=1e-3)
+    return float(np.sqrt(max((sd**2 + 1.0 / 12.0) / 6.0 - 1.0 / 12.0, 0.0)))
+
+
+def _rounded_square(sd: float) -> float:
+    """The mean of the usual squares of a normal variable that is rounded to integers."""
+    k = np.arange(np.ceil(8.0 * sd) + 1.0)
+    probability = np.diff(ndtr((np.append(k, k[-1] + 1.0) - 0.5) / sd)) * np.where(k > 0.0, 2.0, 1.0)
+    return _usual(k**2, probability)
+
+
+def _usual(square: Array, probability: Array) -> float:
+    """The mean of the smallest values (N,) of which the probabilities (N,) make up the part that is usual."""
+    before = np.cumsum(probability) - probability
+    return float(square @ np.clip(USUAL - before, 0.0, probability)) / USUAL
 
 
 def by_median(e: Array) -> float:

@@ -4,7 +4,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from faultline.analysis.calibration.inputs import UNIFORM, is_command, renewed, resolution, uncertain
+from faultline.analysis.calibration.inputs import (
+    UNIFORM,
+    is_command,
+    misread,
+    renewed,
+    resolution,
+    rounded_noise,
+    uncertain,
+)
 from faultline.analysis.recordings.track import Track
 from faultline.service.core.time_scale import TimeScale
 
@@ -80,3 +88,41 @@ def test_a_reading_that_is_sent_twice_is_one_sample() -> None:
     assert renewed(Track(t, read)).t is t  # nothing is held
     dose = np.repeat(np.random.default_rng(3).uniform(0.0, 1.0, 40), 50)
     assert renewed(Track(t, dose)).t is t  # a command's stretches are longer
+
+
+@pytest.mark.parametrize("noise", [0.25, 0.3, 0.4, 0.6, 1.2, 20.0])
+def test_the_noise_before_a_reading_was_rounded_is_found(noise: float) -> None:
+    rng = np.random.default_rng(2)
+    true = 20.0 + np.linspace(0.0, 3.0, 8000) + np.where(np.arange(8000) % 100 < 50, 0.0, 30.0)
+    assert rounded_noise(np.round(true + noise * rng.standard_normal(8000))) == pytest.approx(noise, rel=0.15, abs=0.06)
+
+
+def test_a_reading_that_hardly_moves_has_no_noise_to_speak_of() -> None:
+    assert rounded_noise(np.round(np.linspace(0.0, 3.0, 300))) == 0.0
+
+
+@pytest.mark.parametrize("ratio", [0.15, 0.25, 0.3])
+def test_noise_of_a_part_of_the_resolution_leaves_an_error_in_means_of_that_reading(ratio: float) -> None:
+    """A quarter of a settling time at each of many levels: the error is as Widrow and Kollar have it, by the level."""
+    rng, many, part_s = np.random.default_rng(3), 60, 2.0
+    t = 0.002 * np.arange(float(many * 1000))
+    true = 20.0 + np.repeat(np.linspace(0.0, 3.0, many, endpoint=False), 1000)
+    read = np.round(true + ratio * rng.standard_normal(len(t)))
+    found = misread(Track(t, read), 0.001, TIME)
+    error = (read - true).reshape(many, -1).mean(axis=1)
+    assert len(found) == many
+    assert found[:, 1] - found[:, 0] == pytest.approx(part_s)
+    assert 0.4 < np.sqrt(np.mean(error**2)) / found[0, 2] < 1.4  # where there is little noise, the whole is taken
+    assert found[:, 2] == pytest.approx(found[0, 2])
+    for group in np.unique(found[:, 3]):
+        same = true.reshape(many, -1)[found[:, 3] == group, 0]
+        assert np.ptp(same) < 1.0
+
+
+def test_noise_that_carries_a_reading_across_its_resolution_leaves_none() -> None:
+    t = 0.02 * np.arange(6000.0)
+    for ratio, noise in ((0.6, 0.01), (0.25, 10.0)):
+        rng = np.random.default_rng(7)
+        read = np.round(20.0 + np.sin(t / 9.0) + ratio * rng.standard_normal(len(t)))
+        assert len(misread(Track(t, read), noise, TIME)) == 0
+    assert len(misread(Track(t, np.full(len(t), 3.0)), 0.01, TIME)) == 0
