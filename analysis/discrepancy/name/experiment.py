@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from math import exp, sqrt
+from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -56,7 +56,7 @@ class Plan:
     """An experiment with the evidence [nats] to expect for each pair: the first is what is there, the second is not.
 
     `likely` is the probability that this evidence, with that of the recordings so far, rules the second one out.
-    `left` is how many wrong rivals are to be expected after it, whichever is right, as probable as it is by now.
+    `left` is how many wrong rivals are to be expected after it, on average over which is right.
     `beyond` are further rivals, too many to plan for.
     """
 
@@ -236,9 +236,7 @@ def _plan(
     expected = {(a, b): divergence(of[a], of[b]) for a, b in permutations(of, 2)}
     attempts = {rival.name: rival.attempt for rival in rivals}
     likely = {(a, b): ruled_out(attempts[a], attempts[b], nats) for (a, b), nats in expected.items()}
-    best = max(a.evidence for a in attempts.values())
-    probable = {name: exp((a.evidence - best) / scale(a)) for name, a in attempts.items()}
-    left = sum(probable[a] * (1.0 - p) for (a, _), p in likely.items()) / sum(probable.values())
+    left = sum(1.0 - p for p in likely.values()) / len(rivals)  # by evidence one may be ahead: they are rivals yet
     return Plan(experiment, expected, likely, left, beyond)
 
 
