@@ -41,11 +41,11 @@ MANY = 10
 RESOLVES = 0.5
 """Probability from which a pair counts as told apart."""
 
-ENOUGH = 0.1
-"""Rivals left to be expected, below which an experiment is not continued ..."""
+SURE = 0.95
+"""Probability from which every pair is told apart, so that an experiment is not continued ..."""
 
-WORTH = 0.03
-"""... or where going on takes away fewer than these."""
+WORTH = 0.02
+"""... nor where going on leaves hardly fewer rivals to be expected."""
 
 AHEAD = 3
 """Experiments that a cycle is continued with in turn, the best by themselves first."""
@@ -114,7 +114,7 @@ def propose(
     plans = planned(experiments)
     parts = [plan.experiment for plan in plans[:AHEAD]]
     sequence = parts[:1]
-    while plans and plans[0].left > ENOUGH:
+    while plans and min(plans[0].likely.values(), default=1.0) < SURE:
         further = {joined(after): after for after in (*([*sequence, part] for part in parts), 2 * sequence)}
         longer = planned(experiment for experiment in further if experiment.duration_s <= how.longest_s)
         if not longer or longer[0].left > plans[0].left - WORTH:

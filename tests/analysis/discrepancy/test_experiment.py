@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from faultline.analysis.discrepancy.effects.experiments import joined, load_experiments
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Judge, Study, baseline_of
-from faultline.analysis.discrepancy.name.experiment import ENOUGH, Plan, Prediction, divergence, propose, ruled_out
+from faultline.analysis.discrepancy.name.experiment import SURE, Plan, Prediction, divergence, propose, ruled_out
 from faultline.analysis.model import load_model
 from faultline.analysis.model.file import SYSTEMS
 from faultline.testbench.cycles import DOSING_FROM, Segment, read_cycle
@@ -104,7 +104,7 @@ def test_an_experiment_that_tells_too_little_is_continued(fitted: tuple[Study, B
     short = dataclasses.replace(SHIPPED[3], segments=((15.0, 1e6, 0.5), (15.0, 1e6, 1.0)))
     best, *others, first = propose(study, baseline, rivals, [short])
     assert first.experiment == short
-    assert first.left > ENOUGH
+    assert min(first.likely.values()) < SURE
     assert best.left < min(plan.left for plan in [*others, first])
     assert best.experiment == joined([short] * (len(best.experiment.segments) // 2))
     assert best.experiment.duration_s <= short.control.longest_s
