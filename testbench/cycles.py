@@ -35,11 +35,15 @@ class Segment:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A named cycle: `body(duration, rng)` yields what follows the start; it may yield more than fits."""
+    """A named cycle: `body(duration, rng)` yields what follows the start; it may yield more than fits.
+
+    `usual_s` is how long a recording of it is where nothing else is asked for.
+    """
 
     name: str
     text: str
     body: Callable[[float, np.random.Generator], Iterator[Segment]]
+    usual_s: float = 480.0
 
     def segments(self, duration: float, rng: np.random.Generator) -> list[Segment]:
         """Segments that fill exactly `duration` [s]; raises `RigError` if that is too short."""
@@ -138,7 +142,7 @@ def read_cycle(path: Path) -> Cycle:
         setpoint_bar = 10.0    # absolute; none: the pump is off; below 7 the controller does not dose
         duty = 0.5             # of the dosing valve, 0..1; 0 if absent
 
-    After the last segment the pressure is held without dosing.
+    A recording ends with the last segment; in a longer one the pressure is held without dosing.
 
     Raises:
         RigError: it cannot be read, or something in it is unknown, missing or out of range.
@@ -158,7 +162,8 @@ def read_cycle(path: Path) -> Cycle:
     if not isinstance(text, str) or not isinstance(tables, list) or not tables:
         raise RigError(f"{path}: segment: needs at least one [[segment]], and text to be a text")
     segments = [_segment(table, f"{path}: segment[{k}]") for k, table in enumerate(tables)]
-    return Cycle(name, text, partial(_written, segments))
+    whole_s = DOSING_FROM + sum(segment.duration for segment in segments)
+    return Cycle(name, text, partial(_written, segments), max(whole_s, SHORTEST))
 
 
 def _written(segments: list[Segment], duration: float, rng: np.random.Generator) -> Iterator[Segment]:

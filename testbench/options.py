@@ -39,7 +39,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         help="a hidden effect (default: its typical size)",
     )
     add("--seed", type=_seed, default=0, help="of noise, clocks and random cycles (default: 0)")
-    add("--duration", type=number, default=480.0, help="s (default: 480)")
+    add("--duration", type=number, help="s (default: 480, or to the end of the cycle in a file)")
     add("--id", type=_identifier, help="name of the recording (default: VEHICLE-CYCLE-sSEED[-FAULT])")
     add("--dbc", type=Path, help="DBC to encode with (default: the one that comes with faultline)")
 
@@ -66,7 +66,7 @@ def requested(arguments: argparse.Namespace, kind: Kind, words: Sequence[str] = 
         chosen,
         faults,
         arguments.seed,
-        arguments.duration,
+        chosen.usual_s if arguments.duration is None else arguments.duration,
         PROFILES[arguments.profile] | _effects(arguments.effect),
         form,
         kind,

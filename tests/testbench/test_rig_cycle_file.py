@@ -43,8 +43,12 @@ def test_what_is_written_follows_the_start(tmp_path: Path) -> None:
 def test_it_is_recorded_under_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, TEXT)
     folders = ["--out", str(tmp_path / "bench"), "--truth", str(tmp_path / "truth")]
-    assert main(["record", "--cycle", str(path), "--duration", "80", *folders]) == 0
-    assert 'cycle = "low"' in (tmp_path / "bench" / "bench-low-s0" / "recording.toml").read_text()
+    assert main(["record", "--cycle", str(path), *folders]) == 0
+    folder = tmp_path / "bench" / "bench-low-s0"
+    assert 'cycle = "low"' in (folder / "recording.toml").read_text()
+    lines = (folder / "can.log").read_text().splitlines()
+    first, last = (float(line.split()[0].strip("()")) for line in (lines[0], lines[-1]))
+    assert last - first == pytest.approx(80.0, abs=0.5)  # to the end of the cycle
     assert "bench-low-s0" in capsys.readouterr().out
 
 

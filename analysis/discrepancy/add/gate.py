@@ -25,7 +25,11 @@ WORSE = 1.05
 
 GROWN = 1.01
 """A free run's steady error over all outputs (geometric mean) that grows by this factor is not better, however much
-evidence there is and whatever noise lets expect; less does not tell one model from another."""
+evidence the training has and whatever noise lets expect; less does not tell one model from another."""
+
+FORETOLD, SLIGHT = 5.0, 1.02
+"""Where the held-out recordings themselves have this evidence [nats] for it, in which transients count, the factor may
+be as large as this: what acts while pressures change hardly shows in steady errors."""
 
 UNEVEN = 1.03
 """The mean must shrink by this factor where one output's steady error grows by more than it: a blocked vent takes one
@@ -78,11 +82,8 @@ def reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         yield against[found.verdict.kind]
     model = found.study.model
     units = {name: units_of(model).of(known.unit, signal=name) for name, known in model.known.items()}
-    steady = [gap for gap in shown.gaps if gap.mode == STEADY]
-    grown = np.log([gap.after.rms / gap.before.rms for gap in steady])
-    allowed = -np.log(UNEVEN) if steady and grown.max() > np.log(UNEVEN) else np.log(GROWN)
-    if steady and grown.mean() > allowed:
-        told = [f"{gap.output} {_change(gap, units[gap.output])}" for gap in steady]
+    if _grown(found, shown):
+        told = [f"{gap.output} {_change(gap, units[gap.output])}" for gap in shown.gaps if gap.mode == STEADY]
         yield f"the held-out free run is not better, by its RMS error in steady operation ({', '.join(told)})"
     for gap in shown.gaps:
         if gap.mode != EDGE and gap.after.rms > max(WORSE * gap.before.rms, gap.expected):
@@ -98,6 +99,16 @@ def reasons(found: Discovery, shown: Shown) -> Iterator[str]:
         for name, (seconds, usual) in of_each.items():
             if abs(seconds) > UNLIKELY * usual:
                 yield f"the {what} of {name} has gone to {seconds:.2g} s, {usual:g} s is usual"
+
+
+def _grown(found: Discovery, shown: Shown) -> bool:
+    """Whether the steady errors are not better."""
+    grown = np.log([gap.after.rms / gap.before.rms for gap in shown.gaps if gap.mode == STEADY])
+    if not len(grown):
+        return False
+    foretold = found.outcome.chosen.predicted - found.outcome.nominal.predicted > FORETOLD
+    allowed = -np.log(UNEVEN) if grown.max() > np.log(UNEVEN) else np.log(SLIGHT if foretold else GROWN)
+    return bool(grown.mean() > allowed)
 
 
 def _change(gap: Gap, shown: Display) -> str:
