@@ -186,9 +186,11 @@ def _honest(asked: list[dict[str, Any]]) -> Iterator[tuple[float, float, str]]:
 def _row(r: dict[str, Any]) -> str:
     again = r["experiment"]
     names, after = ("; ".join(", ".join(names) for names in which) for which in (r["sets"], again.get("sets", [])))
-    asked = f"{again['proposed']}, {again['duration_s']:.0f} s" if again["proposed"] else "none"
+    if not again["proposed"]:
+        return f"| {r['case']} | {names} | none | - |"
     good = "**" if resolved(r) else ""
-    return f"| {r['case']} | {names} | {asked} | {good}{again.get('verdict', '')}: {after}{good} |"
+    asked = f"{again['proposed']}, {again['duration_s']:.0f} s"
+    return f"| {r['case']} | {names} | {asked} | {good}{again['verdict']}: {after}{good} |"
 
 
 def main() -> None:
