@@ -28,12 +28,12 @@ from faultline.analysis.discrepancy.name.gauge import Gauge, gauge
 from faultline.analysis.discrepancy.name.work import workers
 from faultline.analysis.discrepancy.propose.entries import entries_toml
 from faultline.analysis.discrepancy.propose.proposal import Proposal, propose_formula
+from faultline.analysis.discrepancy.show.build import document_of, origin_of
 from faultline.analysis.discrepancy.show.document import encoded
 from faultline.analysis.discrepancy.show.extras import Extras
-from faultline.analysis.discrepancy.show.proposed import proposal_told
+from faultline.analysis.discrepancy.show.proposed import proposal_of
 from faultline.analysis.discrepancy.show.report import DOCUMENT, PICTURES, files_of
 from faultline.analysis.discrepancy.show.sentences import sentences
-from faultline.analysis.discrepancy.show.told import document_of, origin_of
 from faultline.analysis.model import Model, dump_model
 from faultline.analysis.model.file import alike, folder_of
 from faultline.analysis.progress import Progress
@@ -166,7 +166,7 @@ def _discover(options: argparse.Namespace) -> int:
             plans=plans,
             experiments=experiments,
             gauge=_gauge(found, rivals, plans, experiments.gauges),
-            proposal=proposal_told(found, proposal) if proposal else None,
+            proposal=proposal_of(found, proposal) if proposal else None,
             onset=set_in,
             refused=new.reasons,
             applied=options.apply and new.model is not None and not new.reasons and set_in is None,
@@ -195,7 +195,7 @@ def _gauge(
     found: Discovery, rivals: Sequence[Attempt], plans: Sequence[Plan], precision: Mapping[str, float]
 ) -> Gauge | None:
     """The reading that tells what no experiment does."""
-    pairs = plans[0].untold if plans else [*combinations((rival.effects[-1] for rival in rivals[:MANY]), 2)]
+    pairs = plans[0].unresolved if plans else [*combinations((rival.effects[-1] for rival in rivals[:MANY]), 2)]
     return gauge(found.study, rivals, pairs, precision)
 
 
@@ -236,7 +236,7 @@ def _results(new: Adoption, extras: Extras, proposal: Proposal | None) -> dict[s
         files[FORMULA] = entries_toml(proposal.study.model.name, proposal.terms, proposal.rivals).encode()
     if extras.applied and new.model is not None:
         files[MODEL] = dump_model(new.model).encode()
-    if extras.plans and extras.plans[0].told:
+    if extras.plans and extras.plans[0].resolved:
         files[EXPERIMENT] = extras.plans[0].experiment.cycle().encode()
     return files
 

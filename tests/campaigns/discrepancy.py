@@ -131,7 +131,7 @@ def _changed(found: Discovery) -> list[str]:
 def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Path) -> dict[str, Any]:
     """Whether the proposed experiment tells which it is."""
     plans = propose(found.study, found.baseline, found.rivals, load_experiments(SYSTEMS / "uds").planned)
-    if not plans or not plans[0].told:
+    if not plans or not plans[0].resolved:
         return {"proposed": None}
     best = plans[0]
     written = root / "experiment.toml"
@@ -141,8 +141,8 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     again = discover(data, load_library(SYSTEMS / "uds"), Inline(), None, _quiet)
     return {
         "proposed": best.experiment.name,
-        "expected": min(best.told.values()),
-        "untold": [list(pair) for pair in best.untold],
+        "expected": min(best.resolved.values()),
+        "untold": [list(pair) for pair in best.unresolved],
         "verdict": again.verdict.kind,
         "sets": [list(names) for names in again.verdict.sets],
     }

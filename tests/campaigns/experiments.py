@@ -102,7 +102,7 @@ def run(case: Case, duration_s: float = DURATION_S) -> dict[str, Any]:
         start = time.process_time()
         plans = propose(found.study, found.baseline, found.rivals, load_experiments(SYSTEMS / "uds").planned)
         result["plan_cpu_s"] = time.process_time() - start
-        if not plans or not plans[0].told:
+        if not plans or not plans[0].resolved:
             return {**result, "experiment": {"proposed": None}}
         best = plans[0]
         written = root / "experiment.toml"

@@ -254,19 +254,19 @@ class _Search:
         """What the finding's parts follow (cells, parts), in the cells of the unknown input."""
         return self._cells.means(np.column_stack([part.feature.direction for part in finding.parts]))
 
-    def further(self, told: Finding, members: Sequence[str]) -> tuple[Suspect, ...]:
+    def further(self, first: Finding, members: Sequence[str]) -> tuple[Suspect, ...]:
         """The best equation outside of the class that has significant evidence beside what the first one misses.
 
         That may be anything: what has been found of it in the operating space, and a free input besides.
         """
-        C = columns_of(self.operation, self.misfit, told.equation, [part.feature for part in told.parts])
-        known = self.responses[told.equation].beside(self.misfit, C, PLAUSIBLE)
+        C = columns_of(self.operation, self.misfit, first.equation, [part.feature for part in first.parts])
+        known = self.responses[first.equation].beside(self.misfit, C, PLAUSIBLE)
         _, latent = self._latent(known)
         found: list[Suspect] = []
         for name, response in self.responses.items():
             if name not in members:
                 rest = response.beside(self.misfit, C, PLAUSIBLE).given(known, latent)
                 found.append(self._suspect(name, rest, *self._latent(rest), gained=0.0))
-        least = LEAVES * self.suspects[told.equation].evidence
+        least = LEAVES * self.suspects[first.equation].evidence
         best = [suspect for suspect in found if suspect.significant and suspect.evidence > least]
         return tuple(sorted(best, key=lambda suspect: -suspect.evidence)[:1])

@@ -39,10 +39,10 @@ MANY = 10
 """More rivals than these are not planned for: the experiment is repeated for those that are left."""
 
 RESOLVES = 0.5
-"""Probability from which a pair counts as told apart."""
+"""Probability from which a pair counts as resolved."""
 
 SURE = 0.95
-"""Probability from which every pair is told apart, so that an experiment is not continued ..."""
+"""Probability from which every pair is resolved well enough, so that an experiment is not continued ..."""
 
 WORTH = 0.02
 """... nor where going on leaves hardly fewer rivals to be expected."""
@@ -67,8 +67,8 @@ class Plan:
     beyond: tuple[str, ...] = ()
 
     @property
-    def told(self) -> Mapping[tuple[str, str], float]:
-        """The pairs that it tells apart, whichever of the two is there, with the evidence [nats] of the harder case."""
+    def resolved(self) -> Mapping[tuple[str, str], float]:
+        """Return the pairs that it tells apart, whichever is right, with the evidence [nats] of the harder case."""
         pairs = [(a, b) for a, b in self.expected if a < b]
         return {
             (a, b): min(self.expected[a, b], self.expected[b, a])
@@ -77,9 +77,9 @@ class Plan:
         }
 
     @property
-    def untold(self) -> tuple[tuple[str, str], ...]:
-        """The pairs that it does not."""
-        return tuple(pair for pair in self.expected if pair[0] < pair[1] and pair not in self.told)
+    def unresolved(self) -> tuple[tuple[str, str], ...]:
+        """Return the other pairs."""
+        return tuple(pair for pair in self.expected if pair[0] < pair[1] and pair not in self.resolved)
 
 
 def propose(
@@ -91,7 +91,8 @@ def propose(
 ) -> list[Plan]:
     """The experiments by how well they tell the rivals apart, the best first; none where the model is not for them.
 
-    `note` hears which could not be planned: a rival's model does not run there, or leaves the range in which it holds.
+    `note` is called for each that could not be planned: a rival's model does not run there, or leaves the range in
+    which it holds.
     """
     if not experiments:
         return []
@@ -206,9 +207,9 @@ def _start(system: System, values: Mapping[str, float], level: float) -> Array:
     found = []
     for state in system.states:
         expressions = system.model.unknown[state].initial
-        told = next((e for e in expressions if all(s.name in numbers for s in e.free_symbols)), expressions[0])
-        gauge = {s.name: level for s in told.free_symbols if s.name not in numbers}
-        found.append(float(told.subs({**numbers, **gauge})))
+        chosen = next((e for e in expressions if all(s.name in numbers for s in e.free_symbols)), expressions[0])
+        gauge = {s.name: level for s in chosen.free_symbols if s.name not in numbers}
+        found.append(float(chosen.subs({**numbers, **gauge})))
     return np.array(found)
 
 

@@ -1,1 +1,1 @@
-"""What was found, told: document, page, pictures, summary, terminal."""
+"""Reports of a discovery: document, page, pictures, summary, terminal."""

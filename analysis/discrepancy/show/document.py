@@ -216,7 +216,7 @@ class Term(msgspec.Struct, frozen=True, kw_only=True):
 class Proposal(msgspec.Struct, frozen=True, kw_only=True):
     """A formula for what has no name: `terms`, each an entry of `proposal.toml`, and `rivals` that do as well there.
 
-    Gains are evidences [nats], `remainder` that of an unknown input with the terms in, if told. `against` says
+    Gains are evidences [nats], `remainder` that of an unknown input with the terms in, if it is known. `against` says
     in sentences what speaks against it. `tried` terms were composed.
     """
 

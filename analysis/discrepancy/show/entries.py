@@ -1,4 +1,4 @@
-"""Every entry of the library told: its evidence, its best size, how it was searched, and what speaks against it."""
+"""Report every entry of the library: its evidence, its best size, how it was searched, and what speaks against it."""
 
 from collections.abc import Iterator
 from math import isfinite
@@ -7,8 +7,8 @@ from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.discrepancy.name.attempt import Attempt, Glance
 from faultline.analysis.discrepancy.name.sensitivity import alike, smallest_sizes
 from faultline.analysis.discrepancy.name.tried import UNSETTLED, Tried
-from faultline.analysis.discrepancy.show import document as told
-from faultline.analysis.discrepancy.show.sized import strength_told
+from faultline.analysis.discrepancy.show import document
+from faultline.analysis.discrepancy.show.sized import strength_of
 from faultline.analysis.discrepancy.show.sizes import sizes
 from faultline.analysis.model.display import Units, units_of
 
@@ -16,7 +16,7 @@ FAR = 3.0
 """Standard deviations of a prior: what is further away is not what the entry says."""
 
 
-def entries(found: Discovery) -> tuple[told.Entry, ...]:
+def entries(found: Discovery) -> tuple[document.Entry, ...]:
     """All entries: those that were fitted to the end by their evidence, the rest by promise, those without a place."""
     nominal, library, tried = found.outcome.nominal, found.study.library, found.outcome.tried
     units = units_of(found.study.model)
@@ -24,12 +24,12 @@ def entries(found: Discovery) -> tuple[told.Entry, ...]:
     same = alike(found.directions)
     singles = {attempt.effects[0]: attempt for attempt in found.outcome.singles}
     rest = sorted((name for name in library if name not in singles), key=lambda n: -tried.get(n, Tried(0)).promised)
-    told_entries = []
+    rows = []
     for name in (*singles, *rest):
         single, how = singles.get(name), tried.get(name, Tried(0))
         size = smallest.get(name)
-        told_entries.append(
-            told.Entry(
+        rows.append(
+            document.Entry(
                 name=name,
                 statement=library[name].statement,
                 gain=single.evidence - nominal.evidence if single else None,
@@ -48,23 +48,25 @@ def entries(found: Discovery) -> tuple[told.Entry, ...]:
                 sizes=how.sizes,
             )
         )
-    return (*told_entries, *(_without_place(name, reason, name in found.own) for name, reason in found.unfit.items()))
+    return (*rows, *(_without_place(name, reason, name in found.own) for name, reason in found.unfit.items()))
 
 
-def _best(found: Discovery, name: str, single: Attempt | None, how: Tried, units: Units) -> tuple[told.Strength, ...]:
+def _best(
+    found: Discovery, name: str, single: Attempt | None, how: Tried, units: Units
+) -> tuple[document.Strength, ...]:
     """The entry's parameters at their best, or where the most was in sight, then without intervals."""
     if single is not None:
         profiled = found.intervals if single.effects == found.outcome.chosen.effects else {}
-        return tuple(map(strength_told, sizes(single, found.study.library, units, profiled)))
+        return tuple(map(strength_of, sizes(single, found.study.library, units, profiled)))
     return () if how.nearest is None else tuple(_on_the_way(found, name, how.nearest, units))
 
 
-def _on_the_way(found: Discovery, name: str, glance: Glance, units: Units) -> Iterator[told.Strength]:
+def _on_the_way(found: Discovery, name: str, glance: Glance, units: Units) -> Iterator[document.Strength]:
     values, effect = glance.unknowns.theta(glance.x), found.study.library[name]
     for own, p in effect.parameters.items():
         if (parameter := effect.prefixed(own)) in values:
             value = values[parameter]
-            yield told.Strength(
+            yield document.Strength(
                 effect=name,
                 parameter=parameter,
                 description=p.description,
@@ -97,7 +99,7 @@ def _not_fitted(found: Discovery, name: str, how: Tried) -> Iterator[str]:
     if how.nearest is not None:
         globally = f" and a global search of {how.sizes} sizes" if how.sizes else ""
         starts = f"{how.starts} start{'s' if how.starts > 1 else ''}"
-        yield f"promised at most {told.nats(how.promised)} from {starts}{globally}"
+        yield f"promised at most {document.nats(how.promised)} from {starts}{globally}"
     elif name not in found.halted:
         yield "its model could not be run"
 
@@ -131,8 +133,8 @@ def _of_fit(found: Discovery, name: str, single: Attempt) -> Iterator[str]:
         yield f"its fit is not at its end: {single.promised:.0f} nats more are in sight"
 
 
-def _without_place(name: str, reason: str, own: bool) -> told.Entry:
-    return told.Entry(
+def _without_place(name: str, reason: str, own: bool) -> document.Entry:
+    return document.Entry(
         name=name,
         statement="",
         gain=None,

@@ -12,7 +12,7 @@ from faultline.analysis.discrepancy.effects.experiments import NO_EXPERIMENTS, E
 from faultline.analysis.discrepancy.find.onset import Onset
 from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
-from faultline.analysis.discrepancy.show import document as told
+from faultline.analysis.discrepancy.show import document
 from faultline.analysis.model.display import Units
 
 
@@ -30,18 +30,18 @@ class Extras:
     plans: Sequence[Plan] = ()
     experiments: Experiments = NO_EXPERIMENTS
     gauge: Gauge | None = None
-    proposal: told.Proposal | None = None
+    proposal: document.Proposal | None = None
     onset: Onset | None = None
     refused: Sequence[str] = ()
     applied: bool = False
 
 
-def drifts_told(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
+def drifts_of(drifts: Drifts | None) -> tuple[document.Drift, ...] | None:
     """All parameters, if it was asked for."""
     if drifts is None:
         return None
     return tuple(
-        told.Drift(
+        document.Drift(
             name=d.name,
             description=d.description,
             unit=d.unit,
@@ -55,22 +55,25 @@ def drifts_told(drifts: Drifts | None) -> tuple[told.Drift, ...] | None:
     )
 
 
-def section(sentences: Sequence[str], data: StructureChange | Onset | None = None) -> told.Section:
+def section(sentences: Sequence[str], data: StructureChange | Onset | None = None) -> document.Section:
     """What was found out, in words and for programs."""
-    return told.Section(sentences=tuple(sentences), data=msgspec.to_builtins(asdict(data)) if data else {})
+    return document.Section(sentences=tuple(sentences), data=msgspec.to_builtins(asdict(data)) if data else {})
 
 
-def experiment_told(plan: Plan) -> told.Section:
+def experiment_section(plan: Plan) -> document.Section:
     """What the experiment is, and what is to be expected of it."""
     experiment = plan.experiment
     record = f"record {experiment.text} ({experiment.name}, {experiment.duration_s:.0f} s)"
-    untold = "; ".join(f"{a} or {b}" for a, b in plan.untold)
-    if plan.told:
-        least, surest = min(plan.told.values()), min(min(plan.likely[a, b], plan.likely[b, a]) for a, b in plan.told)
+    unresolved = "; ".join(f"{a} or {b}" for a, b in plan.unresolved)
+    if plan.resolved:
+        least, surest = (
+            min(plan.resolved.values()),
+            min(min(plan.likely[a, b], plan.likely[b, a]) for a, b in plan.resolved),
+        )
         sentence = f"{record}: at least {least:.0f} nats of evidence are expected for the right candidate, and that "
         sentence += f"rules a wrong one out with a probability of at least {min(surest, 0.99):.2f}"
-        if untold:
-            sentence += f", but it will not tell whether it is {untold}"
+        if unresolved:
+            sentence += f", but it will not tell whether it is {unresolved}"
     else:
         sentence = "no experiment that can be planned is expected to tell the candidates apart"
     if plan.beyond:
@@ -79,16 +82,16 @@ def experiment_told(plan: Plan) -> told.Section:
         "name": experiment.name,
         "duration_s": experiment.duration_s,
         "left": plan.left,
-        "tells": bool(plan.told),
+        "tells": bool(plan.resolved),
         "expected": [
             {"true": true, "rival": rival, "nats": nats, "probability": plan.likely[true, rival]}
             for (true, rival), nats in plan.expected.items()
         ],
     }
-    return told.Section(sentences=(sentence,), data=data)
+    return document.Section(sentences=(sentence,), data=data)
 
 
-def gauge_told(gauge: Gauge, units: Units) -> told.Section:
+def gauge_section(gauge: Gauge, units: Units) -> document.Section:
     """What a gauge would read, by rival."""
     shown = units.of(gauge.unit)
     values = "; ".join(
@@ -97,13 +100,13 @@ def gauge_told(gauge: Gauge, units: Units) -> told.Section:
     where = f"{gauge.description} ({gauge.variable})" if gauge.description else gauge.variable
     absolute = "absolute, " if gauge.unit == "Pa" else ""  # a gauge shows what is above the atmosphere's
     sentence = f"read {where} with a gauge of the workshop, {absolute}in mode {gauge.mode} on average: {values}"
-    return told.Section(sentences=(sentence,), data=msgspec.to_builtins(asdict(gauge)))
+    return document.Section(sentences=(sentence,), data=msgspec.to_builtins(asdict(gauge)))
 
 
-def bundle_told(effect: BundleEffect) -> told.Section:
+def bundle_section(effect: BundleEffect) -> document.Section:
     """Both bundles: what their tests tolerate, their false alarms and their verdicts by recording."""
     data = {"tolerances": effect.tolerances, "before": _bundled(effect.before), "after": _bundled(effect.after)}
-    return told.Section(sentences=tuple(effect.sentences()), data=data)
+    return document.Section(sentences=tuple(effect.sentences()), data=data)
 
 
 def _bundled(bundled: Bundled) -> dict[str, object]:

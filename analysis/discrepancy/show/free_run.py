@@ -68,8 +68,8 @@ def _run(axes: Axes, shown: Shown, document: Document, name: str, model: Model) 
     for k, section in enumerate(_first(shown.after)):
         s = section.samples[name]
         label = None if k else "measured"
-        told = shown_in.scaled(s.value + shown.after.zeros[0].get(name, 0.0))
-        axes.plot(section.start_s + s.t, told, ".", color=QUIET, markersize=2.5, label=label)
+        values = shown_in.scaled(s.value + shown.after.zeros[0].get(name, 0.0))
+        axes.plot(section.start_s + s.t, values, ".", color=QUIET, markersize=2.5, label=label)
     for found, color, title in _models(shown, document):
         for k, section in enumerate(_first(found)):
             inside = section.t > section.samples[name].t[0]

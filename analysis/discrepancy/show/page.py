@@ -22,8 +22,8 @@ CAPTIONS = {
         "step came is known to a tenth of a second only."
     ),
     "unknown-input": (
-        "An unknown input is put on the equation and told from the data alone. A constant part of it is hard to tell "
-        "from the parameters, which is most of the band. With what is missing in the model it is flat."
+        "An unknown input is put on the equation and estimated from the data alone. A constant part of it is hard to "
+        "tell from the parameters, which is most of the band. With what is missing in the model it is flat."
     ),
     "evidence": (
         "How much more likely all recordings are with an entry of the library in the model, its own freedom and that "
@@ -77,11 +77,11 @@ def _regimes(d: Document, regimes: Sequence[Regime]) -> Table:
 
 
 def _regime(r: Regime, shown: Display) -> list[str]:
-    def told(value: float | None) -> str:
+    def formatted(value: float | None) -> str:
         return "-" if value is None else f"{value / shown.size:z.3g}"
 
     closed = "-" if r.closure is None else f"{100 * r.closure:.0f} %"
-    values = [told(v) for v in (r.rms_before, r.rms_after, r.bias_before, r.bias_after, r.floor, r.expected)]
+    values = [formatted(v) for v in (r.rms_before, r.rms_after, r.bias_before, r.bias_after, r.floor, r.expected)]
     return [f"{r.output} [{shown.unit}]", r.mode, *values, closed]
 
 

@@ -106,9 +106,9 @@ def unknown_input(document: Document, abscissa: Abscissa | None) -> bytes | None
 
 def _over(axes: Axes, x: Array, course: Course, usual: Array, color: str, scale: float) -> None:
     """The cells that the data tell of, by their `usual` standard deviations: not those of the model's warm-up."""
-    told = usual <= TOLD * np.median(usual)
-    y, sd = scale * np.array(course.value)[told], 2.0 * scale * np.array(course.sd)[told]
-    axes.errorbar(x[told], y, sd, fmt="o", color=color, markersize=3.5, elinewidth=0.8, alpha=0.6)
+    certain = usual <= TOLD * np.median(usual)
+    y, sd = scale * np.array(course.value)[certain], 2.0 * scale * np.array(course.sd)[certain]
+    axes.errorbar(x[certain], y, sd, fmt="o", color=color, markersize=3.5, elinewidth=0.8, alpha=0.6)
 
 
 def evidence(document: Document) -> bytes | None:

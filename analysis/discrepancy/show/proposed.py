@@ -10,8 +10,8 @@ from faultline.analysis.discrepancy.discover import Discovery, Kind, Verdict
 from faultline.analysis.discrepancy.effects.rewrite import rewritten
 from faultline.analysis.discrepancy.propose.candidates import Candidate
 from faultline.analysis.discrepancy.propose.proposal import Proposal
-from faultline.analysis.discrepancy.show import document as told
-from faultline.analysis.discrepancy.show.sized import regimes_told, strengths_told
+from faultline.analysis.discrepancy.show import document
+from faultline.analysis.discrepancy.show.sized import regimes_of, strengths_of
 from faultline.analysis.model import Model
 from faultline.analysis.model.display import units_of
 
@@ -22,7 +22,7 @@ MANY = 4
 """Formulas that a sentence lists."""
 
 
-def proposal_told(found: Discovery, proposal: Proposal) -> told.Proposal:
+def proposal_of(found: Discovery, proposal: Proposal) -> document.Proposal:
     """Return the part of a discovery's document.
 
     Raises:
@@ -34,27 +34,27 @@ def proposal_told(found: Discovery, proposal: Proposal) -> told.Proposal:
     verdict = Verdict(kind, (chosen.effects,), outcome.gain, proposal.remainder)
     its = replace(found, study=proposal.study, outcome=outcome, verdict=verdict)
     runs = shown(proposal.study, found.baseline, nominal, chosen)
-    return told.Proposal(
+    return document.Proposal(
         sentence=f"a formula is proposed, to be reviewed: {'; and '.join(_formula(model, t) for t in proposal.terms)}",
         terms=tuple(_term(model, proposal, term) for term in proposal.terms),
         rivals=tuple(_term(model, proposal, term) for term in proposal.rivals),
-        strengths=strengths_told(chosen, library, units_of(model), proposal.intervals),
+        strengths=strengths_of(chosen, library, units_of(model), proposal.intervals),
         gain=outcome.gain,
         gain_training=chosen.training - nominal.training,
         gain_held_out=chosen.predicted - nominal.predicted,
         threshold=outcome.threshold,
         remainder=proposal.remainder if isfinite(proposal.remainder) else None,
-        regimes=regimes_told(model, runs),
+        regimes=regimes_of(model, runs),
         against=(*_against(proposal), *reasons(its, runs)),
         tried=proposal.tried,
     )
 
 
-def _term(model: Model, proposal: Proposal, term: Candidate) -> told.Term:
+def _term(model: Model, proposal: Proposal, term: Candidate) -> document.Term:
     after = rewritten(model, proposal.study.library[term.name]).equations[term.equation].text
     before = model.equations[term.equation].text
     statement = str(term.table["statement"])
-    return told.Term(name=term.name, equation=term.equation, statement=statement, before=before, after=after)
+    return document.Term(name=term.name, equation=term.equation, statement=statement, before=before, after=after)
 
 
 def _formula(model: Model, term: Candidate) -> str:
@@ -64,11 +64,11 @@ def _formula(model: Model, term: Candidate) -> str:
 def _against(proposal: Proposal) -> Iterator[str]:
     outcome, left = proposal.outcome, proposal.left
     held = outcome.chosen.predicted - outcome.nominal.predicted
-    yield f"{proposal.tried} terms were composed and the best is told: it describes these recordings, and is no physics"
+    yield f"{proposal.tried} terms were composed, the best is given: it describes these recordings, and is no physics"
     if held < HARDLY * outcome.gain:
         yield f"the held-out recordings hardly speak for it: {held:.0f} of {outcome.gain:.0f} nats"
     if left is None:
-        yield f"what is left with it in cannot be told: {proposal.halted}"
+        yield f"what is left with it in is not known: {proposal.halted}"
     elif left.members:
         yield f"with it in, something is missing still, {proposal.remainder:.0f} nats: {left.sentences[0]}"
     rivals = [rival.name for rival in proposal.rivals]
@@ -77,7 +77,7 @@ def _against(proposal: Proposal) -> Iterator[str]:
         yield f"the data cannot tell it from {', '.join(rivals[:MANY])}{rest}"
 
 
-def proposal_lines(p: told.Proposal) -> Sequence[str]:
+def proposal_lines(p: document.Proposal) -> Sequence[str]:
     """Return sentences: the formula, how large it is, its evidence, what speaks against it."""
     formulas = [f"{term.equation}: `{term.before}` becomes `{term.after}` (= 0)" for term in p.terms]
     evidence = (

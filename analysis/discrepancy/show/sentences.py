@@ -50,13 +50,13 @@ def gap_words(r: Regime, d: Document) -> str:
     shown, changed = d.units.of(r.unit, signal=r.output), bool(d.strengths)
     one = shown.size
     after = f" -> {r.rms_after / one:.3g}" if changed else ""
-    told = f"{r.rms_before / one:.3g}{after} {shown.unit}"
+    text = f"{r.rms_before / one:.3g}{after} {shown.unit}"
     if r.expected is not None:
-        told += f" (noise lets expect {r.expected / one:.3g})"
+        text += f" (noise lets expect {r.expected / one:.3g})"
     if changed:
-        told += (
+        text += (
             "; no gap that an RMS error could show"
             if r.closure is None
             else f"; {100 * r.closure:.0f} % of the gap closed"
         )
-    return told
+    return text

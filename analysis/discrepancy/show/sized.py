@@ -8,22 +8,22 @@ from faultline.analysis.discrepancy.add.whiteness import Whiteness
 from faultline.analysis.discrepancy.effects.effect import Effect
 from faultline.analysis.discrepancy.name.attempt import Attempt
 from faultline.analysis.discrepancy.name.profile import Ends
-from faultline.analysis.discrepancy.show import document as told
+from faultline.analysis.discrepancy.show import document
 from faultline.analysis.discrepancy.show.sizes import Size, sizes
 from faultline.analysis.model import Model
 from faultline.analysis.model.display import Units
 
 
-def strengths_told(
+def strengths_of(
     attempt: Attempt, library: Mapping[str, Effect], units: Units, profiled: Mapping[str, Ends]
-) -> tuple[told.Strength, ...]:
+) -> tuple[document.Strength, ...]:
     """The sizes of an attempt's effects."""
-    return tuple(strength_told(size) for size in sizes(attempt, library, units, profiled))
+    return tuple(strength_of(size) for size in sizes(attempt, library, units, profiled))
 
 
-def strength_told(size: Size) -> told.Strength:
+def strength_of(size: Size) -> document.Strength:
     """A size of an effect for the document."""
-    return told.Strength(
+    return document.Strength(
         effect=size.effect,
         parameter=size.parameter,
         description=size.description,
@@ -35,13 +35,13 @@ def strength_told(size: Size) -> told.Strength:
     )
 
 
-def regimes_told(model: Model, shown: Shown) -> tuple[told.Regime, ...]:
+def regimes_of(model: Model, shown: Shown) -> tuple[document.Regime, ...]:
     """The free runs' errors by output and mode."""
     return tuple(_regime(gap, model.known[gap.output].unit) for gap in shown.gaps)
 
 
-def _regime(gap: Gap, unit: str) -> told.Regime:
-    return told.Regime(
+def _regime(gap: Gap, unit: str) -> document.Regime:
+    return document.Regime(
         output=gap.output,
         unit=unit,
         mode=gap.mode,
@@ -63,5 +63,5 @@ def known(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
-def _white(found: Whiteness | None) -> told.White | None:
-    return None if found is None else told.White(lag1=found.lag1, probability=found.probability)
+def _white(found: Whiteness | None) -> document.White | None:
+    return None if found is None else document.White(lag1=found.lag1, probability=found.probability)

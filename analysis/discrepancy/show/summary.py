@@ -63,7 +63,7 @@ def _found(d: Document) -> list[str]:
             where.append(f"with what is missing unknown it may as well be in: {said}")
         if d.located.sensors:
             where.append(f"a sensor of {d.located.sensors[0]} would tell more")
-        found += ["Where in the model, told from the data alone, without any library:", *_bullets(where)]
+        found += ["Where in the model, estimated from the data alone, without any library:", *_bullets(where)]
     return found
 
 

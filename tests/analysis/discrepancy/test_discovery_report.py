@@ -21,6 +21,7 @@ from faultline.analysis.discrepancy.find.onset import Onset
 from faultline.analysis.discrepancy.name.experiment import Plan
 from faultline.analysis.discrepancy.name.gauge import Gauge
 from faultline.analysis.discrepancy.show.abscissa import abscissa_of
+from faultline.analysis.discrepancy.show.build import document_of
 from faultline.analysis.discrepancy.show.document import Document, Origin, Section, Zero, encoded
 from faultline.analysis.discrepancy.show.extras import Extras
 from faultline.analysis.discrepancy.show.page import page
@@ -28,7 +29,6 @@ from faultline.analysis.discrepancy.show.report import files_of
 from faultline.analysis.discrepancy.show.sentences import MOST, sentences
 from faultline.analysis.discrepancy.show.sizes import sizes
 from faultline.analysis.discrepancy.show.summary import summary
-from faultline.analysis.discrepancy.show.told import document_of
 from faultline.analysis.discrepancy.show.verdicts import limits, next_steps, sentence_of
 from faultline.analysis.model.display import Units
 from faultline.analysis.model.file import SYSTEMS
@@ -247,7 +247,7 @@ def test_a_proposed_experiment_and_a_fault_that_set_in_are_told() -> None:
     onset = Onset(100.0, "e04", (), "t-1")
     d, _ = described(found, ORIGIN, Extras(plans=[plan], onset=onset, refused=["it grew worse"]))
     assert d.experiment is not None
-    assert plan.told == {("a", "b"): 12.0}
+    assert plan.resolved == {("a", "b"): 12.0}
     assert d.experiment.data["left"] == plan.left
     assert d.experiment.data["expected"][1] == {"true": "b", "rival": "a", "nats": 12.0, "probability": 0.75}
     assert d.refused == ("it grew worse",)

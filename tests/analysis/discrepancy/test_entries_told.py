@@ -11,11 +11,11 @@ from faultline.analysis.discrepancy.add.held_out import shown
 from faultline.analysis.discrepancy.discover import Discovery
 from faultline.analysis.discrepancy.name.attempt import Attempt, Glance
 from faultline.analysis.discrepancy.name.tried import Tried
+from faultline.analysis.discrepancy.show.build import document_of
 from faultline.analysis.discrepancy.show.document import Entry, Origin, nats
 from faultline.analysis.discrepancy.show.entries import entries
 from faultline.analysis.discrepancy.show.page import page
 from faultline.analysis.discrepancy.show.summary import summary
-from faultline.analysis.discrepancy.show.told import document_of
 
 OTHER = "lag_p_du"
 

@@ -68,15 +68,15 @@ def test_every_experiment_is_planned_the_best_first(plans: list[Plan]) -> None:
 
 
 def test_the_proposed_plan_promises_evidence_for_whichever_it_is(plans: list[Plan]) -> None:
-    assert plans[0].told == {RIVALS: min(plans[0].expected.values())}
-    assert plans[0].untold == ()
+    assert plans[0].resolved == {RIVALS: min(plans[0].expected.values())}
+    assert plans[0].unresolved == ()
     assert plans[0].left < 0.1
 
 
 def test_where_nothing_is_dosed_rivals_of_the_dosing_valve_are_not_told_apart(plans: list[Plan]) -> None:
     by_name = {plan.experiment.name: plan for plan in plans}
-    assert by_name["dose_staircase"].told
-    assert by_name["pressure_ladder"].untold == (RIVALS,)
+    assert by_name["dose_staircase"].resolved
+    assert by_name["pressure_ladder"].unresolved == (RIVALS,)
     assert by_name["pressure_ladder"].left > 0.3 > 0.1 > by_name["dose_staircase"].left
 
 

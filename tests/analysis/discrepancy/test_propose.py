@@ -26,7 +26,7 @@ from faultline.analysis.discrepancy.propose.candidates import Candidate, candida
 from faultline.analysis.discrepancy.propose.entries import entries_toml
 from faultline.analysis.discrepancy.propose.proposal import Proposal, propose_formula
 from faultline.analysis.discrepancy.propose.screen import FIELD, screened
-from faultline.analysis.discrepancy.show.proposed import proposal_lines, proposal_told
+from faultline.analysis.discrepancy.show.proposed import proposal_lines, proposal_of
 from faultline.analysis.model import ModelError, load_model
 from faultline.analysis.simulation import Trajectory, system_of
 
@@ -174,7 +174,7 @@ def test_a_formula_is_proposed_for_another_system() -> None:
     assert proposal.terms[0].equation == "e06"
     assert proposal.terms[0].family[-1] == "above h2"
     assert proposal.whole
-    told = proposal_told(found, proposal)
+    told = proposal_of(found, proposal)
     assert told.gain > told.threshold
     assert told.gain_held_out > 0.0
     level = next(s for s in told.strengths if s.parameter.endswith("_L"))
