@@ -13,7 +13,7 @@ s |s| = argument, which is smooth where the flow turns (Nagel 1975 solves diodes
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,9 @@ from faultline.service.core.errors import InputError
 Array = npt.NDArray[np.float64]
 
 Evaluation = Callable[..., list[float | Array]]
+
+MOST = 20_000
+"""Expressions, and derivatives, that are remembered in a process."""
 
 LAMINAR = 1e-4
 """The slope of a root's parabola at zero, where it would have none: of an orifice's velocity in m/s, a laminar part."""
@@ -65,39 +68,47 @@ class System:
         known = [sp.Symbol(name) for name in (*self.inputs, *self.parameters)]
         return [*self.variables, *self.derivatives, *known]
 
-    def compiled(self, expressions: Sequence[sp.Expr]) -> Evaluation:
-        """The values of `expressions` as a function of `arguments`."""
-        meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
-        function: Evaluation = sp.lambdify(
-            self.arguments, expressions, modules=[meaning, "numpy"], cse=True, docstring_limit=0
-        )  # a docstring has the expressions as text, which takes a third of the time
-        return function
+    def compiled(self, groups: Sequence[Sequence[sp.Expr]]) -> Evaluation:
+        """The values of the expressions of all groups as a function of `arguments`.
+
+        A group is compiled once in a process, whatever system it is of: an effect changes few of a model's equations.
+        """
+        place = {symbol: k for k, symbol in enumerate(self.arguments)}
+        parts = []
+        for group in groups:
+            symbols, function = _function(tuple(group))
+            parts.append(([place[symbol] for symbol in symbols], function))
+
+        def evaluate(*arguments: float | Array) -> list[float | Array]:
+            return [value for places, function in parts for value in function(*(arguments[k] for k in places))]
+
+        return evaluate
 
     def jacobian(self, expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> "Jacobian":
         """The derivatives of `expressions` to `symbols`."""
-        places, entries = [], []
+        places: list[tuple[int, int]] = []
+        rows = []
         for row, expression in enumerate(expressions):
-            for column, symbol in enumerate(symbols):
-                entry = _derivative(expression, symbol)
-                if entry != 0:
-                    places.append((row, column))
-                    entries.append(entry)
-        return Jacobian((len(expressions), len(symbols)), tuple(places), self.compiled(entries))
+            found = {column: _derivative(expression, symbol) for column, symbol in enumerate(symbols)}
+            entries = {column: entry for column, entry in found.items() if entry != 0}
+            places += [(row, column) for column in entries]
+            rows.append([*entries.values()])
+        return Jacobian((len(expressions), len(symbols)), tuple(places), self.compiled([row for row in rows if row]))
 
     @cached_property
     def value(self) -> Evaluation:
         """The residuals' values."""
-        return self.compiled(self.residuals)
+        return self.compiled([[e] for e in self.residuals])
 
     @cached_property
     def shown(self) -> Evaluation:
         """The outputs' values."""
-        return self.compiled(list(self.outputs.values()))
+        return self.compiled([[e] for e in self.outputs.values()])
 
     @cached_property
     def root_arguments(self) -> tuple[Evaluation, ...]:
         """The values of the roots' arguments, one by one: an argument may use the roots before it."""
-        return tuple(self.compiled([argument]) for argument in self.roots.values())
+        return tuple(self.compiled([[argument]]) for argument in self.roots.values())
 
     @cached_property
     def by_variable(self) -> "Jacobian":
@@ -299,6 +310,18 @@ def _solved(equation: sp.Expr, variable: sp.Symbol) -> sp.Expr:
     return sp.expand(-equation.xreplace({variable: sp.Integer(0)}) / _derivative(equation, variable))
 
 
+@lru_cache(maxsize=MOST)
+def _function(expressions: tuple[sp.Expr, ...]) -> tuple[tuple[sp.Symbol, ...], Evaluation]:
+    """The values of expressions as a function of the symbols in them, in the order that is given."""
+    symbols = tuple(sorted(set[sp.Symbol]().union(*(e.free_symbols for e in expressions)), key=str))
+    meaning = {"sgsqrt": lambda d: np.sign(d) * np.sqrt(np.abs(d))}
+    function: Evaluation = sp.lambdify(
+        symbols, expressions, modules=[meaning, "numpy"], cse=True, docstring_limit=0
+    )  # a docstring has the expressions as text, which takes a third of the time
+    return symbols, function
+
+
+@lru_cache(maxsize=MOST)
 def _derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     """The derivative; |x| is flat at zero."""
     found = slope(expression, symbol)

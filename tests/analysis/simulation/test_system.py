@@ -1,5 +1,7 @@
 """Which models can be run freely, and models whose form is unusual."""
 
+import dataclasses
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from faultline.analysis.model import Model, load_model
 from faultline.analysis.model.file import parse_model
 from faultline.analysis.simulation import Drive, Trajectory, run, system_of
+from faultline.analysis.simulation.system import _function
 from faultline.service.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -115,3 +118,15 @@ def test_parameters_that_are_numbers_are_the_same_as_symbols() -> None:
     symbols = run(system_of(uds1, list(values)), drive, values).outputs()
     for name, y in symbols.items():
         assert np.abs(numbers[name] - y)[1:].max() < 1e-9 * np.abs(y).max(), name
+
+
+def test_equations_that_another_model_has_too_are_compiled_once() -> None:
+    model = load_model("uds")
+    first = system_of(model, ["A_ori", "A_dos"])
+    assert first.by_variable.shape == (len(first.residuals), len(first.variables))
+    compiled = _function.cache_info().misses
+    text = model.equations["e04"].text
+    changed = dataclasses.replace(model.equations["e04"], text=text, expression=1.5 * model.equations["e04"].expression)
+    other = system_of(dataclasses.replace(model, equations={**model.equations, "e04": changed}), ["A_ori", "A_dos"])
+    assert other.by_variable.places == first.by_variable.places
+    assert 1 <= _function.cache_info().misses - compiled <= 2
