@@ -32,6 +32,9 @@ DELAY = 1.5
 """Periods. Prior standard deviation of a command's delay."""
 
 
+SHORTEST = 1.0 / 64.0
+"""Of the way from what is expected to an x: a model that cannot be run with a shorter step cannot be run there."""
+
 Runs = Sequence[tuple[Section, Trajectory]]
 """Every section, on the grid of a run, and the run."""
 
@@ -248,10 +251,31 @@ class Problem:
     def trajectories(self, x: Array) -> list[Trajectory]:
         """The free runs of every section."""
         if self._at is None or not np.array_equal(x, self._at):
-            delay = self.unknowns.delay(x)
-            self._runs = runs(self.system, self.sections, self.parameters(x), delay, self._runs)
+            self._runs = self._run(x, self._runs)
             self._at = x.copy()
         return self._runs
+
+    def _run(self, x: Array, near: Sequence[Trajectory]) -> list[Trajectory]:
+        """The free runs at x from others; without any, and where that fails, on a way from what is expected to x."""
+        try:
+            return self._run_near(x, near)
+        except InputError:
+            if near:
+                raise
+        found, part, step = self._run_near(0.0 * x, ()), 0.0, 0.5
+        while part < 1.0:
+            try:
+                found = self._run_near((part + step) * x, found)
+            except InputError:
+                step /= 2.0
+                if step < SHORTEST:
+                    raise
+            else:
+                part += step
+        return found
+
+    def _run_near(self, x: Array, near: Sequence[Trajectory]) -> list[Trajectory]:
+        return runs(self.system, self.sections, self.parameters(x), self.unknowns.delay(x), near)
 
 
 def carried(x: Array, old: Unknowns, new: Unknowns) -> Array:
