@@ -27,7 +27,9 @@ output and steady mode, is above 1.2 times that of its twin, the same truck with
 the twin's error, the widest of them. In brackets: exact 95 % intervals (Clopper and Pearson).
 
 Records 3001 to 3008 had been made by older code (9f2ba4a) and seen before this one was written, which is not blind for
-them; 3009 and all after it were not. None was used to choose anything: development was on trucks 9001 to 9010."""
+them; 3009 and all after it were not. None was used to choose anything: development was on trucks 9001 to 9010.
+Record 3058 (a relief valve, 0.6 times) ended with an error, "no free run is found", and is missing here: that is mended
+since, and the record is not blind any more."""
 
 
 def _declared(r: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -92,9 +94,9 @@ def rows(results: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, tuple[int
         "visible: noticed": ("at least 90 %", count(hidden, noticed)),
         "visible: a formula is proposed": ("", count(hidden, lambda r: r["terms"])),
         "visible: right equation first": ("at least 70 %", count(hidden, lambda r: first_equation(r, same=False))),
+        f"... of records after {SEEN}": ("", count(blind, lambda r: first_equation(r, same=False))),
         "... or one declared as the same": ("", count(hidden, lambda r: first_equation(r, same=True))),
         "... located without formulas, as before": ("", count(hidden, located_first)),
-        f"... of records after {SEEN}": ("", count(blind, lambda r: first_equation(r, same=False))),
         "visible: right form first": ("at least 50 %", count(hidden, right_form)),
         f"... of records after {SEEN} ": ("", count(blind, right_form)),
         "... or among those that the data cannot tell from it": (
