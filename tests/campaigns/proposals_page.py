@@ -28,8 +28,8 @@ the twin's error, the widest of them. In brackets: exact 95 % intervals (Clopper
 
 Records 3001 to 3008 had been made by older code (9f2ba4a) and seen before this one was written, which is not blind for
 them; 3009 and all after it were not. None was used to choose anything: development was on trucks 9001 to 9010.
-Record 3058 (a relief valve, 0.6 times) ended with an error, "no free run is found", and is missing here: that is mended
-since, and the record is not blind any more."""
+Record 3058 (a relief valve, 0.6 times) ended with an error, "no free run is found", and is not counted here. That
+is mended since (c962672): it is noticed then, and `e03_q_ori_plus_above_q_ori` comes first, which is wrong."""
 
 
 def _declared(r: Mapping[str, Any]) -> Mapping[str, Any]:
