@@ -33,7 +33,7 @@ DELAY = 1.5
 
 
 SHORTEST = 1.0 / 64.0
-"""Of the way from what is expected to an x: a model that cannot be run with a shorter step cannot be run there."""
+"""Smallest step of the continuation from the expected x, as a part of the whole way; below it the run has failed."""
 
 Runs = Sequence[tuple[Section, Trajectory]]
 """Every section, on the grid of a run, and the run."""
@@ -256,7 +256,7 @@ class Problem:
         return self._runs
 
     def _run(self, x: Array, near: Sequence[Trajectory]) -> list[Trajectory]:
-        """The free runs at x from others; without any, and where that fails, on a way from what is expected to x."""
+        """Run freely at x, from other runs; without any, and where that fails, by continuation from the expected x."""
         try:
             return self._run_near(x, near)
         except InputError:

@@ -28,8 +28,8 @@ GROWN = 1.01
 evidence the training has and whatever noise lets expect; less does not tell one model from another."""
 
 FORETOLD, SLIGHT = 5.0, 1.02
-"""Where the held-out recordings themselves have this evidence [nats] for it, in which transients count, the factor may
-be as large as this: what acts while pressures change hardly shows in steady errors."""
+"""The factor may be as large as `SLIGHT` where the held-out recordings have the evidence `FORETOLD` [nats] for the effect:
+transients count in it, and what acts while pressures change hardly shows in steady errors."""
 
 UNEVEN = 1.03
 """The mean must shrink by this factor where one output's steady error grows by more than it: a blocked vent takes one
@@ -102,7 +102,7 @@ def reasons(found: Discovery, shown: Shown) -> Iterator[str]:
 
 
 def _grown(found: Discovery, shown: Shown) -> bool:
-    """Whether the steady errors are not better."""
+    """True if the steady errors of the held-out free run have grown too much."""
     grown = np.log([gap.after.rms / gap.before.rms for gap in shown.gaps if gap.mode == STEADY])
     if not len(grown):
         return False

@@ -168,7 +168,7 @@ def rivals(field: Sequence[Attempt], without: Attempt) -> tuple[Attempt, ...]:
 
 
 def difference(one: Attempt, other: Attempt) -> tuple[float, float]:
-    """How much more evidence one attempt has than another, and the standard deviation of that by the blocks [nats]."""
+    """Difference of the evidences of two attempts, and its standard deviation estimated from the blocks [nats]."""
     blocks = one.blocks - other.blocks
     return one.evidence - other.evidence, float(np.std(blocks) * np.sqrt(len(blocks)))
 

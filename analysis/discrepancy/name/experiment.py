@@ -221,7 +221,7 @@ def _plan(
     noise: Mapping[int, Array],
     beyond: tuple[str, ...],
 ) -> Plan:
-    """What is to be expected of an experiment."""
+    """Evaluate an experiment: expected evidence and probability of exclusion of each pair."""
     first = rivals[0]
     tracks = first.measured(experiment, study.training[0])
     sections = [
@@ -270,7 +270,7 @@ class Prediction:
 
 
 def _prediction(likelihood: Likelihood, rival: _Rival, sections: Sequence[Section]) -> Prediction:
-    """What a rival predicts, by the difference from what was made of the sections."""
+    """Predict the sections by a rival, relative to the data that they were made of."""
     a = rival.attempt
     e, J, H = foretold(likelihood, _problem(rival, sections), _punctual(a), a.curvature, a.inside, a.unknowns)
     return Prediction(-e, J, H)
