@@ -28,7 +28,7 @@ GROWN = 1.01
 evidence the training has and whatever noise lets expect; less does not tell one model from another."""
 
 FORETOLD, SLIGHT = 5.0, 1.02
-"""The factor may be as large as `SLIGHT` where the held-out recordings have the evidence `FORETOLD` [nats] for the effect:
+"""The factor may be as large as `SLIGHT` where the held-out recordings have `FORETOLD` nats of evidence for the effect:
 transients count in it, and what acts while pressures change hardly shows in steady errors."""
 
 UNEVEN = 1.03
