@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from faultline.service.core.decision.hypotheses import Look, confined
+from faultline.service.core.decision.hypotheses import TIE, Look, confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis
@@ -19,10 +19,9 @@ from faultline.service.core.records.event import Diagnosis
 SUREST = 0.999
 """No fault is more probable than this: the model may lack what it is."""
 
-TIE = 9.0
 TIE_PART = 0.25
-"""Hypotheses whose misfits differ by less than three standard deviations, or than this part of the larger one, are not
-told apart: the data do not separate them, or neither explains the data."""
+"""Hypotheses whose misfits differ by less than `TIE`, or than this part of the larger one, are not told apart: the data
+do not separate them, or neither explains the data."""
 
 OF_TWO = 15.0
 """By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""

@@ -31,6 +31,9 @@ from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 GAMMA = 0.1
 
+TIE = 9.0
+"""Hypotheses whose misfits differ by less than three standard deviations are not told apart."""
+
 UNLIKELY = 3.72
 """Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
 
@@ -131,6 +134,12 @@ class Look:
                 found[fault] = Fitted(misfit, row, float(parts[row]))
         return found
 
+    @property
+    def fitting(self) -> list[Fitted]:
+        """The faults that fit best, at their best sizes: those that the data do not tell apart."""
+        least = min(self.faults.values(), default=0.0)
+        return [fitted for fitted in self.fitted.values() if fitted.misfit <= least + TIE]
+
     def misfit_at(self, size: Fitted) -> float:
         """The misfit of a fault of a size that was fitted to something else."""
         return float(self._misfits((self._begin[size.row] + size.part * self._way[size.row])[None, None])[0])
@@ -227,7 +236,7 @@ class Hypotheses:
     ) -> None:
         """`sensitive` are the names of the generators that are sensitive to each fault without assumed sizes."""
         self._straying = Straying(evidence)
-        self._segments = _segments(evidence, alone)
+        self.segments = segments(evidence, alone)
         self._signatures = {
             fault: np.array([name in generators for name in evidence.generators])
             for fault, generators in sensitive.items()
@@ -244,7 +253,7 @@ class Hypotheses:
         S = (day.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
         shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
         shifts = np.concatenate([np.zeros((1, len(d))), shift])
-        return Look(d, S, seen, shifts, self._segments, self._signatures)
+        return Look(d, S, seen, shifts, self.segments, self._signatures)
 
 
 def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
@@ -254,7 +263,7 @@ def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
     return {fault: [each.name for each in manifest.generators if fault in each.faults] for fault in free}
 
 
-def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
+def segments(evidence: Evidence, alone: Collection[str]) -> Segments:
     """The chains of sizes: each fault's positive and negative ones, from none on."""
     chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
     for row, hypothesis in enumerate(evidence.hypotheses, start=1):

@@ -7,7 +7,6 @@ were healthy before, it has come: what is before is left out. Only the same mode
 mode shows and another does not is told apart from others by just that.
 """
 
-from faultline.service.core.decision.explaining import TIE
 from faultline.service.core.decision.hypotheses import Hypotheses, Look
 from faultline.service.core.decision.straying import Level
 from faultline.service.core.decision.window import Blocks
@@ -58,9 +57,7 @@ def _has_gone(block: Look, before: Look, both: Mask) -> bool:
     """Whether nothing is wrong in the block, and what fits before would have shown in it, as it did in these modes."""
     if block.nothing > block.limit or before.nothing_in(both) < block.limit + CLEAR:
         return False
-    least = min(before.faults.values(), default=0.0)
-    fitting = [fitted for fitted in before.fitted.values() if fitted.misfit <= least + TIE]
-    return all(block.misfit_at(fitted) > block.nothing + CLEAR for fitted in fitting)
+    return all(block.misfit_at(fitted) > block.nothing + CLEAR for fitted in before.fitting)
 
 
 def _has_come(block: Look, before: Look, both: Mask) -> bool:

@@ -1,0 +1,102 @@
+"""Block means: some seconds of one visit to an operating mode are one observation.
+
+A visit is an unbroken stay in a mode; edges between modes are left out. The mean, not the median: pulses of an actuator
+that the sampling aliases have two or three levels, and a median jumps between them.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.manifest import Evidence
+from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
+from faultline.service.core.time_scale import Span, TimeScale
+
+BLOCK = Span(settlings=0.15, periods=15)
+"""The length of a block."""
+
+FEWEST = 1 / 3
+"""A mean counts from so many of a block's ticks on."""
+
+
+class Block(NamedTuple):
+    """A block of B logs: when it ended (B,) [s], its mode (B,), and whether it begins a visit (B,).
+
+    `ticks` (B, K) is the number of ticks of each generator in its `mean` (B, K), 0 where too few could tell; `shift`
+    (B, H, K) is the mean shift of the residuals by each hypothesis.
+    """
+
+    end_s: FloatArray
+    mode: Indices
+    begins: Mask
+    ticks: FloatArray
+    mean: FloatArray
+    shift: FloatArray
+
+
+class BlockMeans:
+    """Cuts the ticks of one log into blocks. State: the sums of the block that is open."""
+
+    def __init__(self, evidence: Evidence, generators: Sequence[str], time: TimeScale) -> None:
+        self._columns = np.array([generators.index(name) for name in evidence.generators])
+        self._hypotheses = len(evidence.hypotheses)
+        self._period_s, self._length = time.period_s, time.ticks(BLOCK)
+        self._mode = EDGE
+        self._begins = False
+        self._clear()
+
+    def add(self, tick: int, mode: int, residuals: Residuals) -> Block | None:
+        """Take a tick; return the block that it closes, or that the mode before it has closed."""
+        closed = None
+        if mode != self._mode:
+            closed = self._close(tick - 1)
+            self._mode, self._begins = mode, True
+        if mode == EDGE:
+            return closed
+        usable = residuals.usable[self._columns]
+        self._count += 1
+        self._ticks += usable
+        self._total += np.where(usable, residuals.r[self._columns], 0.0)
+        if self._hypotheses:
+            self._shift += np.where(usable, residuals.shift, 0.0)
+        if self._count == self._length:
+            closed = self._close(tick)
+        return closed
+
+    def _close(self, tick: int) -> Block | None:
+        """Return the open block, which ends with this tick, where it has enough ticks; then open another."""
+        counts = self._ticks >= FEWEST * self._length
+        ticks = np.where(counts, self._ticks, 0.0)
+        block = None
+        if counts.any():
+            most = np.maximum(self._ticks, 1.0)
+            block = Block(
+                end_s=np.array([tick * self._period_s]),
+                mode=np.array([self._mode]),
+                begins=np.array([self._begins]),
+                ticks=ticks[None],
+                mean=(self._total / most)[None],
+                shift=(self._shift / most)[None],
+            )
+            self._begins = False
+        self._clear()
+        return block
+
+    def _clear(self) -> None:
+        K = len(self._columns)
+        self._count, self._ticks, self._total = 0, np.zeros(K), np.zeros(K)
+        self._shift = np.zeros((self._hypotheses, K))
+
+
+def side_by_side(logs: Sequence[Sequence[Block]]) -> Iterator[Block]:
+    """Yield the k-th blocks of all logs as one; a log that has ended goes on with blocks in which nothing was seen."""
+    for k in range(max(map(len, logs), default=0)):
+        row = [blocks[k] if k < len(blocks) else _nothing(blocks[-1]) for blocks in logs]
+        yield Block(*(np.concatenate(parts) for parts in zip(*row, strict=True)))
+
+
+def _nothing(last: Block) -> Block:
+    return last._replace(begins=np.zeros(1, dtype=np.bool_), ticks=np.zeros_like(last.ticks))

@@ -1,0 +1,142 @@
+"""The generalised likelihood ratio of Willsky and Jones: which fault, of which size, since when?
+
+Beside the filter without a fault, each hypothesis h leaves a signature g in its whitened innovations e, once for every
+onset tau that is kept. With A = sum g'g and c = sum g'e since tau, the log-likelihood ratio of h to no fault is
+
+    LLR(tau, h) = c - A / 2        [nats]
+
+Between two assumed sizes the signature is on the straight line between theirs; the ratio is that of the best size on
+the polygon from none over the sizes of a sign. A fault that nobody has declared shifts the means by any constant: of
+the K unit shifts' signatures Q = c' A^-1 c, and its ratio is the marginal one under Zellner's g-prior with the
+likeliest g, (Q - K (1 + ln(Q / K))) / 2 (Liang et al. 2008).
+
+Onsets are every block's beginning, thinned so that they lie the closer the younger they are: of a full table goes the
+one whose neighbours lie closest together, in parts of its age. The first, the start of the drive, is never left out.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, GaussianState, signature
+from faultline.service.core.decision.blocks import Block
+from faultline.service.core.decision.hypotheses import Segments
+from faultline.service.core.signals.values import FloatArray, Indices
+
+ONSETS = 24
+"""How many onsets are kept: the last are a block apart, those before lie some eighth of their age apart."""
+
+
+class Change(NamedTuple):
+    """The likeliest change of each log: its log-likelihood ratio (B,) [nats], its fault and onset as indices (B,).
+
+    The last fault is the undeclared one.
+    """
+
+    log_ratio: FloatArray
+    fault: Indices
+    onset: Indices
+
+
+class ChangeDetector:
+    """The ratios of B logs. State: the filter, and for each onset the effects, A and c of all hypotheses."""
+
+    def __init__(self, model: BaselineModel, segments: Segments, hypotheses: int, logs: int = 1) -> None:
+        self.filter = BaselineFilter(model, logs)
+        self._segments = segments
+        self.faults = list(dict.fromkeys(segments.faults))
+        self._own = [np.flatnonzero([name == fault for name in segments.faults]) for fault in self.faults]
+        K = model.offset.shape[1]
+        self._unit, rows = np.eye(K), 1 + hypotheses + K  # row 0 is none
+        self.onset_s = np.zeros((logs, 0))
+        self.before = GaussianState(np.zeros((logs, 0, model.states)), np.zeros((logs, 0, model.states, model.states)))
+        self._effect = np.zeros((logs, 0, rows, model.states))
+        self._A, self._c = np.zeros((logs, 0, rows)), np.zeros((logs, 0, rows))
+        self._along = np.zeros((logs, 0, len(segments.faults)))  # g'g of the two ends of a segment
+        self._free = np.zeros((logs, 0, K, K))
+
+    def step(self, block: Block) -> Change:
+        """Take a block; return the likeliest change."""
+        self._add_onset(block)
+        innovation = self.filter.step(block)
+        B, T = self.onset_s.shape
+        none = np.zeros((B, 1, block.shift.shape[-1]))
+        shift = np.concatenate([none, block.shift, np.broadcast_to(self._unit, (B, *self._unit.shape))], axis=1)
+        shift = np.broadcast_to(shift[:, None], (B, T, *shift.shape[1:]))
+        self._effect, g = signature(self._effect, innovation, shift, (block.ticks > 0).astype(np.float64))
+        self._A += (g**2).sum(axis=-1)
+        self._c += np.einsum("btrk,bk->btr", g, innovation.white)
+        self._along += (g[:, :, self._segments.begin] * g[:, :, self._segments.end]).sum(axis=-1)
+        free = g[:, :, -len(self._unit) :]
+        self._free += free @ free.swapaxes(2, 3)
+        return self._likeliest()
+
+    @property
+    def ratios(self) -> FloatArray:
+        """The log-likelihood ratios (B, T, segments) at the best size of each segment [nats]."""
+        begin, end = self._segments.begin, self._segments.end
+        A, c, X = self._A, self._c, self._along
+        length = np.maximum(A[..., begin] - 2.0 * X + A[..., end], 1e-300)
+        part = np.clip((c[..., end] - c[..., begin] - X + A[..., begin]) / length, 0.0, 1.0)
+        mean = c[..., begin] + part * (c[..., end] - c[..., begin])
+        square = (1 - part) ** 2 * A[..., begin] + 2 * part * (1 - part) * X + part**2 * A[..., end]
+        return np.asarray(mean - square / 2.0)
+
+    def forget_onsets(self, state: GaussianState) -> None:
+        """Look for changes from now on only, from this state of the filter."""
+        self.filter.state = state
+        self._keep(np.zeros((len(self.onset_s), 0), dtype=np.intp))
+
+    def _likeliest(self) -> Change:
+        B, T = self.onset_s.shape
+        ratios = self.ratios
+        of_faults = [ratios[..., own].max(axis=-1) for own in self._own]
+        table = np.stack([*of_faults, self._undeclared()], axis=-1).reshape(B, -1)
+        best = table.argmax(axis=1)
+        onset, fault = np.divmod(best, table.shape[1] // T)
+        return Change(np.take_along_axis(table, best[:, None], 1)[:, 0], fault, onset)
+
+    def _undeclared(self) -> FloatArray:
+        """The ratios (B, T) of a shift by any constant."""
+        K = len(self._unit)
+        c = self._c[..., -K:]
+        Q = (c * (np.linalg.pinv(self._free, hermitian=True) @ c[..., None])[..., 0]).sum(axis=-1)
+        Q = np.maximum(Q, K)
+        return np.asarray((Q - K * (1.0 + np.log(Q / K))) / 2.0)
+
+    def _add_onset(self, block: Block) -> None:
+        """Add the beginning of the block to the onsets; where the table is full, leave one out."""
+        B, T = self.onset_s.shape
+        kept = np.tile(np.arange(T), (B, 1))
+        if T == ONSETS:
+            now = block.end_s[:, None]
+            later = np.concatenate([self.onset_s[:, 2:], now], axis=1)
+            gap = (later - self.onset_s[:, :-1]) / np.maximum(now - self.onset_s[:, 1:], 1e-9)
+            out = 1 + gap.argmin(axis=1)[:, None]
+            kept = np.arange(T - 1) + (np.arange(T - 1) >= out)
+        self._keep(kept)
+        began, state = self.filter.end_s, self.filter.state
+        self.onset_s = _behind(self.onset_s, began)
+        self.before = GaussianState(*(_behind(each, new) for each, new in zip(self.before, state, strict=True)))
+        self._effect, self._A, self._c, self._along, self._free = (
+            _behind(each, np.zeros((B, *each.shape[2:])))
+            for each in (self._effect, self._A, self._c, self._along, self._free)
+        )
+
+    def _keep(self, kept: Indices) -> None:
+        """Keep these onsets (B, n) only."""
+        self.onset_s = _chosen(self.onset_s, kept)
+        self.before = GaussianState(*(_chosen(each, kept) for each in self.before))
+        self._effect, self._A, self._c, self._along, self._free = (
+            _chosen(each, kept) for each in (self._effect, self._A, self._c, self._along, self._free)
+        )
+
+
+def _chosen(table: FloatArray, kept: Indices) -> FloatArray:
+    """The entries (B, n, ...) of a table (B, T, ...)."""
+    return np.take_along_axis(table, kept.reshape(*kept.shape, *[1] * (table.ndim - 2)), axis=1)
+
+
+def _behind(table: FloatArray, new: FloatArray) -> FloatArray:
+    """A table (B, T, ...) with a new entry (B, ...) behind."""
+    return np.concatenate([table, new[:, None]], axis=1)
