@@ -38,7 +38,7 @@ class GaussianState(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """What a block adds: the innovation, whitened (B, K), and the matrices of the filter's step.
+    """The whitened innovation of a block (B, K), and the matrices of the filter's step.
 
     `decay` (B, S) is the diagonal of F, `observe` (B, K, S) has zeros where nothing was seen, `gain` (B, S, K) is
     Kalman's, `whiten` (B, K, K) the inverse of the Cholesky factor of the innovation's covariance.
@@ -61,9 +61,8 @@ class BaselineModel:
         drifts = np.array(evidence.drifts).reshape(-1, modes, K)
         R, own = len(drifts), (modes - 1) * K
         self.states = R + own + K
-        self.visit_s, self.drive_s = time.seconds(VISIT), time.seconds(DRIVE)
-        self.tau = np.full(self.states, self.drive_s)
-        self.tau[R + own :] = self.visit_s
+        self.tau = np.full(self.states, time.seconds(DRIVE))
+        self.tau[R + own :] = time.seconds(VISIT)
         self.observe = np.zeros((modes, K, self.states))
         self.stationary = np.zeros((modes, self.states, self.states))
         variances = [np.ones(R), np.array(evidence.allowance)[1:].ravel() ** 2, np.zeros(K)]

@@ -1,4 +1,4 @@
-"""Where a drive's baseline puts the residuals, and the residuals without it."""
+"""The level of the residuals by a drive's baseline, and the residuals without it."""
 
 from collections.abc import Sequence
 

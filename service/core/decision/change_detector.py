@@ -24,7 +24,7 @@ from faultline.service.core.decision.hypotheses import Segments
 from faultline.service.core.signals.values import FloatArray, Indices
 
 ONSETS = 24
-"""How many onsets are kept: the last are a block apart, those before lie some eighth of their age apart."""
+"""The number of onsets kept: the last are a block apart, those before some eighth of their age."""
 
 
 class Change(NamedTuple):

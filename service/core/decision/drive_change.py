@@ -23,11 +23,11 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import TimeScale
 
 SUSPECTED, SURE = 18.0, 25.0
-"""Log-likelihood ratios [nats]. Fault-free drives of three vehicles, seven hours, one vehicle with a sensor's backlash,
-had up to 18 in a quarter of an hour, tuned on half an hour of their own."""
+"""Log-likelihood ratios [nats]. Chosen on fault-free drives of three simulated trucks (404, 407, 601; six hours, each
+tuned on half an hour of its own, one with a sensor's backlash), which had up to 18; not shown on others yet."""
 
 SAME = 5.0
-"""By how much [nats] a fault fits better than none what is seen of late, as long as it is there."""
+"""A fault is there as long as it fits what was seen of late by so much [nats] better than none does."""
 
 
 class DriveChange:
@@ -43,19 +43,15 @@ class DriveChange:
         self._recent = Recent(evidence, generators, time)
         self._detector = self._fresh()
         self._blind = 0  # ticks since any of the evidence could tell
-        self._held = self._some_blind = False
+        self._held = False
+        self.blind = False  # some of the evidence cannot tell now
         self._since_s = np.inf  # the earliest of the likeliest onsets of what alarms: those of severe faults wander
         self.alarm = self.sure = False
 
     @property
     def level(self) -> Level:
-        """Where the drive's baseline puts the means, as far as it is known, without what is suspected."""
+        """Return the level of the means by the baseline as it was before what is suspected."""
         return self._baseline.level
-
-    @property
-    def blind(self) -> bool:
-        """Whether some of the evidence cannot tell now."""
-        return self._some_blind
 
     def without_baseline(self, mode: int, residuals: Residuals) -> FloatArray:
         """Return the residuals (T,) of a tick as detectors of the level see them."""
@@ -64,7 +60,7 @@ class DriveChange:
     def add(self, tick: int, mode: int, residuals: Residuals, *, suspected: bool) -> None:
         """Take a tick, at which something is suspected already or not."""
         usable = residuals.usable[self._rows]
-        self._some_blind = not usable.all()
+        self.blind = not usable.all()
         self._blind = 0 if usable.any() else self._blind + 1
         if self._blind == self._frozen:
             self._detector = self._fresh()
@@ -78,12 +74,12 @@ class DriveChange:
         ratio = float(change.log_ratio[0])
         self.alarm = ratio > SUSPECTED or (self.alarm and ratio > SAME)
         self.sure = ratio > SURE
-        if not self.alarm:
-            self._since_s = np.inf
         if self.alarm:
             self._since_s = min(self._since_s, float(self._detector.onset_s[0, change.onset[0]]))
             self._baseline.follow(self._before(self._since_s))
-        elif not suspected:
+            return
+        self._since_s = np.inf
+        if not suspected:
             self._baseline.follow(self._of_filter())
 
     def look(self) -> None:

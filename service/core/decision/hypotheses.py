@@ -236,7 +236,7 @@ class Hypotheses:
     ) -> None:
         """`sensitive` are the names of the generators that are sensitive to each fault without assumed sizes."""
         self._straying = Straying(evidence)
-        self.segments = segments(evidence, alone)
+        self.segments = _segments(evidence, alone)
         self._signatures = {
             fault: np.array([name in generators for name in evidence.generators])
             for fault, generators in sensitive.items()
@@ -263,7 +263,7 @@ def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
     return {fault: [each.name for each in manifest.generators if fault in each.faults] for fault in free}
 
 
-def segments(evidence: Evidence, alone: Collection[str]) -> Segments:
+def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
     """The chains of sizes: each fault's positive and negative ones, from none on."""
     chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
     for row, hypothesis in enumerate(evidence.hypotheses, start=1):
