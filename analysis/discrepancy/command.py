@@ -64,7 +64,10 @@ MODEL, EXPERIMENT, WORK = "model.toml", "experiment.toml", "work"
 FORMULA = "proposal.toml"
 
 
-SEARCHES = ("apply", "held_out", "library", "without", "tune", "evaluate", "truth", "scheduler", "processes", "json")
+SEARCHES = (
+    "apply", "held_out", "library", "without", "same_conditions", "tune", "evaluate", "truth", "scheduler", "processes",
+    "json",
+)  # fmt: skip
 """Options that mean nothing to --undo."""
 
 
@@ -91,6 +94,11 @@ def main(argv: list[str]) -> int:
         default=[],
         metavar="NAME",
         help="effects that it is not, as a gauge has shown",
+    )
+    add(
+        "--same-conditions",
+        action="store_true",
+        help="all recordings were made one after the other: nothing with a drift in the model changed in between",
     )
     add("--apply", action="store_true", help="write the model with what was found, unless there is a reason against")
     add("--undo", action="store_true", help="take the last discovery out of MODEL again; writes DIR/model.toml")
@@ -136,7 +144,7 @@ def _discover(options: argparse.Namespace) -> int:
     system = own or alike(model)
     library, experiments = _library(system, options.library, options.without), load_experiments(system)
     with Progress(f"discovering what {model.name} misses") as progress, _resumable(options.out):
-        data = load(model, options.recording, options.held_out, progress.note)
+        data = load(model, options.recording, options.held_out, progress.note, same_conditions=options.same_conditions)
         for gap in data.gaps():
             progress.note(gap)
         for gap in _without_place(model, library):
@@ -162,7 +170,7 @@ def _discover(options: argparse.Namespace) -> int:
         extras = Extras(
             drifts=drifts(model, found.outcome.nominal, found.outcome.chosen) if new.model else None,
             structure=structure_change(model, new.model, found.outcome.chosen) if new.model else None,
-            bundle=_bundles(recordings, found, new, progress),
+            bundle=_bundles(model, recordings, found, new, progress),
             plans=plans,
             experiments=experiments,
             gauge=_gauge(found, rivals, plans, experiments.gauges),
@@ -217,14 +225,15 @@ def _trial(options: argparse.Namespace, data: Data, progress: Progress) -> Trial
     return trial(used, options.tune, list(zip(options.evaluate, truths, strict=True)), progress.note, data.vehicle)
 
 
-def _bundles(recordings: Trial | None, found: Discovery, new: Adoption, progress: Progress) -> BundleEffect | None:
+def _bundles(
+    model: Model, recordings: Trial | None, found: Discovery, new: Adoption, progress: Progress
+) -> BundleEffect | None:
     if recordings is None:
         return None
     if new.model is None:
         progress.note("nothing is added to the model, so there are no bundles to compare: --tune is not used")
         return None
     progress.say("bundles before and after")
-    model = found.study.model
     before = model.with_parameters(within_bounds(model, found.outcome.nominal.values), new.model.provenance[-1])
     return bundle_effect(before, new.model, recordings, progress)
 

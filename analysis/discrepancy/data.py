@@ -25,7 +25,10 @@ LEAST = 3.0
 
 @dataclass(frozen=True)
 class Data:
-    """The logs and their sections; `key` is a hash of the model and of all logs."""
+    """The logs and their sections; `key` is a hash of the model and of all logs.
+
+    With `same_conditions` nothing that has a drift in the model changed from one recording to the next.
+    """
 
     model: Model
     system: System
@@ -33,12 +36,18 @@ class Data:
     held: tuple[Log, ...]
     training_sections: tuple[Section, ...]
     held_sections: tuple[Section, ...]
+    same_conditions: bool = False
+
+    @property
+    def studied(self) -> Model:
+        """The model as these recordings are compared with it."""
+        return self.model.without_drifts() if self.same_conditions else self.model
 
     @property
     def key(self) -> str:
-        """A hash of what was measured and of the model as it is."""
+        """A hash of what was measured and of the model that is studied."""
         logs = [*(log.sha256 for log in self.training), "held out", *(log.sha256 for log in self.held)]
-        text = "\n".join([dump_model(self.model), *logs])
+        text = "\n".join([dump_model(self.studied), *logs])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
@@ -67,8 +76,15 @@ def _seconds(section: Section, mode: int) -> float:
     return float(np.sum(s.mode == mode) * np.median(np.diff(s.t)))
 
 
-def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Callable[[str], None]) -> Data:
-    """The study's recordings.
+def load(
+    model: Model,
+    training: Sequence[Path],
+    held: Sequence[Path],
+    note: Callable[[str], None],
+    *,
+    same_conditions: bool = False,
+) -> Data:
+    """The study's recordings, which may have been made under the same conditions.
 
     Raises:
         InputError: one cannot be read, is given twice, is of another vehicle, or has nothing to fit a model to.
@@ -104,4 +120,5 @@ def load(model: Model, training: Sequence[Path], held: Sequence[Path], note: Cal
         held=tuple(log for log, _ in kept),
         training_sections=tuple(section for _, part in fitted for section in part),
         held_sections=tuple(section for _, part in kept for section in part),
+        same_conditions=same_conditions,
     )

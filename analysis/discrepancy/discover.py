@@ -100,7 +100,7 @@ def discover(data: Data, library: Mapping[str, Effect], executor: Executor, fold
     for effect in fit.values():
         if is_own(effect):
             rewritten(data.model, effect)  # what is wrong in a user's entry is said before a minute is spent
-    study = Study(data.key, data.model, fit, data.training_sections, data.held_sections)
+    study = Study(data.key, data.studied, fit, data.training_sections, data.held_sections)
     say("the model as it is", 0, 1)
     baseline = baseline_of(study)
     judge = Judge(study, baseline)

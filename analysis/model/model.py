@@ -317,6 +317,12 @@ class Model:
             check_bounds(parameters[name], f"{self.name}: parameter.{name}")
         return dataclasses.replace(self, parameters=parameters, provenance=(*self.provenance, dict(provenance)))
 
+    def without_drifts(self) -> "Model":
+        """The same model for recordings made one after the other: nothing changes from one to the next."""
+        known = {name: dataclasses.replace(each, drift=0.0) for name, each in self.known.items()}
+        parameters = {name: dataclasses.replace(each, drift=0.0) for name, each in self.parameters.items()}
+        return dataclasses.replace(self, known=known, parameters=parameters)
+
 
 def check_bounds(parameter: Parameter, place: str) -> None:
     """Raises ModelError for a value that is not finite, outside its bounds, or not positive although it has a prior."""

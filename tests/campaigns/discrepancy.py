@@ -4,6 +4,7 @@
 
 Every record is a truck of its own, recorded on the training and on the validation cycle (profile `ideal` and the
 hidden effect), and searched as a user would: the four-state model with its datasheet's values, the shipped library.
+Nothing changes between the two recordings of this profile, which is said (`--same-conditions`).
 Results are appended as they come, one line a record, so that shards may be run on different days; the page is made of
 all that are there. Set A is what the workflow was developed on, set B is run once after a commit that says so.
 """
@@ -71,7 +72,7 @@ def run(case: Case, duration_s: float = DURATION_S, *, further: bool = True) -> 
         start, busy = time.monotonic(), time.process_time()
         model = load_model("uds")
         library = {name: effect for name, effect in load_library(SYSTEMS / "uds").items() if name not in case.without}
-        data = load(model, [training], [held], _nothing)
+        data = load(model, [training], [held], _nothing, same_conditions=True)
         found = discover(data, library, Inline(), None, _quiet)
         result = {
             "case": case.name,
@@ -137,7 +138,7 @@ def _resolved(case: Case, found: Discovery, training: Path, held: Path, root: Pa
     written = root / "experiment.toml"
     written.write_text(best.experiment.cycle())
     extra = record_case(case, read_cycle(written), "experiment", case.seed + 2, case.effects, root, EXPERIMENT_S)
-    data = load(load_model("uds"), [training, extra], [held], _nothing)
+    data = load(load_model("uds"), [training, extra], [held], _nothing, same_conditions=True)
     again = discover(data, load_library(SYSTEMS / "uds"), Inline(), None, _quiet)
     return {
         "proposed": best.experiment.name,
@@ -156,7 +157,8 @@ def _closure(case: Case, found: Discovery, data: Data, root: Path) -> dict[str, 
     off = root / "off"
     training = record_case(case, CYCLES["training"], "training", case.seed, {}, off)
     held = record_case(case, CYCLES["validation"], "validation", case.seed + 1, {}, off)
-    twin = discover(load(load_model("uds"), [training], [held], _nothing), {}, Inline(), None, _quiet)
+    without = load(load_model("uds"), [training], [held], _nothing, same_conditions=True)
+    twin = discover(without, {}, Inline(), None, _quiet)
     runs, floor = (shown(d.study, d.baseline, d.outcome.nominal, d.outcome.chosen) for d in (found, twin))
     errors = {"before": runs.before.agreement, "after": runs.after.agreement, "floor": floor.before.agreement}
     by_regime = {

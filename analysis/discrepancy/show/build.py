@@ -34,6 +34,7 @@ def origin_of(data: Data, without: Sequence[str] = ()) -> document.Origin:
         vehicle=data.vehicle,
         missing=tuple(data.gaps()),
         without=tuple(without),
+        same_conditions=data.same_conditions,
     )
 
 

@@ -235,7 +235,10 @@ class Proposal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Origin(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the recordings are from; `missing` says in sentences what they lack, `without` what was not looked for."""
+    """Where the recordings are from; `missing` says in sentences what they lack, `without` what was not looked for.
+
+    With `same_conditions` the user says that nothing changed from one recording to the next.
+    """
 
     training: tuple[str, ...]
     held_out: tuple[str, ...]
@@ -243,6 +246,7 @@ class Origin(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: str | None = None
     missing: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
+    same_conditions: bool = False
 
     @property
     def simulated(self) -> bool:

@@ -207,6 +207,11 @@ def limits(d: Document) -> list[str]:
     found = [*d.origin.missing]
     if d.origin.without:
         found.append(f"left out of the search, as was asked for: {_listed(d.origin.without)}")
+    if d.origin.same_conditions:
+        found.append(
+            "that nothing changed from one recording to the next is your word (--same-conditions): where a sensor's "
+            "zero, a temperature or a level did, an effect may be named in its place"
+        )
     held = d.evidence.held_out_after - d.evidence.held_out_before
     if d.verdict.places and held < HARDLY * d.verdict.gain:
         found.append(

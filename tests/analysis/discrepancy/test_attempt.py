@@ -7,6 +7,7 @@ import pytest
 from made_study import study
 
 from faultline.analysis.discrepancy.name.attempt import Attempt, Begin, Judge, baseline_of
+from faultline.analysis.model import load_model
 
 SIZE = 0.15
 ENTRIES = ("full_open_gain", "valve_opens_late", "stiff_hose")
@@ -50,6 +51,18 @@ def test_an_effect_that_is_not_there_stays_at_nothing_and_gains_nothing(judge: J
 def test_a_right_model_leaves_unit_noise() -> None:
     found = study((), {})
     assert Judge(found, baseline_of(found)).attempt(()).dispersion == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_same_conditions_in_all_recordings_show_what_drifts_would_hide() -> None:
+    """A filter's laminar part looks like zero errors of sensors and a viscosity that change between two drives."""
+    drifting = study(("laminar_filters",), {"laminar_filters": 0.4}, seed=5, model=load_model("uds"))
+    same = dataclasses.replace(drifting, model=drifting.model.without_drifts())
+    gains = []
+    for found in (drifting, same):
+        judge = Judge(found, baseline_of(found))
+        gains.append(judge.attempt(("laminar_filters",)).evidence - judge.attempt(()).evidence)
+    assert gains[0] < 10.0
+    assert gains[1] > 25.0
 
 
 def test_held_out_recordings_may_hold_an_input_still_that_wandered_in_training() -> None:

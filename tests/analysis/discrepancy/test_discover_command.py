@@ -124,6 +124,14 @@ def test_what_was_found_is_said_and_written(found: Found) -> None:
     assert {entry["name"] for entry in told["entries"]} == {*ENTRIES}
 
 
+def test_the_same_conditions_are_the_users_word_and_the_model_keeps_its_drifts(made: Made, tmp_path: Path) -> None:
+    code, _ = run(made.model, made.training, "--held-out", made.held, "--out", tmp_path, "--apply", "--same-conditions")
+    assert code == 0
+    assert json.loads((tmp_path / "discovery.json").read_bytes())["origin"]["same_conditions"]
+    assert "is your word (--same-conditions)" in (tmp_path / "summary.md").read_text()
+    assert load_model(tmp_path / "model.toml").known["y_p_du"].drift == UDS1.known["y_p_du"].drift > 0.0
+
+
 def test_the_model_with_it_is_one_for_every_other_command(found: Found, capsys: pytest.CaptureFixture[str]) -> None:
     model = load_model(found.out / "model.toml")
     assert model.parameters["full_open_gain_g"].value == pytest.approx(GAIN, abs=0.03)
