@@ -24,7 +24,7 @@ from faultline.analysis.recordings.modes import modes_of, stand_ins
 from faultline.analysis.tuning.evidence import no_surer, with_drifts
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.numbers import widest
-from faultline.analysis.tuning.plausible import PLAUSIBLE, of_days, of_means, steady
+from faultline.analysis.tuning.plausible import PLAUSIBLE, of_baselines, of_means, steady
 from faultline.analysis.tuning.thresholds import Seen, edge_last, more_of
 from faultline.analysis.tuning.vehicles import Vehicle, offsets, read
 from faultline.service.core.decision.consistency import of_evidence
@@ -147,7 +147,7 @@ def _check_plausible(vehicle: Vehicle, base: Tuning, found: Array, described: Se
     names = [generator.name for generator in vehicle.runnable.bank.generators]
     rows = [names.index(name) for name in evidence.generators]
     for mode in steady(described):
-        variance = np.array(base.zero)[rows, mode] ** 2 + of_days(evidence, mode)
+        variance = np.array(base.zero)[rows, mode] ** 2 + of_baselines(evidence, mode)
         variance += of_means(evidence, mode, [drive.seen for drive in vehicle.drives])
         far = np.abs(found[rows, mode]) / np.sqrt(variance)
         worst = int(np.argmax(far))

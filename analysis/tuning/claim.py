@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from faultline.analysis.tuning.days import without_day
+from faultline.analysis.tuning.baselines import without_baseline
 from faultline.analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, more_of, tune_detectors
 from faultline.analysis.tuning.vehicles import (
@@ -117,11 +117,14 @@ def thresholds(
     whole = levels(vehicles, rule, to, evidence)
     each_level = [levels(fold.train, rule, to, own) for fold, (own, _) in zip(left_out, of_folds, strict=True)]
     blocks: list[list[Trace]] = [
-        [trace(level, without_day(moved(d.seen, to - o), own, rule.generators), rule, d.hours) for d, o in fold.test]
+        [
+            trace(level, without_baseline(moved(d.seen, to - o), own, rule.generators), rule, d.hours)
+            for d, o in fold.test
+        ]
         for fold, level, (own, _) in zip(left_out, each_level, of_folds, strict=True)
     ]
     if not blocks:  # a single drive must do for both
-        centred = [without_day(s, evidence, rule.generators) for s in pooled(vehicles, to, rule.stand_ins)]
+        centred = [without_baseline(s, evidence, rule.generators) for s in pooled(vehicles, to, rule.stand_ins)]
         drives = [drive for vehicle in vehicles for drive in vehicle.drives]
         blocks = [[trace(whole, s, rule, d.hours)] for s, d in zip(centred, drives, strict=True)]
     factor = factor_for(target, blocks)
@@ -138,7 +141,7 @@ def thresholds(
 
 
 def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
-    seen = [without_day(s, evidence, rule.generators) for s in pooled_left_out(vehicles, to, rule.stand_ins)]
+    seen = [without_baseline(s, evidence, rule.generators) for s in pooled_left_out(vehicles, to, rule.stand_ins)]
     return tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to)
 
 

@@ -15,6 +15,7 @@ from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
 from faultline.analysis.model import Model
 from faultline.analysis.tuning.thresholds import Seen
+from faultline.service.core.decision.blocks import BLOCK
 from faultline.service.core.decision.straying import MINIMUM_TICKS
 from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.signals.modes import EDGE
@@ -22,12 +23,10 @@ from faultline.service.core.time_scale import Span
 
 Array = npt.NDArray[np.float64]
 
-BLOCK, VISIT = Span(settlings=0.25, periods=25), Span(settlings=0.5, periods=50)
-"""Noise is estimated from means over `BLOCK`, and no visit is surer than `VISIT` of it. What the pulses
-of an actuator and the sampling make of each other may last as long as the visit does, at a level that tuning has not
-seen."""
+VISIT, SUPPOSED = Span(settlings=0.5, periods=50), 5.0
+"""Before any visit is seen, its effect is supposed to be as large as the noise of a mean over `VISIT`, as surely as
+from so many visits: pulses of an actuator and the sampling beat, at a level that tuning has not seen."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
-FEW = 4  # blocks in the longest visit, at least: where it has fewer, blocks are shorter
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
@@ -61,8 +60,8 @@ def gather(
     noise = np.zeros((len(described), len(rows), len(rows)))
     visit = np.zeros_like(noise)
     for mode in set(described):
-        noise[mode] = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
-        visit[mode] = _between(recordings, mode, rows, noise[mode])
+        noise[mode] = _noise(recordings, mode, rows, spread[mode])
+        visit[mode] = _visit_effect(recordings, mode, rows, noise[mode])
     own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
     drifts = named_drifts(bank.only(order), recordings, described)
     sizes = np.ones(len(drifts))
@@ -118,9 +117,9 @@ def no_surer(evidence: Evidence, bank: Bank, recordings: Sequence[Seen], stand_i
     noise, visit = np.array(evidence.noise), np.array(evidence.visit)
     spread = np.array(evidence.spread)
     for mode in set(described):
-        own = _within(recordings, mode, rows) + np.diag(spread[mode] ** 2)
+        own = _noise(recordings, mode, rows, spread[mode])
         noise[mode] += _positive(own - noise[mode])
-        visit[mode] += _positive(_between(recordings, mode, rows, own) - visit[mode])
+        visit[mode] += _positive(_visit_effect(recordings, mode, rows, own) - visit[mode])
     return msgspec.structs.replace(evidence, noise=noise[described].tolist(), visit=visit[described].tolist())
 
 
@@ -166,34 +165,36 @@ def visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[A
                 yield s.r[visit][:, rows]
 
 
-def _within(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Array:
-    """The long-run covariance per tick (rows, rows) around each visit's mean, from means over blocks."""
-    stays = list(visits(recordings, mode, rows))
-    longest = max((len(r) for r in stays), default=0)
-    block = max(round(BLOCK.periods), min(recordings[0].time.ticks(BLOCK), longest // FEW))
-    total, freedom = np.zeros((len(rows), len(rows))), 0
-    for r in stays:
+def _noise(recordings: Sequence[Seen], mode: int, rows: list[int], spread: Array) -> Array:
+    """The covariance of the noise, per tick (K, K): what makes a visit's successive blocks differ.
+
+    Half the mean square of their differences; what is slower is the visit's effect. The `spread` (K,) of single ticks
+    counts as much as K differences do, so that the covariance is of full rank however few there are.
+    """
+    K, block = len(rows), recordings[0].time.ticks(BLOCK)
+    total, differences = K * np.diag(spread**2), K
+    for r in visits(recordings, mode, rows):
         blocks = len(r) // block
         if blocks > 1:
-            means = r[: blocks * block].reshape(blocks, block, -1).mean(axis=1)
-            away = means - means.mean(axis=0)
-            total += away.T @ away
-            freedom += blocks - 1
-    return block * total / max(freedom, 1)
+            steps = np.diff(r[: blocks * block].reshape(blocks, block, K).mean(axis=1), axis=0)
+            total += block * steps.T @ steps / 2.0
+            differences += len(steps)
+    return np.asarray(total / differences)
 
 
-def _between(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
-    """How far visits to the mode stray within a drive (rows, rows), besides what their ticks' noise makes."""
-    total, freedom = np.zeros_like(noise), 0
+def _visit_effect(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
+    """The covariance (K, K) of a visit's effect: how visits' means differ within a drive.
+
+    It is a posterior mean of what was supposed and what was seen. The noise of the means is in it, which is little.
+    """
+    total, visited = SUPPOSED * noise / recordings[0].time.ticks(VISIT), SUPPOSED
     for s in recordings:
-        stays = [r for r in visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
-        if len(stays) > 1:
-            means = np.array([r.mean(axis=0) for r in stays])
-            away = means - means.mean(axis=0)
-            total += away.T @ away - (len(stays) - 1) * noise * np.mean([1.0 / len(r) for r in stays])
-            freedom += len(stays) - 1
-    least = noise / recordings[0].time.ticks(VISIT)
-    return np.asarray(least + _positive(total / max(freedom, 1) - least))
+        means = [r.mean(axis=0) for r in visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
+        if len(means) > 1:
+            away = np.array(means) - np.mean(means, axis=0)
+            total += away.T @ away
+            visited += len(means) - 1
+    return np.asarray(total / visited)
 
 
 def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from faultline.analysis.tuning.days import without_day
+from faultline.analysis.tuning.baselines import without_baseline
 from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
@@ -73,7 +73,7 @@ class Factor:
 def levels(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
     """Detectors whose thresholds are their levels; `to` (T, modes) are the offsets that everything is moved to."""
     centred, left_out = (
-        [without_day(s, evidence, rule.generators) for s in together(vehicles, to, rule.stand_ins)]
+        [without_baseline(s, evidence, rule.generators) for s in together(vehicles, to, rule.stand_ins)]
         for together in (pooled, pooled_left_out)
     )
     time, found = centred[0].time, list[list[Detector]]()

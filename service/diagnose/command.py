@@ -186,6 +186,6 @@ def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle
         )
     if decision.alarm:
         raise InputError(
-            f"{path}: ends while {' '.join(decision.alarm)} alarms, which is taken for what this day is "
-            "like: no fault was confirmed, and none is ruled out; record another drive"
+            f"{path}: ends while {' '.join(decision.alarm)} alarms, which is taken for the drive's "
+            "baseline: no fault was confirmed, and none is ruled out; record another drive"
         )

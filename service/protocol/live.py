@@ -15,7 +15,7 @@ LIVE = "faultline.live/2"
 """Schema of `LiveTick`; in 1 `suspected` was what `anomaly` is now."""
 
 SUSPECTED = "as in an event: something is suspected, and nothing is confirmed"
-ANOMALY = "a test alarms, or what is seen is unlike this day or any, whether that is confirmed or not"
+ANOMALY = "a test alarms, or the residuals together have changed, whether that is confirmed or not"
 
 
 class Signal(msgspec.Struct, frozen=True, kw_only=True):

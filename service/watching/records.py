@@ -139,10 +139,10 @@ def _nothing(event: Event) -> str:
         return "what was told rests on samples that are doubted now: whether there is a fault is not known"
     if event.transition == "dismissed":
         if event.alarm:
-            return "nothing was confirmed: it is taken for what this day is like, though a test alarms"
+            return "nothing was confirmed: it is taken for the drive's baseline, though a test alarms"
         return "nothing is suspected any more, and nothing was confirmed"
     if event.alarm or event.suspected:
-        why = "" if event.alarm else "no test alarms, but this is unlike the drive so far, or unlike any: "
+        why = "" if event.alarm else "no test alarms by itself, but the residuals together have changed: "
         return f"{why}not confirmed yet: what is seen now decides"
     if event.cannot_tell:
         return "no alarm, but not known to be free of faults: some tests cannot tell"

@@ -41,7 +41,7 @@ def verdict(seen: ViewModel) -> Line:
         others = len(tick.diagnoses) - 1
         return line(Piece("FAULT ", "bad"), Piece(best, "bold"), f", or {others} more" if others else "", blind)
     if tick.anomaly or tick.alarm:
-        why = f"alarm of {' '.join(tick.alarm)}" if tick.alarm else "unlike the drive so far, no test alarms"
+        why = f"alarm of {' '.join(tick.alarm)}" if tick.alarm else "the residuals together have changed"
         return line(Piece("suspected ", "warn"), f"and not confirmed: {why}{blind}")
     if tick.cannot_tell:
         return line(Piece("cannot tell: ", "warn"), f"no alarm, but {' '.join(tick.cannot_tell)} cannot tell")

@@ -151,7 +151,7 @@ def _said(fault: str, meanings: Mapping[str, FaultMeaning]) -> str:
 def _symptom(fault: Fault) -> str:
     """Return the tests and modes that showed the fault."""
     if not fault.tests:
-        return "no test fired: what was seen is unlike any day without a fault"
+        return "no test fired by itself: the residuals together have changed"
     modes = f" in mode {', '.join(fault.modes)}" if fault.modes else ""
     return f"tests {', '.join(fault.tests)} fired{modes}"
 

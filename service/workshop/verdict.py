@@ -114,7 +114,9 @@ def _unfinished(cycle: Cycle, end: End) -> list[str]:
 
 
 def _to_know(cycle: Cycle) -> list[str]:
-    said = ["no fault found is not a proof: a small fault that was there all day may look like the day"]
+    said = [
+        "no fault found is not a proof: a small one that was there from the start may be taken for the drive's baseline"
+    ]
     if cycle.suspicions:
         times = "once" if cycle.suspicions == 1 else f"{cycle.suspicions} times"
         said.append(f"something was suspected {times}, and dismissed")
@@ -165,7 +167,7 @@ def _blind(cycle: Cycle) -> list[str]:
 def _undecided(cycle: Cycle) -> list[str]:
     if cycle.suspected and cycle.latest is not None:
         who = " ".join(cycle.latest.alarm)
-        what = f"{who} alarms" if who else "what is seen is unlike this day"
+        what = f"{who} alarms" if who else "the residuals together have changed"
         return [f"{what} at the end, and no fault is confirmed: something is suspected and not decided"]
     if cycle.latest is not None and not cycle.settled:
         return [f"the last {cycle.quiet_s:.0f} s were not all without a suspicion"]

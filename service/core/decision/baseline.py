@@ -50,6 +50,12 @@ class Innovation(NamedTuple):
     gain: FloatArray
     whiten: FloatArray
 
+    @property
+    def log_density(self) -> FloatArray:
+        """Of the block's means (B,), but for a constant."""
+        scale = np.diagonal(self.whiten, axis1=1, axis2=2)
+        return np.asarray(np.log(scale).sum(axis=1) - (self.white**2).sum(axis=1) / 2.0)
+
 
 class BaselineModel:
     """The matrices of the model, by operating mode; row 0 of each, the edge, is not used."""

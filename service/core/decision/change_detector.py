@@ -21,6 +21,7 @@ import numpy as np
 from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, GaussianState, signature
 from faultline.service.core.decision.blocks import Block
 from faultline.service.core.decision.hypotheses import Segments
+from faultline.service.core.decision.odd_visits import OddVisits
 from faultline.service.core.signals.values import FloatArray, Indices
 
 ONSETS = 24
@@ -42,7 +43,7 @@ class ChangeDetector:
     """The ratios of B logs. State: the filter, and for each onset the effects, A and c of all hypotheses."""
 
     def __init__(self, model: BaselineModel, segments: Segments, hypotheses: int, logs: int = 1) -> None:
-        self.filter = BaselineFilter(model, logs)
+        self.filter, self._odd = BaselineFilter(model, logs), OddVisits(model, logs)
         self._segments = segments
         self.faults = list(dict.fromkeys(segments.faults))
         self._own = [np.flatnonzero([name == fault for name in segments.faults]) for fault in self.faults]
@@ -54,11 +55,14 @@ class ChangeDetector:
         self._A, self._c = np.zeros((logs, 0, rows)), np.zeros((logs, 0, rows))
         self._along = np.zeros((logs, 0, len(segments.faults)))  # g'g of the two ends of a segment
         self._free = np.zeros((logs, 0, K, K))
+        self._explained = np.zeros((logs, 0))  # by odd visits before the onset
 
     def step(self, block: Block) -> Change:
         """Take a block; return the likeliest change."""
+        self._odd.begin(block, self.filter.state, self.filter.end_s)
         self._add_onset(block)
         innovation = self.filter.step(block)
+        self._odd.step(block, innovation.log_density)
         B, T = self.onset_s.shape
         none = np.zeros((B, 1, block.shift.shape[-1]))
         shift = np.concatenate([none, block.shift, np.broadcast_to(self._unit, (B, *self._unit.shape))], axis=1)
@@ -91,7 +95,8 @@ class ChangeDetector:
         B, T = self.onset_s.shape
         ratios = self.ratios
         of_faults = [ratios[..., own].max(axis=-1) for own in self._own]
-        table = np.stack([*of_faults, self._undeclared()], axis=-1).reshape(B, -1)
+        table = np.stack([*of_faults, self._undeclared()], axis=-1)
+        table = (table - (self._odd.explained[:, None] - self._explained)[..., None]).reshape(B, -1)
         best = table.argmax(axis=1)
         onset, fault = np.divmod(best, table.shape[1] // T)
         return Change(np.take_along_axis(table, best[:, None], 1)[:, 0], fault, onset)
@@ -117,6 +122,7 @@ class ChangeDetector:
         self._keep(kept)
         began, state = self.filter.end_s, self.filter.state
         self.onset_s = _behind(self.onset_s, began)
+        self._explained = _behind(self._explained, self._odd.before)
         self.before = GaussianState(*(_behind(each, new) for each, new in zip(self.before, state, strict=True)))
         self._effect, self._A, self._c, self._along, self._free = (
             _behind(each, np.zeros((B, *each.shape[2:])))
@@ -125,7 +131,7 @@ class ChangeDetector:
 
     def _keep(self, kept: Indices) -> None:
         """Keep these onsets (B, n) only."""
-        self.onset_s = _chosen(self.onset_s, kept)
+        self.onset_s, self._explained = _chosen(self.onset_s, kept), _chosen(self._explained, kept)
         self.before = GaussianState(*(_chosen(each, kept) for each in self.before))
         self._effect, self._A, self._c, self._along, self._free = (
             _chosen(each, kept) for each in (self._effect, self._A, self._c, self._along, self._free)

@@ -1,10 +1,11 @@
 """The decision of a tick, in two stages: something is suspected, a fresh window confirms; conflicts, ranked diagnoses.
 
-A detector suspects, which looks at residuals without the day (`core.decision.day`), or the evidence itself does
-(`core.decision.unlike`). That opens a window. What is seen from then on confirms a fault once some hypothesis fits it
-better than no fault does, by more than chance makes; until then nothing is named. Names are hitting sets of the
-conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks raise suspicion and are no
-conflicts: they may alarm where a fault that their test decouples brings operation that was rare in training.
+The change detection suspects (`core.decision.drive_change`); and detectors do whose residuals are no evidence, or while
+some of the evidence cannot tell. That opens a window. A sure change confirms a fault, or what is seen in the window
+once some hypothesis fits it better than no fault does by more than chance makes; until then nothing is named. Names are
+hitting sets of the conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks raise
+suspicion and are no conflicts: they may alarm where a fault that their test decouples brings operation that was rare in
+training.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
 once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
@@ -18,11 +19,11 @@ from functools import partial
 
 import numpy as np
 
+from faultline.service.core.decision.drive_change import DriveChange
 from faultline.service.core.decision.explaining import Explainer
-from faultline.service.core.decision.hypotheses import Hypotheses, Look, without_sizes
-from faultline.service.core.decision.intermittence import BLOCK, Intermittence
-from faultline.service.core.decision.unlike import Unlike
-from faultline.service.core.decision.window import Blocks
+from faultline.service.core.decision.hypotheses import Fitted, Hypotheses, Look, without_sizes
+from faultline.service.core.decision.intermittence import BLOCK, CLEAR, Intermittence
+from faultline.service.core.decision.window import Blocks, Window
 from faultline.service.core.detectors.bank import DetectorBank
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis, candidates
@@ -46,7 +47,7 @@ CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
 VAIN = Span(settlings=30, seconds=600)
-"""What was not confirmed until then is taken for the day's."""
+"""What was not confirmed until then is taken for the baseline's."""
 
 DOUBTED, DOUBTS = 10.0, 20
 """A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
@@ -58,7 +59,7 @@ filter that is all but shut takes its own pressure out of the operating range. W
 that alarms allow."""
 
 GONE_BLOCKS = 60
-"""What no block of so many in a row has shown is gone, though something was unlike any day before."""
+"""What no block of so many in a row has shown is gone."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""
@@ -91,8 +92,10 @@ class Decision:
         alone = {each.name for each in manifest.disturbances}
         self._hypotheses = Hypotheses(manifest.evidence, alone, without_sizes(manifest))
         self._explainer = Explainer(manifest)
-        self._unlike = Unlike(manifest.evidence, names, self._hypotheses, time)
-        self._window = Blocks(manifest.evidence, names, time)
+        covered = [*manifest.evidence.generators, *(each.generator for each in manifest.evidence.followers)]
+        self._covered = frozenset(map(names.index, covered))
+        self._change = DriveChange(manifest.evidence, names, self._hypotheses, time)
+        self._window, self._quiet = Blocks(manifest.evidence, names, time), Window(manifest.evidence, names, time)
         self._intermittence = Intermittence(self._hypotheses)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
         self._first = 0  # tick at which one did first
@@ -100,8 +103,9 @@ class Decision:
         self._deviating: frozenset[int] = frozenset()  # tests that deviate in the window
         self._names = manifest.modes.names[1:]
         self._showing = np.zeros(len(self._names), dtype=np.bool_)  # modes in which they do
-        self._quiet = np.zeros(len(self._names))  # ticks of every mode since a test alarmed last
+        self._calm = np.zeros(len(self._names))  # ticks of every mode since anything was suspicious
         self._look: Look | None = None
+        self._fitting: list[Fitted] = []  # the faults that the window could not tell apart, the last time it showed one
         self._settled = self._cleared = False
         self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
@@ -109,22 +113,23 @@ class Decision:
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = self.withdrawn = False
-        self.level = np.zeros(len(self._tests))  # the residuals without the day, as detectors of the level see them
+        self.level = np.zeros(len(self._tests))  # residuals without the baseline, as detectors see them
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
         self._usable = residuals.usable
-        self.level = self._unlike.without_day(mode, residuals)
+        self.level = self._change.without_baseline(mode, residuals)
         self._detectors.update(tick, mode, residuals._replace(level=self.level))
-        self._unlike.add(mode, residuals, suspected=self._latest is not None and self._doubted is None)
+        self._change.add(tick, mode, residuals, suspected=self._latest is not None and self._doubted is None)
         if tick % self._ranking == 0:
-            self._unlike.look()
+            self._change.look()
         if self.suspicious:
             if self._latest is None or self._is_news():
                 self._open(tick)
             self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
-            self._quiet[:] = 0.0
+            self._calm[:] = 0.0
+            self._quiet.clear()
         if self._latest is None:
             return
         settled = tick - self._first >= self._settle_ticks
@@ -132,6 +137,7 @@ class Decision:
             self._window.clear()
             self._cleared = True
         self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
+        self._quiet.add(mode, residuals.r, residuals.usable, residuals.shift)
         if tick % self._ranking == 0 and self._doubted is None and (self.suspicious or not self._settled):
             self._weigh(settled)  # but not what is healing
             self._doubt(tick)
@@ -151,8 +157,7 @@ class Decision:
         if self._latest is None or self._first < tick or not rests:
             return
         self._detectors = self._fresh_detectors()
-        self._unlike.suspect()
-        self._unlike.rest()
+        self._change.rest()
         self._latest, self._doubted, self._diagnoses = None, None, []
         self.withdrawn, self.confirmed = self.confirmed, False
 
@@ -160,12 +165,13 @@ class Decision:
         """An episode begins: what is seen from now on is looked at apart."""
         self.withdrawn = False
         self._look, self._deviating, self._settled = None, frozenset(), False
+        self._fitting = []
         self._showing[:], self._alarmed = False, frozenset()
         self._first, self._cleared, self._unseen = tick, False, 0
         self._doubts, self._doubted = 0, None
         self._window.clear()
         self._intermittence.rest()
-        self._unlike.suspect()
+        self._change.suspect(tick)
 
     def _count_unseen(self) -> None:
         """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
@@ -179,13 +185,18 @@ class Decision:
         """A tick without alarm: the episode ends in time."""
         assert self._latest is not None
         if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
-            self._quiet[mode - 1] += 1
-        healed = (self._quiet[self._showing] >= self._healed).all() and tick - self._latest >= self._linger
-        if healed or not self.confirmed:
+            self._calm[mode - 1] += 1
+        over = (self._calm[self._showing] >= self._healed).all() and tick - self._latest >= self._linger
+        if (over and self._is_gone()) or not self.confirmed:
             if self.confirmed:
-                self._unlike.rest()
+                self._change.rest()
             self._latest, self._doubted, self.confirmed = None, None, False
             self._diagnoses = []
+
+    def _is_gone(self) -> bool:
+        """Whether all that the window could not tell apart fits what is seen since then far worse than no fault."""
+        quiet = self._hypotheses.look(self._quiet.means, self._change.level)
+        return quiet is None or all(quiet.misfit_at(each) > quiet.nothing + CLEAR for each in self._fitting)
 
     def _weigh(self, settled: bool) -> None:
         """Looks at the window; what the one before it said stands until it has seen enough."""
@@ -194,16 +205,20 @@ class Decision:
                 self.confirmed, self._settled = True, False
                 self._explain()
             return
-        look = self._hypotheses.look(self._window.means, self._unlike.day)
+        look = self._hypotheses.look(self._window.means, self._change.level)
         if look is None:
             return
         self._look, self._settled = look, settled
         far = look.sigmas.max(axis=0) > DEVIATING
         self._deviating = frozenset(row for row, beyond in zip(self._looked_at, far, strict=True) if beyond)
         self._showing |= look.sigmas.max(axis=1) >= min(DEVIATING, look.sigmas.max())
-        self._doubts = self._doubts + 1 if settled and look.gain < DOUBTED and look.nothing <= look.limit else 0
-        self.confirmed = self.confirmed or look.gain > CONFIRMED or look.nothing > SURE
+        doubtful = settled and look.gain < DOUBTED and look.nothing <= look.limit and not self._change.alarm
+        self._doubts = self._doubts + 1 if doubtful else 0
+        if look.gain >= DOUBTED:
+            self._fitting = look.fitting
+        self.confirmed = self.confirmed or self._change.sure or look.gain > CONFIRMED or look.nothing > SURE
         if self.confirmed:
+            self._change.hold()
             self._explain()
 
     def _close_block(self) -> None:
@@ -211,28 +226,29 @@ class Decision:
         if not (self.confirmed and self._settled):
             self._window.keep()
             return
-        self._intermittence.judge(self._window, self._unlike.day)
+        self._intermittence.judge(self._window, self._change.level)
         if self._intermittence.gone == GONE_BLOCKS:
-            self._unlike.rest()
+            self._change.rest()
 
     def _doubt(self, tick: int) -> None:
-        """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the day's."""
+        """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the baseline's."""
         if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= self._vain):
             self.confirmed, self._diagnoses = False, []
             self._doubted = self._detectors.firing
-            self._unlike.accept(self._window.means)
+            self._change.accept()
 
     def _is_news(self) -> bool:
         """Whether something else is suspected than what was doubted."""
         if self._doubted is None:
             return False
         self._doubted &= self._detectors.firing
-        return self._unlike.alarm or self._detectors.firing != self._doubted
+        return self._change.alarm or self._detectors.firing != self._doubted
 
     @property
     def suspicious(self) -> bool:
-        """Whether a detector alarms, or what is seen is unlike this day, or any."""
-        return self._detectors.suspicious or self._unlike.alarm
+        """Whether a change of the baseline is suspected, or a detector alarms that says more than the change does."""
+        change, detectors = self._change, self._detectors
+        return change.alarm or (bool(detectors.firing) if change.blind else detectors.beside(self._covered))
 
     @property
     def sums(self) -> FloatArray:
@@ -270,7 +286,7 @@ class Decision:
 
     @property
     def suspected(self) -> bool:
-        """Whether something is suspected and neither confirmed nor taken for the day's."""
+        """Whether something is suspected and neither confirmed nor taken for the baseline's."""
         return self._latest is not None and not self.confirmed and self._doubted is None
 
     @property

@@ -3,11 +3,11 @@
 A window has the mean residual m_c of every mode c, and the mean shift mu_h that each hypothesis h would have made in
 the same operation; all modes stacked, how badly h fits is its misfit
 
-    q_h = d' S_h^-1 d,   d = m - offset - day - mu_h,   S_h = P + S + diag((gamma mu_h)^2)
+    q_h = d' S_h^-1 d,   d = m - offset - baseline - mu_h,   S_h = P + S + diag((gamma mu_h)^2)
 
-with what is known of the day and its covariance P, the scatter S of what was seen (`core.decision.straying`), and gamma
-for the error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight line
-between those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
+with what is known of the baseline and its covariance P, the scatter S of what was seen (`core.decision.straying`), and
+gamma for the error of the prediction itself. Size is free: a fault's misfit is that of its best size, on the straight
+line between those that are assumed. Without a fault mu is zero. Means of a generator that could not tell are left out.
 
 Of two faults at once the shifts are added, and both sizes are free. A disturbance (what is no component's fault) is
 weighed as a fault is, but not as one of two.
@@ -242,15 +242,15 @@ class Hypotheses:
             for fault, generators in sensitive.items()
         }
 
-    def look(self, means: Means, day: Level | None = None) -> Look | None:
-        """What the means say on this day, of which nothing is known by default; None while too little has been seen."""
+    def look(self, means: Means, level: Level | None = None) -> Look | None:
+        """What the means say at this level, by default an unknown one; None while too little has been seen."""
         seen = means.seen  # (C, K)
         if not seen.any():
             return None
-        day = day or self._straying.unknown
+        level = level or self._straying.unknown
         rows = np.flatnonzero(seen)
-        d = (self._straying.deviation(means) - day.mean)[seen]
-        S = (day.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
+        d = (self._straying.deviation(means) - level.mean)[seen]
+        S = (level.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
         shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
         shifts = np.concatenate([np.zeros((1, len(d))), shift])
         return Look(d, S, seen, shifts, self.segments, self._signatures)

@@ -34,14 +34,14 @@ class Intermittence:
         """Another episode."""
         self.gone, self.found = 0, False
 
-    def judge(self, window: Blocks, day: Level) -> None:
+    def judge(self, window: Blocks, level: Level) -> None:
         """Ends the window's block: it is kept, or left out, or what was before it is."""
-        block = self._hypotheses.look(window.block, day)
+        block = self._hypotheses.look(window.block, level)
         if self.gone:
             self.gone = self.gone + 1 if block is None or block.nothing <= block.limit else 0
             window.leave_out()  # the first that shows something again may be half without it
             return
-        before = self._hypotheses.look(window.before, day)
+        before = self._hypotheses.look(window.before, level)
         both = window.block.seen & window.before.seen
         if block is not None and before is not None and both.any():
             if _has_gone(block, before, both):

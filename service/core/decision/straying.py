@@ -1,17 +1,18 @@
 """How far the mean residuals of a drive without faults stray, and what has been seen of them.
 
 All means of C modes and K evidence generators, stacked as one vector of D = C K, are a Gaussian variable: around the
-vehicle's offset they lie where the day puts them, and what is seen of them in n ticks and v visits strays besides,
+vehicle's offset they lie where the drive's baseline puts them, and what is seen of them in n ticks and v visits strays,
 
-    m ~ N(offset + day, diag_c(V_c / n_c + U_c / v_c)),      day ~ N(0, P0),  P0 = diag(a^2) + sum_k w_k w_k'
+    m ~ N(offset + baseline, diag_c(V_c / n_c + U_c / v_c)),      baseline ~ N(0, P0),  P0 = diag(a^2) + sum_k w_k w_k'
 
-with the covariance V of a tick, U of a visit to the mode (a visit has a dose and a history of its own, and does not get
-surer by its length; of unequal visits v is n^2 / sum of squared lengths), the drifts w (how all means stray together
-from one day to the next: a fluid's viscosity, a sensor's zero), and a what each strays by itself.
+with the covariance V of a tick (the noise of blocks and the spread of ticks), U of a visit to the mode (a visit has a
+dose and a history of its own, and does not get surer by its length; of unequal visits v is n^2 / sum of squared
+lengths), the drifts w (how all means stray together from one drive to the next: a fluid's viscosity, a sensor's zero),
+and a what each strays by itself.
 
-The drifts move other generators too, by f_k: what is expected of their days follows from these means',
+The drifts move other generators too, by f_k: what is expected of their baselines follows from these means',
 
-    E[f] = f w P0^-1 day,     Var[f] = A P A' + f (1 - w P0^-1 w') f',   A = f w P0^-1,  P = Var[day]
+    E[f] = f w P0^-1 b,     Var[f] = A P A' + f (1 - w P0^-1 w') f',   A = f w P0^-1,  b the baseline, P = Var[b]
 """
 
 from typing import NamedTuple
@@ -20,7 +21,7 @@ import numpy as np
 
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import FloatArray, Indices, Mask
+from faultline.service.core.signals.values import FloatArray, Mask
 
 MINIMUM_TICKS = 10
 """A mode counts once this many ticks were seen in it."""
@@ -45,7 +46,7 @@ class Means(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Where the day puts the means, as far as it is known: expected value (C, K) and covariance (D, D)."""
+    """Where the baseline puts the means, as far as it is known: expected value (C, K) and covariance (D, D)."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -69,12 +70,13 @@ class Visit:
 
 
 class Straying:
-    """The numbers of a bundle's evidence: `offset` (C, K), and `unknown`: the level of a day, before it has begun."""
+    """The numbers of a bundle's evidence: `offset` (C, K), and `unknown`: the level of a drive before it has begun."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.offset = np.array(evidence.offset)[1:]
         self._noise, self._visit = np.array(evidence.noise)[1:], np.array(evidence.visit)[1:]
         C, K = self.offset.shape
+        self._noise += np.array(evidence.spread)[1:, :, None] ** 2 * np.eye(K)
         drifts = np.array(evidence.drifts).reshape(-1, 1 + C, K)[:, 1:].reshape(-1, C * K)
         own = np.array(evidence.allowance)[1:].ravel()
         self.unknown = Level(np.zeros((C, K)), np.diag(own**2) + drifts.T @ drifts)
@@ -87,7 +89,7 @@ class Straying:
         self._unfollowed = (following**2).sum(axis=0) - ((drifts @ told).T @ following * following).sum(axis=0)
 
     def scatter(self, means: Means) -> FloatArray:
-        """How far means strays besides the day (D, D), by what was seen of them."""
+        """How far means strays besides the baseline (D, D), by what was seen of them."""
         ticks = np.maximum(means.ticks, 1.0)
         tick, visit = 1.0 / np.sqrt(ticks), np.sqrt(means.squares) / ticks  # parts that remain of a deviation
         C, K = ticks.shape
@@ -102,22 +104,8 @@ class Straying:
         return np.asarray(np.where(means.ticks > 0, means.total / np.maximum(means.ticks, 1.0) - self.offset, 0.0))
 
     def everywhere(self, level: Level) -> tuple[FloatArray, FloatArray]:
-        """Expected value and variance (C, K + F) of where a day puts the means; those of followers are behind."""
+        """Expected value and variance (C, K + F) of where a baseline puts the means; those of followers are behind."""
         C, A = len(level.mean), self._following
         mean = (A @ level.mean.ravel()).reshape(C, len(A) // C)
         variance = ((A @ level.covariance * A).sum(axis=1) + np.maximum(self._unfollowed, 0.0)).reshape(C, len(A) // C)
         return np.hstack([level.mean, mean]), np.hstack([level.variance, variance])
-
-    def known(self, means: Means, before: Level) -> Level:
-        """The level of a day of which these means were seen without a fault: what is expected of all, given some.
-
-        `before` is what was known of it before.
-        """
-        seen: Indices = np.flatnonzero(means.seen)
-        if not len(seen):
-            return before
-        P = before.covariance
-        S = P[np.ix_(seen, seen)] + self.scatter(means)[np.ix_(seen, seen)]
-        gain = np.linalg.solve(S, P[seen]).T  # (D, seen)
-        mean = before.mean + (gain @ (self.deviation(means) - before.mean).ravel()[seen]).reshape(before.mean.shape)
-        return Level(mean, P - gain @ P[seen])

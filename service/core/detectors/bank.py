@@ -68,10 +68,10 @@ class DetectorBank:
             if residuals.usable[row]:
                 each.update(tick, float(s))
 
-    @property
-    def suspicious(self) -> bool:
-        """Return True if any detector alarms."""
-        return bool(self.firing)
+    def beside(self, covered: frozenset[int]) -> bool:
+        """Return whether a detector alarms that is none of the level of the `covered` generators."""
+        told = zip(self._detectors, self._rows, self._level, strict=True)
+        return any(self._stands(each, row) for each, row, level in told if not (level and row in covered))
 
     @property
     def firing(self) -> frozenset[int]:

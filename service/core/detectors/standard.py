@@ -4,9 +4,9 @@
     s = (r - offset_m) / scale_m                            spread
     s = (r' - offset_m) / scale_m                           all others
 
-r is the residual, r' the one without the day (`core.decision.day`), m the operating mode, sigma what the generator
-itself says of this tick's spread: a network knows where it is less sure. `usual_m` is the sigma that tuning saw in the
-mode, so that scale keeps the unit of the residual.
+r is the residual, r' the one without the drive's baseline (`core.decision.baseline_level`), m the operating mode, sigma
+what the generator itself says of this tick's spread: a network knows where it is less sure. `usual_m` is the sigma that
+tuning saw in the mode, so that scale keeps the unit of the residual.
 """
 
 from collections.abc import Sequence

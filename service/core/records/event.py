@@ -15,7 +15,7 @@ SCHEMA = "faultline.event/1"
 
 Transition = Literal["started", "suspected", "dismissed", "occurred", "refined", "healed", "withdrawn", "cannot_tell"]
 """started: the first tick was evaluated. suspected: a test alarms, and nothing is confirmed yet; *pending* in AUTOSAR's
-terms. dismissed: nothing is suspected any more, or it is taken for what this day is like, and nothing was confirmed.
+terms. dismissed: nothing is suspected any more, or it is taken for the drive's baseline, and nothing was confirmed.
 occurred: a fault was confirmed where there was none. refined: the explanations or their ranks changed. healed: no test
 has alarmed for a while. withdrawn: what was confirmed rests on samples that came to be doubted, as of two senders, so
 that nothing is known. cannot_tell: other tests than before cannot tell."""
@@ -99,8 +99,8 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     suspected: Annotated[
         bool,
         Meta(
-            description="something is, and nothing is confirmed: a test alarms, or what is seen is unlike this day, "
-            "or any, though none does"
+            description="something is, and nothing is confirmed: a test alarms, or the residuals together have "
+            "changed, though none does"
         ),
     ] = False
     intermittent: Annotated[

@@ -34,7 +34,7 @@ class Residuals(NamedTuple):
     """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
 
     `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
-    `level` are the residuals without the day (`core.decision.day`), once that has been taken off.
+    `level` are the residuals without the drive's baseline (`core.decision.baseline_level`), once that is taken off.
     """
 
     r: FloatArray

@@ -84,7 +84,7 @@ export function verdict(system, stand) {
     return { kind: "fault", text: `Fault: ${best.join(", or ")}`, more: `${alarms} ${blind}`.trim() };
   }
   if (stand.alarm.length || stand.anomaly) {
-    const why = alarms || "No test alarms, but this is unlike the drive so far, or unlike any.";
+    const why = alarms || "No test alarms by itself, but the residuals together have changed.";
     return { kind: "suspected", text: "Something is suspected, and not confirmed yet", more: `${why} ${blind}`.trim() };
   }
   if (stand.cannot_tell.length) {

@@ -88,8 +88,8 @@ def suspected(detectors: Sequence[Detector], s: Drive) -> int:
     bank, before, count = DetectorBank(detectors, NAMES, TIME), False, 0
     for tick in s.ticks:
         bank.update(tick.number, tick.mode, tick.residuals)
-        count += bank.suspicious and not before
-        before = bank.suspicious
+        count += bool(bank.firing) and not before
+        before = bool(bank.firing)
     return count
 
 

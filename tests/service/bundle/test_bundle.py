@@ -263,7 +263,7 @@ def test_golden_vectors_of_another_shape_are_refused(bundle: Path, z: object, r:
     ("shift", "message"),
     [
         ([], "0 shift, not one for each hypothesis"),
-        ([[0.0] * 2] * 41, r"shift\[0\]: has length 2, but there are 4 evidence generators"),
+        ([[0.0] * 2] * 41, r"shift\[0\]: has length 2, but there are \d evidence generators"),
     ],
 )
 def test_golden_shifts_of_another_shape_are_refused(bundle: Path, shift: object, message: str) -> None:

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from made_bundle import Change, copied, edit, refused, write
+from made_bundle import GOLDEN, Change, copied, edit, refused, write
 
 from faultline.service.bundle.load import load_bundle
 
@@ -57,6 +58,8 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["allowance"].pop(), r"evidence\.allowance: has length 3, but there are 4 modes"),
     (lambda m: m["evidence"]["allowance"][1].__setitem__(2, -1), r"evidence\.allowance\[1\]\[2\]: Expected `float` >="),
 ]
+
+K = len(load_bundle(GOLDEN).manifest.evidence.generators)
 
 TOGETHER: list[tuple[Change, str]] = [
     (lambda m: m["files"].update({"../x": {"sha256": "0" * 64, "size": 1}}), r"files: '\.\./x' is not a plain file"),
@@ -120,16 +123,22 @@ TOGETHER: list[tuple[Change, str]] = [
     (lambda m: m["evidence"]["generators"].append("t99"), r"evidence\.generators: unknown generator 't99'"),
     (
         lambda m: m["evidence"]["generators"].append("t02.ode"),
-        r"evidence\.generators\[4\]: 't02\.ode' is there twice",
+        rf"evidence\.generators\[{K}\]: 't02\.ode' is there twice",
     ),
     (
         lambda m: m["evidence"]["generators"].append("t06.ode"),
-        r"evidence\.offset\[0\]: has length 4, but there are 5 evidence generators",
+        rf"evidence\.offset\[0\]: has length {K}, but there are {K + 1} evidence generators",
     ),
-    (lambda m: m["evidence"]["offset"][2].pop(), r"evidence\.offset\[2\]: has length 3, but there are 4"),
-    (lambda m: m["evidence"]["allowance"][2].append(0), r"evidence\.allowance\[2\]: has length 5, but there are 4"),
-    (lambda m: m["evidence"]["noise"][1].pop(), r"evidence\.noise\[1\]: has length 3, but there are 4"),
-    (lambda m: m["evidence"]["noise"][1][2].pop(), r"evidence\.noise\[1\]\[2\]: has length 3, but there are 4"),
+    (lambda m: m["evidence"]["offset"][2].pop(), rf"evidence\.offset\[2\]: has length {K - 1}, but there are {K}"),
+    (
+        lambda m: m["evidence"]["allowance"][2].append(0),
+        rf"evidence\.allowance\[2\]: has length {K + 1}, but there are {K}",
+    ),
+    (lambda m: m["evidence"]["noise"][1].pop(), rf"evidence\.noise\[1\]: has length {K - 1}, but there are {K}"),
+    (
+        lambda m: m["evidence"]["noise"][1][2].pop(),
+        rf"evidence\.noise\[1\]\[2\]: has length {K - 1}, but there are {K}",
+    ),
     (lambda m: m["evidence"].update(graph=None), r"evidence\.graph: None for 45 hypotheses"),
     (lambda m: m["evidence"].update(hypotheses=[]), r"evidence\.graph: 'faults\.onnx' for 0 hypotheses"),
     (lambda m: m["evidence"].update(graph="x.onnx"), r"evidence\.graph: 'x\.onnx' is not in files"),
@@ -147,7 +156,7 @@ TOGETHER: list[tuple[Change, str]] = [
     ),
     (
         lambda m: m["evidence"]["followers"][1].update(generator="t02.ode"),
-        r"evidence\.generators and followers\[5\]: 't02\.ode' is there twice",
+        rf"evidence\.generators and followers\[{K + 1}\]: 't02\.ode' is there twice",
     ),
     (
         lambda m: m["evidence"]["followers"][2]["drifts"].pop(),
@@ -157,15 +166,17 @@ TOGETHER: list[tuple[Change, str]] = [
 
 
 def of_first_two(a: float, b: float, c: float, d: float) -> list[list[float]]:
-    """A covariance of four generators, of which the last two are sound."""
-    return [[a, b, 0.0, 0.0], [c, d, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    """A covariance of the evidence generators, of which all but the first two are sound."""
+    covariance = np.eye(K)
+    covariance[:2, :2] = [[a, b], [c, d]]
+    return [list(row) for row in covariance.tolist()]
 
 
 SINGULAR = of_first_two(1.0, 1.0, 1.0, 1.0)
 SKEW = of_first_two(1.0, 0.5, 0.0, 1.0)
 HUGE = of_first_two(1e-300, 1e300, 1e300, 1e-300)
 NEGATIVE = of_first_two(-1.0, 0.0, 0.0, 1.0)
-NOTHING = [[0.0] * 4] * 4
+NOTHING = [[0.0] * K] * K
 
 
 @pytest.fixture

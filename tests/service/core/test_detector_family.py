@@ -164,13 +164,13 @@ def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_th
         each.update(tick, float(s))
         bank.update(tick, 1, residuals(float(s), usable=True))
     alarmed, sums = bank.alarmed, bank.sums
-    assert bank.suspicious
+    assert bank.firing
     for tick in range(200, 200 + FROZEN_TICKS):
         bank.update(tick, 1, residuals(np.nan, usable=False, sigma=np.nan))
-        assert (bank.alarmed, bank.suspicious, bank.since) == (alarmed, True, each.since)
+        assert (bank.alarmed, bool(bank.firing), bank.since) == (alarmed, True, each.since)
     np.testing.assert_array_equal(bank.sums, sums)
     bank.update(200 + FROZEN_TICKS, 1, residuals(np.nan, usable=False, sigma=np.nan))
-    assert (bank.alarmed, bank.suspicious) == (frozenset(), False)
+    assert (bank.alarmed, bool(bank.firing)) == (frozenset(), False)
 
 
 def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
@@ -178,7 +178,7 @@ def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
     bank = DetectorBank([KINDS["cusum"], KINDS["spread"]], ["ta.ode"], TIME)
     for tick, s in enumerate(0.2 * QUIET[:500]):
         bank.update(tick, 1, Residuals(np.array([s]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
-    assert bank.suspicious
+    assert bank.firing
     assert bank.alarmed == frozenset()
     assert bank.since is not None
     assert abs(bank.sums[0]) < 1.0
@@ -207,7 +207,7 @@ def test_the_adaptive_threshold_follows_mode_and_sigma(sigma: float) -> None:
     for r, alarms in ((0.99 * at, False), (1.01 * at, True)):
         bank = DetectorBank([settings], ["ta.rnn"], TIME)
         bank.update(0, 2, Residuals(np.array([r]), np.zeros(1), np.array([sigma]), np.ones(1, np.bool_)))
-        assert bank.suspicious is alarms
+        assert bool(bank.firing) is alarms
 
 
 @pytest.mark.parametrize("make", [lambda: Threshold(3.0, HELD), lambda: Adaptive(3.0, HELD)])
@@ -285,4 +285,4 @@ def test_a_bank_may_have_no_detector() -> None:
     one = np.ones(2)
     bank = DetectorBank([], ["ta.ode", "tb.ode"], TIME)
     bank.update(0, 0, Residuals(one, one, one, one > 0))
-    assert not bank.suspicious
+    assert not bank.firing

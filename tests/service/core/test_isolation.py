@@ -128,7 +128,7 @@ def test_no_fault_fits_what_is_usual() -> None:
 
 def test_a_drift_makes_what_it_looks_like_uncertain_and_nothing_else() -> None:
     drift = [(0.5 * np.ones((4, 2))).tolist()]  # as fA does
-    for shift, usual in ({0: (0.5, 0.5), 2: (0.5, 0.5)}, True), ({0: (0.0, 0.5), 2: (0.0, 0.5)}, False):
+    for shift, usual in ({0: (0.7, 0.7), 2: (0.7, 0.7)}, True), ({0: (0.0, 0.7), 2: (0.0, 0.7)}, False):
         assert _look(shift).nothing > CONFIRMED
         assert (_look(shift, drifts=drift).nothing < CONFIRMED) is usual
 

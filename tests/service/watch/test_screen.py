@@ -79,7 +79,7 @@ def test_verdicts_never_look_alike() -> None:
     nothing = text(seen(None, connection="waiting", why="nothing has come yet")).splitlines()[1]
     assert quiet == "no fault: every test is quiet"
     assert blind == "cannot tell: no alarm, but t02 cannot tell"
-    assert suspected == "suspected and not confirmed: unlike the drive so far, no test alarms"
+    assert suspected == "suspected and not confirmed: the residuals together have changed"
     assert alarmed == "suspected and not confirmed: alarm of t02"
     assert nothing == "cannot tell: no live values"
 

@@ -89,7 +89,7 @@ def test_alarms_without_an_explanation_are_not_no_fault() -> None:
 
 def test_a_suspicion_without_an_alarm_says_what_raised_it() -> None:
     event = msgspec.structs.replace(QUIET, transition="suspected", suspected=True)
-    assert "no test alarms, but this is unlike the drive so far" in describe(event, {})
+    assert "no test alarms by itself, but the residuals together have changed" in describe(event, {})
     assert "every test is quiet" not in describe(event, {})
 
 
@@ -104,7 +104,7 @@ def test_a_dismissed_suspicion_does_not_read_as_all_clear_while_tests_cannot_tel
     assert "nothing was confirmed" in describe(event, {})
     assert "no fault" not in describe(event, {})
     standing = msgspec.structs.replace(event, alarm=["t20"])
-    assert "taken for what this day is like, though a test alarms" in describe(standing, {})
+    assert "taken for the drive's baseline, though a test alarms" in describe(standing, {})
 
 
 def test_a_fault_that_comes_and_goes_is_said_to() -> None:
