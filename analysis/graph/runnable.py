@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.graph import networks as trained
-from faultline.analysis.graph.bank import GRAPH, Bank
+from faultline.analysis.graph.bank import GRAPH, Bank, Trial
 from faultline.analysis.graph.networks import Networks
-from faultline.service.core.manifest import Evidence, Generator, GraphFile
+from faultline.analysis.model import Model
+from faultline.service.core.manifest import Evidence, Generator, GraphFile, Hypothesis
 from faultline.service.core.residuals.generators import GeneratorBank
 
 TOLERANCE = 1e-6
@@ -79,5 +80,12 @@ class Runnable:
             return {}
         names = [generator.name for generator in self.bank.generators]
         model = self.bank.model
-        trials = [{h.fault: model.assumable[h.fault].absolute(h.size, model)} for h in evidence.hypotheses]
+        trials = [_trial(h, model) for h in evidence.hypotheses]
         return {evidence.graph: self.bank.only([names.index(name) for name in evidence.generators]).graph_of(trials)}
+
+
+def _trial(h: Hypothesis, model: Model) -> Trial:
+    """The value of the fault variable, or of the parameter that loses a share."""
+    if h.share_of is None:
+        return {h.fault: model.assumable[h.fault].absolute(h.size, model)}
+    return {h.share_of: model.parameters[h.share_of].value * (1.0 + h.size)}

@@ -69,6 +69,8 @@ def _check_faults(model: Model, where: str) -> None:
         if each is not None
     ]
     for place, each in entering:
+        if each.share_of is not None and each.share_of not in model.parameters:
+            raise ModelError(f"{where}: {place}.share_of: {each.share_of} is no parameter; name one that is")
         if each.relative_to is not None and each.relative_to not in model.parameters:
             raise ModelError(
                 f"{where}: {place}.relative_to: {each.relative_to} is no parameter; leave it away for sizes in SI units"

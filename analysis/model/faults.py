@@ -40,6 +40,8 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
         spn=code[0] if code else None,
         fmi=code[1] if code else None,
         place=table.text("place", "") if component else "",
+        share_of=table.optional_text("share_of"),
+        shares=table.numbers("shares") if table.has("shares") else (),
     )
     table.done()
     if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:
@@ -48,6 +50,10 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
         raise table.fail("enters", f"{name} is not on the right of `{text}`")
     if not fault.sizes or 0.0 in fault.sizes:
         raise table.fail("sizes", "give at least one size, none of them zero")
+    if (fault.share_of is None) != (not fault.shares):
+        raise table.fail("share_of", "names the parameter of which `shares` are lost: give both, or none")
+    if any(share == 0.0 or share <= -1.0 for share in fault.shares):
+        raise table.fail("shares", "are fractions by which a parameter changes, none of them zero, all above -1")
     return fault
 
 

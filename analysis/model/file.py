@@ -8,7 +8,8 @@
     [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
     [curve.k_valve]          description, source, x = [...], y = [...]; a map has z = [[...], ...], a row for each x
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent)
-      fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A"}
+      fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A",
+               share_of = "k", shares = [...]}: a second form, in which parameter k changes by these fractions
       disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
     [[differential]]         name, state, derivative
     [residual.r1]            faults: instead of equations, a known signal that another tool computes, zero without them

@@ -93,6 +93,9 @@ class Fault:
     are typical ones: fractions of the parameter `relative_to`, or in SI units where that is None. One that is only
     listed, for residuals of another tool, enters nothing and has no sizes. On a J1939 network it is the suspect
     parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none. `place` is where to find the component.
+
+    A fault may have a second form: the parameter `share_of` changes by the fractions `shares` of its value. A worn pump
+    loses a constant flow by a leak, and a share of it by a slipping coupling; either is the same component's.
     """
 
     name: str
@@ -106,6 +109,8 @@ class Fault:
     spn: int | None = None
     fmi: int | None = None
     place: str = ""
+    share_of: str | None = None
+    shares: tuple[float, ...] = ()
 
     def absolute(self, size: float, model: "Model") -> float:
         """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""

@@ -57,6 +57,11 @@ class Table:
         """True or false, false if absent."""
         return self._take(key, bool, "true or false", False)
 
+    def has(self, key: str) -> bool:
+        """Whether there is such a key, which may be absent."""
+        self._allowed[key] = None
+        return key in self._data
+
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers."""
         return tuple(self._finite(f"{key}[{k}]", v) for k, v in enumerate(self._take(key, list, "a list", None)))

@@ -83,6 +83,7 @@ def _equation(equation: Equation) -> dict[str, object]:
                 "enters": each.enters_text,
                 "sizes": each.sizes,
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),
+                **({} if each.share_of is None else {"share_of": each.share_of, "shares": each.shares}),
             }
     return table
 

@@ -75,6 +75,7 @@ def gather(
         visit=visit[described].tolist(),
         allowance=np.hypot(own, ALLOWANCE * spread).tolist(),
         drifts=drifts[..., :K].tolist(),
+        operation=_operation(bank.only(rows), recordings, described).tolist(),
         followers=[
             Follower(
                 generator=bank.generators[row].name,
@@ -197,6 +198,15 @@ def _visit_effect(recordings: Sequence[Seen], mode: int, rows: list[int], noise:
     return np.asarray(total / visited)
 
 
+def _operation(bank: Bank, recordings: Sequence[Seen], described: Sequence[int]) -> Array:
+    """The mean (modes, K) of the signal that each generator predicts, over all steady ticks of a mode."""
+    signals = [channel.signal for channel in bank.inputs]
+    columns = [signals.index(generator.predicts) for generator in bank.generators]
+    z, mode = (np.concatenate([getattr(s, name) for s in recordings]) for name in ("z", "mode"))
+    usable = np.concatenate([s.usable.all(axis=1) for s in recordings])
+    return np.array([z[usable & (mode == k)][:, columns].mean(axis=0) for k in described])
+
+
 def _strays(recordings: Sequence[Seen], rows: list[int], offset: Array) -> Array:
     """How far the mean of every recording lies from the offset (R, modes, rows).
 
@@ -260,7 +270,12 @@ def _directions(y: Array) -> Array:
 
 
 def _hypotheses(model: Model) -> list[Hypothesis]:
-    return [Hypothesis(fault=each.name, size=size) for each in model.assumable.values() for size in each.sizes]
+    return [
+        Hypothesis(fault=each.name, size=size, share_of=share_of)
+        for each in model.assumable.values()
+        for share_of, sizes in ((None, each.sizes), (each.share_of, each.shares))
+        for size in sizes
+    ]
 
 
 def named_drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:

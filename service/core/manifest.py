@@ -231,10 +231,14 @@ class Disturbance(_Part, frozen=True):
 
 
 class Hypothesis(_Part, frozen=True):
-    """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none."""
+    """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none.
+
+    In a second form of the fault its size is the fraction by which a parameter changes, `share_of`.
+    """
 
     fault: Name
     size: float
+    share_of: Name | None = None
 
 
 class Follower(_Part, frozen=True):
@@ -258,6 +262,7 @@ class Evidence(_Part, frozen=True):
     `noise` (mode, generator, generator) [Pa^2] the covariance of ticks, `visit` that of visits to the mode besides.
     From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
     mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too.
+    `operation` (mode, generator) is the usual mean of the signals that are predicted.
     """
 
     generators: NotEmpty[Name]
@@ -267,6 +272,7 @@ class Evidence(_Part, frozen=True):
     visit: PerMode[list[list[float]]]
     allowance: PerMode[list[NotNegative]]
     drifts: list[PerMode[list[float]]]
+    operation: PerMode[list[float]]
     followers: list[Follower]
     graph: Name | None
     hypotheses: list[Hypothesis]

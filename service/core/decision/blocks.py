@@ -16,7 +16,7 @@ from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.core.time_scale import Span, TimeScale
 
 BLOCK = Span(settlings=0.15, periods=15)
-"""The length of a block."""
+"""The length of a block: shorter ones are not independent, as residuals remember what the system does."""
 
 FEWEST = 1 / 3
 """A mean counts from so many of a block's ticks on."""

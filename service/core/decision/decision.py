@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 
+from faultline.service.core.decision.blocks import BLOCK as BLOCK_OF_MEANS
 from faultline.service.core.decision.drive_change import DriveChange
 from faultline.service.core.decision.explaining import Explainer
 from faultline.service.core.decision.hypotheses import Fitted, Hypotheses, Look, without_sizes
@@ -84,6 +85,7 @@ class Decision:
         self._trusted = frozenset(row for row, g in enumerate(manifest.generators) if g.graph in of_equations)
         time = manifest.time
         self._ranking, self._block, self._vain = map(time.ticks, (RANKING, BLOCK, VAIN))
+        self._quick = time.ticks(BLOCK_OF_MEANS) <= self._ranking
         self._unseen_most, self._linger, self._healed = map(time.ticks, (UNSEEN, LINGER, HEALED))
         self._settle_ticks = ticks_of(
             max(g.warm_up_s for g in manifest.generators if g.name in manifest.evidence.generators), time.period_s
@@ -136,8 +138,8 @@ class Decision:
         if settled and not self._cleared:
             self._window.clear()
             self._cleared = True
-        self._window.add(mode, residuals.r, residuals.usable, residuals.shift)
-        self._quiet.add(mode, residuals.r, residuals.usable, residuals.shift)
+        self._window.add(mode, residuals)
+        self._quiet.add(mode, residuals)
         if tick % self._ranking == 0 and self._doubted is None and (self.suspicious or not self._settled):
             self._weigh(settled)  # but not what is healing
             self._doubt(tick)
@@ -246,9 +248,14 @@ class Decision:
 
     @property
     def suspicious(self) -> bool:
-        """Whether a change of the baseline is suspected, or a detector alarms that says more than the change does."""
+        """Whether a change of the baseline is suspected, or a detector alarms that says more than the change does.
+
+        So does any where the change has not all of the evidence, or comes late, as blocks last longer than looks are
+        apart.
+        """
         change, detectors = self._change, self._detectors
-        return change.alarm or (bool(detectors.firing) if change.blind else detectors.beside(self._covered))
+        covers = self._quick and not change.blind
+        return change.alarm or (detectors.beside(self._covered) if covers else bool(detectors.firing))
 
     @property
     def sums(self) -> FloatArray:

@@ -66,7 +66,7 @@ class DriveChange:
             self._detector = self._fresh()
             self._baseline.follow(self._of_filter())
             self.rest()
-        self._recent.add(mode, residuals.r, residuals.usable, residuals.shift)
+        self._recent.add(mode, residuals)
         block = self._blocks.add(tick, mode, residuals)
         if block is None or self._held:
             return

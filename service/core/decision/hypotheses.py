@@ -264,13 +264,13 @@ def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
 
 
 def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
-    """The chains of sizes: each fault's positive and negative ones, from none on."""
-    chains: dict[tuple[str, bool], list[tuple[float, int]]] = {}
-    for row, hypothesis in enumerate(evidence.hypotheses, start=1):
-        chains.setdefault((hypothesis.fault, hypothesis.size > 0), []).append((abs(hypothesis.size), row))
+    """The chains of sizes: the positive and the negative ones of each form of a fault, from none on."""
+    chains: dict[tuple[str, str | None, bool], list[tuple[float, int]]] = {}
+    for row, h in enumerate(evidence.hypotheses, start=1):
+        chains.setdefault((h.fault, h.share_of, h.size > 0), []).append((abs(h.size), row))
     faults: list[str] = []
     ends: list[tuple[int, int]] = []
-    for (fault, _), chain in chains.items():
+    for (fault, *_), chain in chains.items():
         before = 0
         for _, row in sorted(chain):
             faults.append(fault)

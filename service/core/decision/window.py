@@ -13,8 +13,9 @@ import numpy as np
 
 from faultline.service.core.decision.straying import Means, Visit
 from faultline.service.core.manifest import Evidence
+from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import Span, TimeScale
 
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
@@ -36,22 +37,23 @@ class Window:
         """Starts a fresh window."""
         K = len(self._columns)
         # Sums as in `Means`, those of hypotheses behind the others.
-        self._sums = np.zeros((self.PARTS, 3 + self._hypotheses, self._modes, K))
+        self._sums = np.zeros((self.PARTS, 4 + self._hypotheses, self._modes, K))
         self._visit = Visit(K)
 
-    def add(self, mode: int, r: FloatArray, usable: Mask, shift: FloatArray) -> None:
-        """Takes a tick's residuals `r` (T,) and the shifts (H, K) of the hypotheses; those at an edge say nothing."""
+    def add(self, mode: int, residuals: Residuals) -> None:
+        """Takes the residuals of a tick; those at an edge say nothing."""
         self._visit.in_mode(mode)
         self._forget(mode)
         if mode == EDGE:
             return
-        told = usable[self._columns]
+        told = residuals.usable[self._columns]
         part = self._sums[-1, :, mode - 1]
         part[0] += told
         part[1] += told * (2.0 * self._visit.length + 1.0)
-        part[2] += np.where(told, r[self._columns], 0.0)
+        part[2] += np.where(told, residuals.r[self._columns], 0.0)
+        part[3] += np.where(told, residuals.y_hat[self._columns], 0.0)
         if self._hypotheses:
-            part[3:] += np.where(told, shift, 0.0)
+            part[4:] += np.where(told, residuals.shift, 0.0)
         self._visit.length = self._visit.length + told
 
     def _forget(self, mode: int) -> None:
@@ -64,9 +66,10 @@ class Window:
         return self._means(self._sums.sum(axis=0))
 
     def _means(self, sums: FloatArray) -> Means:
-        ticks, squares, total, *shift = sums
+        ticks, squares, total, predicted, *shift = sums
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
-        return Means(ticks, squares, total, np.array(shift).reshape(-1, self._modes, len(self._columns)))
+        shifts = np.array(shift).reshape(-1, self._modes, len(self._columns))
+        return Means(ticks, squares, total, predicted, shifts)
 
 
 class Blocks(Window):

@@ -138,7 +138,8 @@ def test_page_workshop_and_report_speak_of_tanks_and_centimetres(
     assert " cm</td>" in page
     assert "All data are simulated" in page
     foreign = said_of(load_model("uds")) - said_of(load_model("three-tank"))
-    assert not {"dose", "dosing", "bar", "mbar", "urea", "filter"} & words(page) & foreign
+    text = re.sub(r"data:[^\"')]+", "", page)  # pictures may spell anything
+    assert not {"dose", "dosing", "bar", "mbar", "urea", "filter"} & words(text) & foreign
 
 
 def test_golden_vectors_are_compared_in_the_unit_of_the_levels(bench: Bench) -> None:

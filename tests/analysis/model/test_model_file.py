@@ -247,6 +247,21 @@ WRONG = [
     ("no sizes", change("[-0.1, 0.1]", "[]"), "m.toml: equation[1].fault.sizes: give at least one size"),
     ("size zero", change("[-0.1, 0.1]", "[0.0]"), "m.toml: equation[1].fault.sizes: give at least one size, none"),
     (
+        "shares of no parameter",
+        change('relative_to = "k"', 'relative_to = "k", share_of = "y", shares = [-0.5]'),
+        "m.toml: equation[0].fault.share_of: y is no parameter; name one that is",
+    ),
+    (
+        "shares of nothing",
+        change('relative_to = "k"', 'relative_to = "k", shares = [-0.5]'),
+        "m.toml: equation[0].fault.share_of: names the parameter of which `shares` are lost: give both, or none",
+    ),
+    (
+        "more than all is lost",
+        change('relative_to = "k"', 'relative_to = "k", share_of = "k", shares = [-1.5]'),
+        "m.toml: equation[0].fault.shares: are fractions by which a parameter changes, none of them zero, all above -1",
+    ),
+    (
         "sizes of no parameter",
         change('relative_to = "k"', 'relative_to = "y"'),
         "m.toml: equation[0].fault.relative_to: y is no parameter; leave it away for sizes in SI units",

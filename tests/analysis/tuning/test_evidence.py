@@ -15,6 +15,7 @@ from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.hypotheses import TIE, Hypotheses, Look
 from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import Evidence
+from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.time_scale import TimeScale
 
@@ -82,9 +83,13 @@ class Made:
 
     def look(self, seen: Seen) -> Look:
         """At the whole recording."""
-        window = Window(self.evidence, [g.name for g in self.bank.generators], TIME)
+        names = [g.name for g in self.bank.generators]
+        columns = [names.index(name) for name in self.evidence.generators]
+        window = Window(self.evidence, names, TIME)
         for mode, r, usable, shift in zip(seen.mode, seen.r, seen.usable, self.shifts(seen), strict=True):
-            window.add(int(mode), r, usable, shift)
+            usual = np.zeros(len(r))
+            usual[columns] = np.array(self.evidence.operation)[mode]
+            window.add(int(mode), Residuals(r, usual, r, usable, shift))
         found = Hypotheses(self.evidence).look(window.means)
         assert found is not None
         return found
@@ -104,8 +109,11 @@ def made() -> Made:
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:
-    expected = [(fault.name, size) for fault in made.bank.model.assumable.values() for size in fault.sizes]
-    assert [(h.fault, h.size) for h in made.evidence.hypotheses] == expected
+    assumable = made.bank.model.assumable.values()
+    sizes = {(fault.name, size, None) for fault in assumable for size in fault.sizes}
+    shares = {(fault.name, share, fault.share_of) for fault in assumable for share in fault.shares}
+    found = [(h.fault, h.size, h.share_of) for h in made.evidence.hypotheses]
+    assert ({*found}, len(found)) == (sizes | shares, len(sizes) + len(shares))
     shape = (len(MODES), len(made.evidence.generators))
     assert np.shape(made.evidence.offset) == np.shape(made.evidence.allowance) == shape
 
@@ -137,6 +145,16 @@ def test_a_test_that_does_not_see_a_fault_does_not_move(made: Made) -> None:
             [generator] = [g for g in made.bank.generators if g.name == name]
             if hypothesis.fault not in generator.faults and disturbed.get(hypothesis.fault) not in generator.equations:
                 assert np.abs(shifts[:, row, column]).max() < 1e-6, (hypothesis.fault, name)
+
+
+def test_a_share_of_the_pumps_flow_is_lost_as_a_smaller_setting_loses_it(made: Made) -> None:
+    """The second form of `fq_pump`: half the setting, so half the flow, whatever the speed."""
+    row = [(h.fault, h.size, h.share_of) for h in made.evidence.hypotheses].index(("fq_pump", -0.5, "eps_p"))
+    one, rows = made.recordings[0], [g.name for g in made.bank.generators]
+    columns = [rows.index(name) for name in made.evidence.generators]
+    value = made.bank.model.parameters["eps_p"].value
+    r = made.bank.simulate([{}, {"eps_p": 0.5 * value}], one.z, made.bank.start(one.z[0]))[:, :, columns]
+    np.testing.assert_allclose(made.shifts(one)[-1, row], (r[:, 0] - r[:, 1])[-1], rtol=1e-3, atol=1.0)
 
 
 def test_the_shift_is_what_the_faulty_vehicle_shows(made: Made) -> None:

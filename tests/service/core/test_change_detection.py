@@ -34,6 +34,7 @@ def evidence(**changed: Any) -> Evidence:
         "visit": [(VISIT**2 * np.eye(2)).tolist()] * 4,
         "allowance": [[OWN, OWN]] * 4,
         "drifts": [[[STRAY, STRAY]] * 4],
+        "operation": [[0.0, 0.0]] * 4,
         "followers": [],
         "graph": "faults.onnx",
         "hypotheses": [Hypothesis(fault="fA", size=1.0)],
@@ -191,7 +192,7 @@ class Driven:
         rng = np.random.default_rng(self.tick)
         for _ in range(round(seconds / TIME.period_s)):
             r = np.array([1000.0, 2000.0]) + level + fault * FAULT + NOISE * rng.standard_normal(2)
-            seen = Residuals(r, r, r, np.full(2, usable), FAULT[None])
+            seen = Residuals(r, 0.0 * r, r, np.full(2, usable), FAULT[None])
             self.change.add(self.tick, IDLE, seen, suspected=self.change.alarm)
             if self.tick % TICKS == 0:
                 self.change.look()

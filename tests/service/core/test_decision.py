@@ -55,6 +55,13 @@ def moved(fault: str, size: float, mode: int) -> FloatArray:
     return np.asarray(size * spreads * SPREAD[mode])
 
 
+def usual(mode: int) -> FloatArray:
+    """Predictions (T,) as they are without a fault."""
+    y_hat = np.zeros(len(NAMES))
+    y_hat[ROWS] = EVIDENCE.operation[mode]
+    return y_hat
+
+
 class Vehicle:
     """A decision, fed with residuals whose shifts are known. State: the tick."""
 
@@ -89,7 +96,7 @@ class Vehicle:
         shift = np.array([moved(fault, size, mode if mode != EDGE else MAXIMUM) for fault, size in sizes])
         usable = np.array([name not in mute for name in NAMES])
         for _ in range(ticks):
-            self.decision.update(self.tick, mode, Residuals(r, r, SCALE[:, mode], usable, shift))
+            self.decision.update(self.tick, mode, Residuals(r, usual(mode), SCALE[:, mode], usable, shift))
             self.tick += 1
 
     @property
@@ -234,7 +241,7 @@ def test_an_alarm_that_keeps_the_evidence_from_telling_is_confirmed_by_its_lengt
     shift = np.zeros((len(EVIDENCE.hypotheses), len(EVIDENCE.generators)))
     seen = []
     for _ in range(UNSEEN_TICKS + 3 * RANKING_PERIOD):
-        vehicle.decision.update(vehicle.tick, PARTIAL, Residuals(r, r, SCALE[:, PARTIAL], usable, shift))
+        vehicle.decision.update(vehicle.tick, PARTIAL, Residuals(r, usual(PARTIAL), SCALE[:, PARTIAL], usable, shift))
         vehicle.tick += 1
         seen.append(bool(vehicle.named))
     assert not seen[UNSEEN_TICKS - 10]

@@ -16,7 +16,9 @@ from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
 from faultline.service.core.decision.straying import MINIMUM_TICKS, Means
 from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import Evidence, Hypothesis
+from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import FloatArray
 
 FAULTS = ["fA", "fB", "fC", "fD"]
 CONFLICTS = st.lists(st.frozensets(st.sampled_from(FAULTS), min_size=1), max_size=6)
@@ -58,6 +60,7 @@ def _evidence(**changed: object) -> Evidence:
         "visit": [[[0.0, 0.0], [0.0, 0.0]]] * 4,
         "allowance": [[0.05, 0.05]] * 4,
         "drifts": [],
+        "operation": [[0.0, 0.0]] * 4,
         "followers": [],
         "graph": "faults.onnx",
         "hypotheses": [Hypothesis(fault=fault, size=size) for fault, size in SIZES],
@@ -69,17 +72,23 @@ def _window(evidence: Evidence) -> Window:
     return Window(evidence, ["t1", "t2", "t3"], TIME)
 
 
+def _tick(r: tuple[float, float], shift: FloatArray, told: tuple[bool, bool] = (True, True)) -> Residuals:
+    """Residuals of t1 and t3; t2 is no evidence."""
+    all_three = np.array([r[0], 99.0, r[1]])
+    return Residuals(all_three, 0.0 * all_three, all_three, np.array([told[0], False, told[1]]), shift)
+
+
 def _add(
     window: Window, mode: int, r: tuple[float, float], *, ticks: int = 1, told: tuple[bool, bool] = (True, True)
 ) -> None:
     """Ticks with these residuals of t1 and t3 in a steady mode, from 0; t2 is no evidence."""
     for _ in range(ticks):
-        window.add(1 + mode, np.array([r[0], 99.0, r[1]]), np.array([told[0], False, told[1]]), SHIFTS[:, mode])
+        window.add(1 + mode, _tick(r, SHIFTS[:, mode], told))
 
 
 def _at_edge(window: Window, r: tuple[float, float], ticks: int = 1) -> None:
     for _ in range(ticks):
-        window.add(EDGE, np.array([r[0], 99.0, r[1]]), np.array([True, False, True]), SHIFTS[:, 3])
+        window.add(EDGE, _tick(r, SHIFTS[:, 3]))
 
 
 def _means(residuals: dict[int, tuple[float, float]], evidence: Evidence, visits: int = 1) -> Means:
@@ -120,6 +129,28 @@ def test_a_constant_shift_ranks_the_bias_first() -> None:
 def test_any_size_between_the_grid_fits_as_well_as_those_on_it() -> None:
     sizes = [_look({0: (0.5 * s, 0.5 * s), 2: (2.0 * s, 2.0 * s)}).faults["fB"] for s in (0.01, 0.3, 0.5, 0.77)]
     assert sizes == pytest.approx([0.0] * 4, abs=1e-9)
+
+
+def test_two_forms_of_a_fault_are_chains_of_their_own_and_one_fault() -> None:
+    """Between a size of one form and one of the other there is nothing; the better one counts."""
+    forms = [Hypothesis(fault="fA", size=-1.0), Hypothesis(fault="fA", size=-0.5, share_of="k")]
+    evidence = _evidence(hypotheses=forms)
+    window = _window(evidence)
+    for mode, r in ((0, (0.5, 0.5)), (2, (2.0, 2.0))):  # as the second form does
+        for _ in range(MINIMUM_TICKS):
+            window.add(1 + mode, _tick(r, np.stack([FLAT[mode], GROWING[mode]])))
+    look = Hypotheses(evidence).look(window.means)
+    assert look is not None
+    assert list(look.faults) == ["fA"]
+    assert look.faults["fA"] < 1.0
+
+
+def test_away_from_the_usual_operation_the_models_own_error_counts() -> None:
+    """Predicted is 0; usual is 10: what a model predicts there may be off by a twentieth of that."""
+    shift = {0: (0.5, 0.5), 2: (0.5, 0.5)}
+    usual, away = (_look(shift, operation=[[level, level]] * 4).nothing for level in (0.0, 10.0))
+    assert usual > CONFIRMED
+    assert away < usual / 3.0
 
 
 def test_no_fault_fits_what_is_usual() -> None:
@@ -175,7 +206,7 @@ def test_without_hypotheses_there_is_no_gain() -> None:
     evidence = _evidence(hypotheses=[], graph=None)
     window = _window(evidence)
     for _ in range(MINIMUM_TICKS):
-        window.add(1, np.array([0.5, 0.0, 0.5]), np.ones(3, dtype=np.bool_), np.zeros((0, 0)))
+        window.add(1, _tick((0.5, 0.5), np.zeros((0, 0))))
     look = Hypotheses(evidence).look(window.means)
     assert look is not None
     assert (look.faults, look.pairs, look.gain) == ({}, {}, 0.0)
@@ -225,7 +256,7 @@ def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
     _add(window, 0, (1.0, 1.0), ticks=3 * PART_TICKS)
     _add(window, 2, (2.0, 2.0), ticks=PART_TICKS)
     _add(window, 0, (0.0, 0.0), ticks=2 * PART_TICKS)
-    ticks, _, total, shift = window.means
+    ticks, _, total, _, shift = window.means
     assert total[0].tolist() == [0.0, 0.0]
     assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
     assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]
@@ -241,7 +272,7 @@ def test_a_fault_that_shifts_nothing_here_is_no_help_to_another() -> None:
                 GROWING[mode],
                 np.where(np.array([name == "fB" for name, _ in SIZES])[:, None], SHIFTS[:, mode], 0.0),
             )
-            window.add(1 + mode, np.array([r[0], 0.0, r[1]]), np.ones(3, dtype=np.bool_), shift)
+            window.add(1 + mode, _tick(r, shift))
     look = Hypotheses(evidence).look(window.means)
     assert look is not None
     assert look.pairs["fA", "fC"] == pytest.approx(look.nothing)
