@@ -58,7 +58,7 @@ class Table:
         return self._take(key, bool, "true or false", False)
 
     def has(self, key: str) -> bool:
-        """Whether there is such a key, which may be absent."""
+        """Return whether there is such a key, which may be absent."""
         self._allowed[key] = None
         return key in self._data
 

@@ -43,7 +43,7 @@ def of_means(evidence: Evidence, mode: int, seen: Sequence[Seen]) -> Array:
 
 
 def _ticks_and_visits(mode: int, seen: Sequence[Seen]) -> tuple[int, int]:
-    """How many of a mode recordings have."""
+    """Return how many ticks and visits of a mode recordings have."""
     ticks = visits = 0
     for s in seen:
         inside = s.usable.all(axis=1) & (s.mode == mode)

@@ -52,7 +52,7 @@ class Innovation(NamedTuple):
 
     @property
     def log_density(self) -> FloatArray:
-        """Of the block's means (B,), but for a constant."""
+        """Return the log density of the block's means (B,), but for a constant."""
         scale = np.diagonal(self.whiten, axis1=1, axis2=2)
         return np.asarray(np.log(scale).sum(axis=1) - (self.white**2).sum(axis=1) / 2.0)
 

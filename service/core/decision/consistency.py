@@ -167,7 +167,7 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     """The contradictions within the evidence: shapes over modes and generators, and numbers that nothing can be."""
     K, C = len(evidence.generators), len(modes)
     lists: dict[str, Sized] = {
-        name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance")
+        name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance", "operation")
     }
     lists |= {f"drifts[{index}]": drift for index, drift in enumerate(evidence.drifts)}
     for index, each in enumerate(evidence.followers):
@@ -180,6 +180,7 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     yield from uneven(evidence.offset, K, "evidence.offset", what)
     yield from uneven(evidence.spread, K, "evidence.spread", what)
     yield from uneven(evidence.allowance, K, "evidence.allowance", what)
+    yield from uneven(evidence.operation, K, "evidence.operation", what)
     yield from uneven(evidence.noise, K, "evidence.noise", what)
     for index, drift in enumerate(evidence.drifts):
         yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
@@ -208,7 +209,10 @@ def _sizes(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     if len(evidence.hypotheses) > MOST_HYPOTHESES:
         yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
     yield from _widths(evidence)
-    parts = {name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance", "drifts")}
+    parts = {
+        name: getattr(evidence, name)
+        for name in ("offset", "spread", "noise", "visit", "allowance", "operation", "drifts")
+    }
     for index, follower in enumerate(evidence.followers):
         parts |= {f"followers[{index}].{name}": getattr(follower, name) for name in ("offset", "spread", "drifts")}
     for name, values in parts.items():

@@ -48,7 +48,7 @@ CONFIRMED = 30.0
 """How much better than no fault a hypothesis must fit. Fault-free windows of eight vehicles had up to 26."""
 
 VAIN = Span(settlings=30, seconds=600)
-"""What was not confirmed until then is taken for the baseline's."""
+"""A suspicion that was not confirmed until then is taken for the baseline's."""
 
 DOUBTED, DOUBTS = 10.0, 20
 """A fault is withdrawn where, once residuals have settled, no fault at all fits too in so many looks in a row, and the
@@ -60,7 +60,7 @@ filter that is all but shut takes its own pressure out of the operating range. W
 that alarms allow."""
 
 GONE_BLOCKS = 60
-"""What no block of so many in a row has shown is gone."""
+"""A fault that no block of so many in a row has shown is gone."""
 
 DEVIATING = 5.0
 """Standard deviations from which a mean of the window is a conflict."""

@@ -135,6 +135,10 @@ TOGETHER: list[tuple[Change, str]] = [
         lambda m: m["evidence"]["allowance"][2].append(0),
         rf"evidence\.allowance\[2\]: has length {K + 1}, but there are {K}",
     ),
+    (
+        lambda m: m["evidence"]["operation"][2].pop(),
+        rf"evidence\.operation\[2\]: has length {K - 1}, but there are {K}",
+    ),
     (lambda m: m["evidence"]["noise"][1].pop(), rf"evidence\.noise\[1\]: has length {K - 1}, but there are {K}"),
     (
         lambda m: m["evidence"]["noise"][1][2].pop(),
