@@ -6,7 +6,8 @@ BIN := .venv/bin
 VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
-	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants)
+	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants ladder \
+	undeclared dirty)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -66,6 +67,15 @@ campaign-ablations: .venv/.test .venv-peer/.done  ## the same without its parts,
 # In parts if wanted: SHARD=1/4 ...; EFFECTS=B once, after a commit that says so.
 campaign-diagnosis: .venv/.test  ## faults on other vehicles: detected, named? an hour or more; writes docs/results
 	@$(BIN)/python tests/campaigns/diagnosis.py
+
+campaign-ladder: .venv/.test  ## faults from small to total failure on eight vehicles; two hours; writes docs/results
+	@$(BIN)/python tests/campaigns/ladder.py
+
+campaign-undeclared: .venv/.test  ## faults that no model declares on six vehicles; half an hour; writes docs/results
+	@$(BIN)/python tests/campaigns/undeclared.py
+
+campaign-dirty: .venv/.test  ## samples that are off, in drives with and without a fault; half an hour; writes docs/results
+	@$(BIN)/python tests/campaigns/dirty.py
 
 # Hours of each vehicle; sessions add to what is there.
 HOURS ?= 25

@@ -1,4 +1,4 @@
-"""Faults by name, size and onset: the nine of the thesis (section 4.7), and a leak that is none of them."""
+"""Faults by name, size and onset: the nine of the thesis (section 4.7), sensors that are off, and undeclared ones."""
 
 import math
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from faultline.testbench.bus import ERROR, NOT_AVAILABLE
 from faultline.testbench.errors import RigError
 from faultline.testbench.plant import SYSTEM_PRESSURE, Plant, PlantParameters
 from faultline.testbench.restriction import TURBULENT, Restriction
+from faultline.testbench.undeclared import UNDECLARED
 from faultline.testbench.units import ATMOSPHERE, ML
 
 RESTRICTIONS = {
@@ -41,10 +42,13 @@ FAULTS = {
     "off_p_tp": ("sensor between the filters is off", _WIRE),
     "off_p_ap": ("sensor after the pump is off", _WIRE),
     "leak_ap": ("leak after the pump, which no fault of the diagnosis model covers", _LEAK),
+    **{name: (each.text, each.meaning) for name, each in UNDECLARED.items()},
 }
 """Name of each fault: what it is, and what its size means."""
 
-UNITS = {_AREA: "1", _FLOW: "1", _PASCAL: "Pa", _LEAK: "mL/s"}
+UNITS = {_AREA: "1", _FLOW: "1", _PASCAL: "Pa", _LEAK: "mL/s"} | {
+    each.meaning: each.unit for each in UNDECLARED.values()
+}
 """Of what a size means; a kind has none."""
 
 LARGEST_LOSS = 0.98
@@ -64,6 +68,8 @@ ON_S, PERIOD_S = 20.0, 60.0
 
 def limit(name: str) -> float:
     """The largest size of fault `name`."""
+    if name in UNDECLARED:
+        return UNDECLARED[name].largest
     return {_PASCAL: LARGEST_OFFSET, _LEAK: LARGEST_LEAK, _SILENT: max(CODES), _WIRE: max(CODES)}.get(
         FAULTS[name][1], LARGEST_LOSS
     )

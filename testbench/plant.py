@@ -59,10 +59,11 @@ class PlantParameters:
 class Plant:
     """The circuit's state; starts at rest at atmospheric pressure. Flows [m^3/s] are those of the last step.
 
-    What may be replaced at any time takes effect at the next step: the five restrictions (`tank_filter` ...),
-    `pump_loss`, and what surrounds the circuit: `viscosity` (a factor of all laminar parts), `p_tank`, `p_return` and
-    `p_nozzle` (absolute pressure [Pa] at the suction pipe's foot, behind the return orifice and behind the dosing
-    valve), `inlet_spring` [Pa] (what it takes to open the dosing unit's inlet valve).
+    What may be replaced at any time takes effect at the next step: the five restrictions (`tank_filter` ...), `hose`,
+    `pump_loss`, `air_hole` (where air is drawn in between the filters, None where it is tight), and what surrounds the
+    circuit: `viscosity` and `density` (factors of all laminar and turbulent parts), `p_tank`, `p_return` and `p_nozzle`
+    (absolute pressure [Pa] at the suction pipe's foot, behind the return orifice and behind the dosing valve),
+    `inlet_spring` [Pa] (what it takes to open the dosing unit's inlet valve).
     """
 
     def __init__(self, parameters: PlantParameters, pump: PumpParameters, branches: Sequence[Branch] = ()) -> None:
@@ -72,7 +73,9 @@ class Plant:
         self.return_orifice = parameters.return_orifice
         self.dosing_valve = parameters.dosing_valve
         self.pump_loss = 0.0  # fraction of the displaced flow that is lost
-        self.viscosity = 1.0
+        self.hose = parameters.hose
+        self.air_hole: Restriction | None = None
+        self.viscosity = self.density = 1.0
         self.p_tank = self.p_return = self.p_nozzle = ATMOSPHERE
         self.inlet_spring = 0.0
         self.branches = list(branches)
@@ -95,9 +98,10 @@ class Plant:
         back = pump.back(self.p_bp, self.p_ap, self.viscosity)
         c_tp, c_bp = self._parameters.compliance_tp / h, self._parameters.compliance_bp / h
         Rt, Rp = self.viscosity * self.tank_filter.R, self.viscosity * self.pump_filter.R
-        Kt, Kp, p_tank = self.tank_filter.K, self.pump_filter.K, self.p_tank
+        Kt, Kp, p_tank = self.density * self.tank_filter.K, self.density * self.pump_filter.K, self.p_tank
         qt, qp, y = self.q_tank, self.q_pump_filter, self.p_bp
-        held_tp, held_bp = c_tp * self.p_tp, c_bp * self.p_bp
+        air = self._air()
+        held_tp, held_bp = c_tp * self.p_tp + air, c_bp * self.p_bp
         for _ in range(MAXIMUM_SWEEPS):
             drawn, slope = pump.drawn(displaced, y)
             drawn -= back
@@ -114,16 +118,27 @@ class Plant:
                 break
         else:
             raise ArithmeticError(f"suction side does not converge at p_bp = {y:.0f} Pa")
-        self.p_tp, self.p_bp, self.q_tank, self.q_pump_filter, self.q_pump = x, y, qt, qp, drawn + slope * y
+        self.p_tp, self.p_bp, self.q_tank, self.q_pump_filter = x, y, qt, qp
+        pressed = 1.0 - ATMOSPHERE / max(self.p_ap, ATMOSPHERE)  # the part of the air's volume that the pump takes away
+        self.q_pump = drawn + slope * y - air * pressed
+
+    def _air(self) -> float:
+        """What is drawn in through the hole between the filters [m^3/s], by the suction at the step's start."""
+        suction = ATMOSPHERE - self.p_tp
+        if self.air_hole is None or suction <= 0.0:
+            return 0.0
+        R, K = self.air_hole.R, self.air_hole.K
+        return float(((R * R + 4.0 * K * suction) ** 0.5 - R) / (2.0 * K))
 
     def _pressure(self, h: float, opening: float) -> None:
         """p_ap and p_du, fed by `q_pump`."""
-        c_ap, c_du = self._parameters.hose.compliance(self.p_ap) / h, self._parameters.compliance_du / h
+        c_ap, c_du = self.hose.compliance(self.p_ap) / h, self._parameters.compliance_du / h
         viscosity, spring = self.viscosity, self.inlet_spring
         p_return, p_nozzle = self.p_return, self.p_nozzle
-        laminar, Kd = viscosity * self.du_filter.R, self.du_filter.K
-        Ro, Ko = viscosity * self.return_orifice.R, self.return_orifice.K
-        Rv, Kv = viscosity * self.dosing_valve.R, self.dosing_valve.K
+        density, laminar = self.density, viscosity * self.du_filter.R
+        Kd = density * self.du_filter.K
+        Ro, Ko = viscosity * self.return_orifice.R, density * self.return_orifice.K
+        Rv, Kv = viscosity * self.dosing_valve.R, density * self.dosing_valve.K
         qd, qo, qv = self.q_du, self.q_return, self._q_open
         taken = [(branch, *branch.linear(h, self.p_ap)) for branch in self.branches]
         q_branches, g_branches = 0.0, 0.0

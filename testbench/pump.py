@@ -61,10 +61,14 @@ class PumpParameters:
 
 
 class Drive:
-    """The motor with its speed controller. State: speed [rev/s] and the controller's integral [N m]."""
+    """The motor with its speed controller. State: speed [rev/s] and the controller's integral [N m].
+
+    `torque` is the part of its largest torque that it has.
+    """
 
     def __init__(self, parameters: PumpParameters) -> None:
         self.speed = 0.0
+        self.torque = 1.0
         self._integral = 0.0
         self._pump = parameters
         self._turn, self._inertia = 2 * pi * parameters.mechanical_efficiency, 2 * pi * parameters.inertia
@@ -75,7 +79,7 @@ class Drive:
         if command > 0.0:
             error = command - self.speed
             wanted = pump.speed_gain * error + self._integral
-            torque = 0.0 if wanted < 0.0 else min(wanted, pump.maximum_torque)
+            torque = 0.0 if wanted < 0.0 else min(wanted, self.torque * pump.maximum_torque)
             if torque == wanted:  # else the integral would wind up
                 self._integral += h * pump.speed_integral * error
         else:

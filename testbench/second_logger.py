@@ -19,6 +19,7 @@ from faultline.testbench.plant import Array
 from faultline.testbench.pulsation import pulse
 from faultline.testbench.sensors import ExternalSensor
 from faultline.testbench.simulation import MARGIN, Run
+from faultline.testbench.undeclared import swapped
 
 PERIOD = 0.1  # s, thesis 5.7: sampled at 10 Hz
 JITTER = 0.005  # s, half width: its task has others beside it
@@ -27,6 +28,8 @@ DRIFT_PPM = 50.0  # half width: two ordinary quartzes against each other
 
 COLUMN_OF = {"y_p_tp": 0, "y_p_ap": 2}
 """Where each external sensor sits in `Run.pressures`."""
+P_DU = 3
+"""Where the controller's own one does."""
 
 OFF_VOLTS = {1.0: 0.0, 2.0: 5.0}
 """What the converter reads of a sensor that is off, by the size of that fault: both beyond the table of any sensor."""
@@ -133,6 +136,9 @@ def external_csv(
     for signal, plain in sensors.items():
         sensor = replace(plain, noise=clocking.noise * plain.noise)
         true: Array = np.interp(t, run.t, run.pressures[:, COLUMN_OF[signal]])
+        if signal == "y_p_ap":
+            other = np.interp(t, run.t, run.pressures[:, P_DU])
+            true = np.where([swapped(faults, time) for time in t.tolist()], other, true)
         if signal == "y_p_tp":
             true = true + np.interp(t, run.ecu_t, run.ripple) * pulse(phases.random(len(t)))
         offset, off = (

@@ -14,6 +14,7 @@ from faultline.testbench.faults import Fault, reading, strength
 from faultline.testbench.pulsation import pulse
 from faultline.testbench.sensors import ExternalSensor
 from faultline.testbench.simulation import Run
+from faultline.testbench.undeclared import swapped
 
 ZEROED_OVER = 100  # 10 s at 10 Hz, within the standstill that a workshop waits for
 
@@ -41,7 +42,9 @@ class SensorBox:
         """What is `known`, with what the box reads of the run at `t` [s]."""
         after = np.clip(np.searchsorted(run.t, t, side="right"), 1, len(run.t) - 1)
         near = slice(after - 1, after + 1)  # of a whole run, each reading would copy an hour
-        p_tp, _, p_ap, _ = (np.interp(t, run.t[near], pressure) for pressure in run.pressures[near].T)
+        p_tp, _, p_ap, p_du = (np.interp(t, run.t[near], pressure) for pressure in run.pressures[near].T)
+        if swapped(self._faults, t):
+            p_ap = p_du
         ripple = run.ripple[max(int(np.searchsorted(run.ecu_t, t, side="right")) - 1, 0)]
         p_tp += ripple * float(pulse(self._phases.random(1))[0])
         return known._replace(

@@ -38,10 +38,14 @@ class EcuSensors:
 
 
 class Membrane:
-    """How the pressure reaches the dosing unit's sensor. State: the pressure that it feels [Pa], once it felt any."""
+    """How the pressure reaches the dosing unit's sensor. State: the pressure that it feels [Pa], once it felt any.
+
+    `fouled` [s] is what its time constant has more than when it was new.
+    """
 
     def __init__(self, sensors: EcuSensors, period: float) -> None:
-        self._share = 1.0 - math.exp(-period / sensors.lag_p_du) if sensors.lag_p_du else 1.0
+        self._lag, self._period = sensors.lag_p_du, period
+        self.fouled = 0.0
         self._band = sensors.backlash_p_du / 2
         self._slow = self._felt = math.nan
 
@@ -49,7 +53,8 @@ class Membrane:
         """What it feels [Pa] one period later, at the pressure `true` [Pa]."""
         if math.isnan(self._felt):
             self._slow = self._felt = true
-        self._slow += self._share * (true - self._slow)
+        lag = self._lag + self.fouled
+        self._slow += (1.0 - math.exp(-self._period / lag) if lag else 1.0) * (true - self._slow)
         self._felt = min(max(self._felt, self._slow - self._band), self._slow + self._band)
         return self._felt
 

@@ -20,6 +20,7 @@ from faultline.testbench.pulsation import Pulsation
 from faultline.testbench.pump import Drive
 from faultline.testbench.sensors import Membrane
 from faultline.testbench.streams import stream
+from faultline.testbench.undeclared import Disturbances, swapped
 from faultline.testbench.valve import PulseWidth
 from faultline.testbench.vehicles import Vehicle
 
@@ -75,6 +76,7 @@ class Simulation:
         self._plant = Plant(self._vehicle.plant, self._vehicle.pump, branches_of(self._vehicle))
         self._drive, self._valve, self._ecu = Drive(self._vehicle.pump), PulseWidth(self._vehicle.needle), Ecu()
         self._membrane = Membrane(self._vehicle.ecu_sensors, PERIOD)
+        self._disturbances = Disturbances(faults, self._vehicle.pump, self._vehicle.needle)
         self._pulsation = Pulsation(self._vehicle, present.get("suction_pulsation", 0.0))
 
     def advance(self, ticks: int) -> Run:
@@ -86,6 +88,7 @@ class Simulation:
             t = self.tick * PERIOD - MARGIN
             healthy = self._surroundings.step(self._plant, self._vehicle.plant, t, PERIOD)
             apply(self._faults, self._plant, healthy, t)
+            self._disturbances.apply(self._plant, healthy, self._drive, self._valve, self._membrane, t)
             command = self._control(t, noise_p, noise_n, known)
             self._move(command, hidden)
             ripple.append(self._pulsation.amplitude(self._plant, self._drive.speed))
@@ -102,7 +105,8 @@ class Simulation:
     def _control(self, t: float, noise_p: float, noise_n: float, known: "array[float]") -> Command:
         """What the controller orders at `t` [s]; appends what it knows."""
         sensors, faults = self._vehicle.ecu_sensors, self._faults
-        felt = self._membrane.feel(self._plant.p_du) + strength(faults, "fy_p_du", t) + self._zero_p_du
+        pressure = self._plant.p_ap if swapped(self._faults, t) else self._plant.p_du
+        felt = self._membrane.feel(pressure) + strength(faults, "fy_p_du", t) + self._zero_p_du
         y_p_du = reading(faults, "p_du", sensors.p_du(felt, noise_p), t)
         n_p = reading(faults, "n_p", sensors.n_p(self._drive.speed, noise_n), t)
         setpoint, request = self._wanted[self.tick]

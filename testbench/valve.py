@@ -21,12 +21,14 @@ class Needle:
 class PulseWidth:
     """Opens for the part `duty` at the start of every period. State: the phase [0..1) and the duty of this period.
 
+    What its `needle` is now takes effect with the next period; it never shuts further than `stuck` [0..1].
+
     A new duty cycle takes effect with the next period, as a timer's shadow register does. A pulse shorter than the
     opening delay moves nothing; one that lasts through the period does not shut.
     """
 
     def __init__(self, needle: Needle = Needle(), frequency: float = FREQUENCY) -> None:
-        self._needle = needle
+        self.needle, self.stuck = needle, 0.0
         self._frequency = frequency
         self._phase = 0.0
         self._opens, self._shuts, self._lift = 0.0, 0.0, 1.0  # of this period
@@ -39,7 +41,7 @@ class PulseWidth:
         if end >= 1.0:
             end -= 1.0
             was_open = self._shuts >= 1.0
-            needle = self._needle
+            needle = self.needle
             self._opens = 0.0 if was_open else needle.opens_after * self._frequency
             self._shuts = 1.0 if duty >= 1.0 else duty + needle.shuts_after * self._frequency
             if duty <= self._opens:
@@ -47,7 +49,7 @@ class PulseWidth:
             self._lift = 1.0 + needle.full_lift if duty >= 1.0 and was_open else 1.0
             is_open += self._open(0.0, end)
         self._phase = end
-        return is_open / step
+        return max(is_open / step, self.stuck)
 
     def _open(self, start: float, end: float) -> float:
         """The part of the period between two phases in which the valve is open, weighted with its lift."""

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import sympy as sp
@@ -20,6 +21,9 @@ from faultline.service.core.residuals.generators import Graph
 
 GRAPH = "ode.onnx"
 FAULTS = "faults.onnx"
+
+OUTLIER = 6.0
+"""Standard deviations of a sensor's noise: a sample that is nearer to those before it is no outlier."""
 
 Array = npt.NDArray[np.float64]
 Trial = Mapping[str, float]
@@ -197,7 +201,23 @@ def _part(model: Model, test: Test) -> _Part:
 def _bank(model: Model, parts: Sequence[_Part], left_out: Mapping[str, str]) -> Bank:
     tests, generators, networks = zip(*parts, strict=True)
     sigma = np.array([model.known[test.predicts].noise for test in tests])
-    return Bank(model, tests, inputs_of(model), generators, networks, sigma, left_out)
+    return Bank(model, tests, _gated(model, tests), generators, networks, sigma, left_out)
+
+
+def _gated(model: Model, tests: Sequence[Test]) -> tuple[Input, ...]:
+    """The inputs down to where their sensors end, those with an outlier distance that a test predicts by equations.
+
+    A signal whose steps are edges between modes is a command or follows one: its steps are the operation's own.
+    """
+    predicted = {test.predicts for test in tests if test.equations} - model.modes.edges.keys()
+    noisy = {name for name in predicted if model.known[name].noise > 0.0}
+    found = []
+    for each in inputs_of(model):
+        known = model.known[each.signal]
+        lower = each.lower if known.sensor_min is None else known.sensor_min
+        outlier = OUTLIER * known.noise if each.signal in noisy else None
+        found.append(msgspec.structs.replace(each, lower=lower, outlier=outlier))
+    return tuple(found)
 
 
 def inputs_of(model: Model) -> tuple[Input, ...]:

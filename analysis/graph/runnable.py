@@ -86,6 +86,12 @@ class Runnable:
 
 def _trial(h: Hypothesis, model: Model) -> Trial:
     """The value of the fault variable, or of the parameter that loses a share."""
+    if h.brought is not None:
+        consequence = model.faults[h.fault].consequence
+        assert consequence is not None
+        of = consequence.fault
+        brought = Hypothesis(fault=of, size=h.brought, share_of=model.faults[of].share_of)
+        return {**_trial(Hypothesis(fault=h.fault, size=h.size), model), **_trial(brought, model)}
     if h.share_of is None:
         return {h.fault: model.assumable[h.fault].absolute(h.size, model)}
     return {h.share_of: model.parameters[h.share_of].value * (1.0 + h.size)}

@@ -8,7 +8,7 @@ import sympy as sp
 
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import FUNCTIONS
-from faultline.analysis.model.model import Model
+from faultline.analysis.model.model import Fault, Model
 from faultline.analysis.model.tables import first_repeated
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -71,6 +71,7 @@ def _check_faults(model: Model, where: str) -> None:
     for place, each in entering:
         if each.share_of is not None and each.share_of not in model.parameters:
             raise ModelError(f"{where}: {place}.share_of: {each.share_of} is no parameter; name one that is")
+        _check_consequence(model, each, f"{where}: {place}.consequence")
         if each.relative_to is not None and each.relative_to not in model.parameters:
             raise ModelError(
                 f"{where}: {place}.relative_to: {each.relative_to} is no parameter; leave it away for sizes in SI units"
@@ -93,6 +94,25 @@ def _check_faults(model: Model, where: str) -> None:
                 f"{where}: equation[{k}].disturbance.enters: {equation.fault.enters} is what its fault replaces; "
                 "let it replace another name"
             )
+
+
+def _check_consequence(model: Model, fault: Fault, place: str) -> None:
+    if fault.consequence is None:
+        return
+    of, others = fault.consequence.fault, [name for name in model.faults if name != fault.name]
+    if of not in others:
+        raise ModelError(f"{place}.fault: {of} is no other fault; those are {', '.join(others)}")
+    for name in fault.consequence.where:
+        if name not in model.known:
+            raise ModelError(f"{place}.where.{name}: {name} is no known signal; those are {', '.join(model.known)}")
+    if sizes := fault.consequence.sizes:
+        largest = sorted((size for size in fault.sizes if (size > 0.0) == (sizes[0] > 0.0)), key=abs)[-len(sizes) :]
+        if len(sizes) < 2 or sorted(sizes) != sorted(largest):
+            raise ModelError(f"{place}.sizes: are the two or more largest of the fault's sizes, all of one sign")
+    elif len(fault.sizes) < 3 or len({size > 0.0 for size in fault.sizes}) > 1:
+        raise ModelError(
+            f"{place}: goes with three sizes or more, all of one sign, of which the larger half have it; or say `sizes`"
+        )
 
 
 def _check_differentials(model: Model, where: str) -> None:

@@ -4,10 +4,11 @@ from collections.abc import Collection, Sequence
 
 import sympy as sp
 
+from faultline.analysis.model.bounds import bounds_of
 from faultline.analysis.model.check import check_name
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
-from faultline.analysis.model.model import Fault
+from faultline.analysis.model.model import Consequence, Fault
 from faultline.analysis.model.tables import Table
 
 
@@ -42,6 +43,7 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
         place=table.text("place", "") if component else "",
         share_of=table.optional_text("share_of"),
         shares=table.numbers("shares") if table.has("shares") else (),
+        consequence=_consequence(table.table("consequence")),
     )
     table.done()
     if sp.simplify(fault.replacement.subs(sp.Symbol(name), 0) - sp.Symbol(enters)) != 0:
@@ -55,6 +57,17 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
     if any(share == 0.0 or share <= -1.0 for share in fault.shares):
         raise table.fail("shares", "are fractions by which a parameter changes, none of them zero, all above -1")
     return fault
+
+
+def _consequence(table: Table | None) -> Consequence | None:
+    if table is None:
+        return None
+    sizes = table.numbers("sizes") if table.has("sizes") else ()
+    found = Consequence(fault=table.text("fault"), where=bounds_of(table), sizes=sizes)
+    table.done()
+    if not found.where:
+        raise table.fail("where", "is missing; say at which signals the consequence shows")
+    return found
 
 
 def listed_fault(table: Table, names: Sequence[str]) -> Fault:

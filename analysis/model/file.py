@@ -10,6 +10,8 @@
     [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent)
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A",
                share_of = "k", shares = [...]}: a second form, in which parameter k changes by these fractions
+               consequence = {fault = "fB", where = {y = {below = 2.0}}}: at such signals it brings that fault's effect
+                           in the larger half of its sizes, or in those of `sizes`
       disturbance = {the same without a component}: what may be wrong here that is no component's fault, as a leak
     [[differential]]         name, state, derivative
     [residual.r1]            faults: instead of equations, a known signal that another tool computes, zero without them
@@ -215,6 +217,7 @@ def _known(table: Table) -> Known:
         added=table.flag("added"),
         maximum_age_s=table.optional_number("maximum_age_s"),
         lag_s=table.optional_number("lag_s"),
+        sensor_min=table.optional_number("sensor_min"),
         label=table.text("label", ""),
         display=table.text_or_texts("display"),
     )
@@ -224,6 +227,10 @@ def _known(table: Table) -> Known:
             raise table.fail(name, f"{seconds:g} s; give a positive one")
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
+    if known.sensor_min is not None and known.sensor_min > known.min:
+        raise table.fail(
+            "sensor_min", f"{known.sensor_min:g} is within the operating range; give less than {known.min:g}"
+        )
     if known.noise <= 0:
         raise table.fail("noise", "must be positive: it is the scale of the sensor's residuals")
     for name in ("zero", "drift"):

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import sympy as sp
 
 from faultline.analysis.model.bench import BenchSetup
+from faultline.analysis.model.bounds import Bounds
 from faultline.analysis.model.curves import Curves
 from faultline.analysis.model.errors import ModelError
 
@@ -28,7 +29,8 @@ class Known:
     change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
     sample that is older than `maximum_age_s` [s] is not used; None stands for five periods. What it shows may be late,
     by a standard deviation of `lag_s` [s]: the sensor's filter, the controller's cycle, the bus; None stands for a
-    tenth of a period. `label` is its name for people, the description where it is empty; they read it in the units
+    tenth of a period. A severe fault may take it below its operating range; tests can tell down to `sensor_min`, by
+    default `min`. `label` is its name for people, the description where it is empty; they read it in the units
     `display`, coarse to fine, where there are any.
     """
 
@@ -42,6 +44,7 @@ class Known:
     added: bool = False
     maximum_age_s: float | None = None
     lag_s: float | None = None
+    sensor_min: float | None = None
     label: str = ""
     display: tuple[str, ...] = ()
 
@@ -86,6 +89,19 @@ class Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Consequence:
+    """A severe fault brings the effect of another `fault` where the signals are within bounds.
+
+    A filter that is all but shut starves the pump, which then delivers less: that is one fault and not two. `sizes` are
+    those of the fault that have it, the larger half where none are given.
+    """
+
+    fault: str
+    where: Bounds
+    sizes: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Fault:
     """A fault variable, zero when there is no fault; that of a disturbance has no component.
 
@@ -95,7 +111,8 @@ class Fault:
     parameter `spn` with the failure mode `fmi` (SAE J1939-73), both or none. `place` is where to find the component.
 
     A fault may have a second form: the parameter `share_of` changes by the fractions `shares` of its value. A worn pump
-    loses a constant flow by a leak, and a share of it by a slipping coupling; either is the same component's.
+    loses a constant flow by a leak, and a share of it by a slipping coupling; either is the same component's. It may
+    have a `consequence`.
     """
 
     name: str
@@ -111,6 +128,7 @@ class Fault:
     place: str = ""
     share_of: str | None = None
     shares: tuple[float, ...] = ()
+    consequence: Consequence | None = None
 
     def absolute(self, size: float, model: "Model") -> float:
         """The value of the fault variable [SI] for one of the `sizes`, with the parameters of `model`."""
@@ -145,7 +163,7 @@ class Mode:
     """
 
     name: str
-    where: Mapping[str, tuple[float | None, float | None]]
+    where: Bounds
     description: str = ""
     instruction: str = ""
 
@@ -155,8 +173,8 @@ class OperatingModes:
     """How the operating mode follows from the signals: what residuals look like depends on it.
 
     It is the first of the `steady` ones that holds. The one that has no bounds holds where no other does; there is
-    exactly one. For `settle_s` [s] after a signal of `edges` has moved by more than its entry from one sample to the
-    next, the mode is *edge*; no `edges`, no such mode.
+    exactly one. For `settle_s` [s] after a signal of `edges` has moved by more than its entry within a quarter of that
+    time, the mode is *edge*; no `edges`, no such mode.
     """
 
     steady: tuple[Mode, ...]

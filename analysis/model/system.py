@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from faultline.analysis.model.bench import of_variant
+from faultline.analysis.model.bounds import bounds_of
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.model import EDGE, ONE_MODE, Known, Mode, OperatingModes
 from faultline.analysis.model.tables import Table, first_repeated
@@ -107,19 +108,10 @@ def modes_of(top: Table, known: Mapping[str, Known]) -> OperatingModes:
 
 
 def _mode(table: Table, known: Mapping[str, Known]) -> Mode:
-    where = table.table("where")
-    written = {} if where is None else where.rest()
-    bounds = {}
-    for name, part in Table({"where": written}, table.place).named_tables("where").items():
+    bounds = bounds_of(table)
+    for name in bounds:
         if name not in known:
-            raise ModelError(f"{part.place}: {name} is no known signal; those are {', '.join(known)}")
-        above, below = part.optional_number("above"), part.optional_number("below")
-        part.done()
-        if above is None and below is None:
-            raise part.fail("below", "give `above`, `below` or both")
-        if above is not None and below is not None and not above < below:
-            raise part.fail("below", f"{below:g} is not above {above:g}")
-        bounds[name] = (above, below)
+            raise ModelError(f"{table.at('where')}.{name}: {name} is no known signal; those are {', '.join(known)}")
     mode = Mode(
         name=table.text("name"),
         where=bounds,

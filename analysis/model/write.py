@@ -5,9 +5,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 
+from faultline.analysis.model.bounds import Bounds
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.file import SCHEMA
-from faultline.analysis.model.model import Equation, Mode, Model
+from faultline.analysis.model.model import Consequence, Equation, Mode, Model
 
 WORDS = ("description", "instruction")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -26,7 +27,7 @@ def dump_model(model: Model) -> str:
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
-        fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s}
+        fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s, "sensor_min": k.sensor_min}
         fields |= {"label": k.label or None, "display": k.display or None}
         blocks.append(f"[known.{name}]\n" + pairs(fields))
     for name, u in model.unknown.items():
@@ -63,17 +64,21 @@ def dump_model(model: Model) -> str:
 
 
 def _mode(mode: Mode) -> dict[str, object]:
-    where = {
-        name: {side: bound for side, bound in zip(("above", "below"), bounds, strict=True) if bound is not None}
-        for name, bounds in mode.where.items()
+    return {"name": mode.name, "where": _where(mode.where) or None, **{k: getattr(mode, k) or None for k in WORDS}}
+
+
+def _where(bounds: Bounds) -> dict[str, dict[str, float]]:
+    return {
+        name: {side: bound for side, bound in zip(("above", "below"), each, strict=True) if bound is not None}
+        for name, each in bounds.items()
     }
-    return {"name": mode.name, "where": where or None, **{k: getattr(mode, k) or None for k in WORDS}}
 
 
 def _equation(equation: Equation) -> dict[str, object]:
     table: dict[str, object] = {"name": equation.name, "description": equation.description, "expr": equation.text}
     for what, each in (("fault", equation.fault), ("disturbance", equation.disturbance)):
         if each is not None:
+            brings = each.consequence
             table[what] = {
                 "name": each.name,
                 **({"component": each.component} if what == "fault" else {}),
@@ -84,8 +89,14 @@ def _equation(equation: Equation) -> dict[str, object]:
                 "sizes": each.sizes,
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),
                 **({} if each.share_of is None else {"share_of": each.share_of, "shares": each.shares}),
+                **({} if brings is None else {"consequence": _consequence(brings)}),
             }
     return table
+
+
+def _consequence(brings: Consequence) -> dict[str, object]:
+    table: dict[str, object] = {"fault": brings.fault, "where": _where(brings.where)}
+    return table | ({"sizes": brings.sizes} if brings.sizes else {})
 
 
 def pairs(table: Mapping[str, object]) -> str:

@@ -18,13 +18,18 @@ def modes_of(model: Model) -> Modes:
     steady = [
         Mode(
             name=mode.name,
-            where={name: Bounds(above=above, below=below) for name, (above, below) in mode.where.items()},
+            where=where_of(mode.where),
             description=mode.description,
             instruction=mode.instruction,
         )
         for mode in model.modes.steady
     ]
     return Modes(steady=steady, edges=dict(model.modes.edges), settle_s=model.modes.settle_s)
+
+
+def where_of(bounds: Mapping[str, tuple[float | None, float | None]]) -> dict[str, Bounds]:
+    """The bounds of signals as a manifest holds them."""
+    return {name: Bounds(above=above, below=below) for name, (above, below) in bounds.items()}
 
 
 def time_of(model: Model) -> TimeScale:
@@ -46,14 +51,15 @@ def stand_ins(model: Model) -> tuple[int, ...]:
 def modes_at(model: Model, tracks: Mapping[str, Track], ticks: FloatArray) -> npt.NDArray[np.int64]:
     """The modes' indices in `Modes.names` at ticks (N,) [s], a period apart, from the last samples as on the vehicle.
 
-    Values between two samples would halve a step where a tick lies between them.
+    Values between two samples would halve a step where a tick lies between them. Only what steps from one tick to the
+    next is an edge: a model is fitted to ramps as well.
     """
     inputs = [
         Input(signal=name, unit=k.unit, maximum_age_s=model.maximum_age_s(name), lower=k.min, upper=k.max)
         for name, k in model.known.items()
         if name in tracks
     ]
-    tracker = ModeTracker(modes_of(model), inputs, model.period_s)
+    tracker = ModeTracker(modes_of(model), inputs, model.period_s, part=0.0)
     z = np.column_stack([tracks[each.signal].held(ticks) for each in inputs])
     told = np.ones(len(inputs), dtype=np.bool_)
     return np.array([tracker.update(row, told) for row in z], dtype=np.int64)

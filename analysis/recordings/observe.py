@@ -10,7 +10,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
-from faultline.service.core.residuals.generators import Generators, Residuals
+from faultline.service.core.residuals.generators import FRESH, Generators, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
@@ -28,9 +28,9 @@ NO_FRAMES = DecodeTable({})
 class Blind:
     """Generators that compute nothing: only the samples are wanted."""
 
-    def step(self, z: FloatArray, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
         """Nothing of nothing."""
-        del z, usable
+        del z, usable, ages
         none = np.zeros(0)
         return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import sympy as sp
 
@@ -50,11 +50,20 @@ def with_other_sensors(model: Model, dropped: Iterable[str], measured: Sequence[
     return dataclasses.replace(
         model,
         known={name: known for name, known in model.known.items() if name in left.known} | new,
-        equations={name: e for name, e in model.equations.items() if name in left.equations} | sensors,
+        equations={name: _known_by(e, left.known) for name, e in model.equations.items() if name in left.equations}
+        | sensors,
         unknown={name: _started(unknown, left.known, model) for name, unknown in model.unknown.items()},
         modes=_modes(model.modes, left.known),
         bench=None,
     )
+
+
+def _known_by(equation: Equation, known: Collection[str]) -> Equation:
+    """Without the consequence of its fault where that shows at signals that are not known."""
+    fault = equation.fault
+    if fault is None or fault.consequence is None or fault.consequence.where.keys() <= set(known):
+        return equation
+    return dataclasses.replace(equation, fault=dataclasses.replace(fault, consequence=None))
 
 
 def _started(unknown: Unknown, known: Sequence[str], model: Model) -> Unknown:

@@ -179,7 +179,7 @@ def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int,
     suspicions = diagnoses = 0
     suspected = diagnosed = False
     for tick in drive.ticks:
-        residuals = generators.step(tick.z, tick.usable)
+        residuals = generators.step(tick.z, tick.usable, tick.ages)
         decision.update(tick.number, tick.mode, residuals)
         suspicions += decision.suspicious and not suspected
         suspected = decision.suspicious

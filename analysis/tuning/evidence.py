@@ -10,14 +10,15 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import numpy.typing as npt
+from scipy.special import chdtri
 
 from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
-from faultline.analysis.model import Model
+from faultline.analysis.tuning.assumed import consequences_of, hypotheses_of, sizes_of
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.blocks import BLOCK
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import Evidence, Follower, Hypothesis
+from faultline.service.core.manifest import Evidence, Follower
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.time_scale import Span
 
@@ -26,6 +27,8 @@ Array = npt.NDArray[np.float64]
 VISIT, SUPPOSED = Span(settlings=0.5, periods=50), 5.0
 """Before any visit is seen, its effect is supposed to be as large as the noise of a mean over `VISIT`, as surely as
 from so many visits: pulses of an actuator and the sampling beat, at a level that tuning has not seen."""
+LARGER = 0.01
+"""One vehicle in so many has larger effects of a visit than is supposed after a few of them."""
 ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
@@ -85,8 +88,10 @@ def gather(
             )
             for column, row in enumerate(order[K:], start=K)
         ],
-        graph=FAULTS if (hypotheses := _hypotheses(bank.model)) else None,
+        graph=FAULTS if (hypotheses := hypotheses_of(bank.model)) else None,
         hypotheses=hypotheses,
+        consequences=consequences_of(bank.model) if hypotheses else [],
+        sizes=sizes_of(bank.model) if hypotheses else [],
     )
     return evidence, sizes.tolist()
 
@@ -186,7 +191,8 @@ def _noise(recordings: Sequence[Seen], mode: int, rows: list[int], spread: Array
 def _visit_effect(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
     """The covariance (K, K) of a visit's effect: how visits' means differ within a drive.
 
-    It is a posterior mean of what was supposed and what was seen. The noise of the means is in it, which is little.
+    It is a posterior mean of what was supposed and what was seen, times what makes it an upper bound: a few visits show
+    variances badly, and what was not seen in them would be a fault. The noise of the means is in it, which is little.
     """
     total, visited = SUPPOSED * noise / recordings[0].time.ticks(VISIT), SUPPOSED
     for s in recordings:
@@ -195,7 +201,9 @@ def _visit_effect(recordings: Sequence[Seen], mode: int, rows: list[int], noise:
             away = np.array(means) - np.mean(means, axis=0)
             total += away.T @ away
             visited += len(means) - 1
-    return np.asarray(total / visited)
+    if visited == SUPPOSED:  # each drive is one visit, whose effect is the drive's
+        return np.asarray(total / visited)
+    return np.asarray(total / chdtri(visited, 1.0 - LARGER))
 
 
 def _operation(bank: Bank, recordings: Sequence[Seen], described: Sequence[int]) -> Array:
@@ -267,15 +275,6 @@ def _directions(y: Array) -> Array:
     told = np.cumsum(size**2) / max(float((size**2).sum()), 1e-300)
     kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
     return np.asarray(drives[:, :kept])
-
-
-def _hypotheses(model: Model) -> list[Hypothesis]:
-    return [
-        Hypothesis(fault=each.name, size=size, share_of=share_of)
-        for each in model.assumable.values()
-        for share_of, sizes in ((None, each.sizes), (each.share_of, each.shares))
-        for size in sizes
-    ]
 
 
 def named_drifts(bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Array:

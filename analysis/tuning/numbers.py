@@ -57,14 +57,18 @@ class _Range:
 def limited(inputs: Sequence[Input], signals: Signals, residuals: Collection[str] = ()) -> list[Input]:
     """The inputs, each with the limits that its numbers in a log set.
 
-    Of `residuals` that another tool computes any step is believed: a fault makes them jump.
+    Of `residuals` that another tool computes any step is believed: a fault makes them jump. So it is of signals with a
+    gate (`core.signals.gate`): a pulse of an actuator is larger where a filter is clogged.
     """
     ranges = {channel.signal: _Range(channel) for channel in inputs}
     for piece in signals.pieces(judged=False):
         for signal, column in piece.columns.items():
             good = are_good(column.quality)
             ranges[signal].take(piece.time[column.row[good]], column.value[good])
-    return [ranges[channel.signal].limited(steps=channel.signal not in residuals) for channel in inputs]
+    return [
+        ranges[channel.signal].limited(steps=channel.outlier is None and channel.signal not in residuals)
+        for channel in inputs
+    ]
 
 
 def widest(limits: Sequence[Sequence[Input]]) -> list[Input]:

@@ -80,7 +80,7 @@ def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeSca
         InputError: some test could tell for too little of it.
     """
     ticks = [tick for tick in ticks if tick.usable.all()]
-    usable = np.array([tick.residuals.usable for tick in ticks])
+    usable = np.array([tick.residuals.counted for tick in ticks])
     told = int(usable.sum(axis=0).min()) if ticks else 0
     if told < TOLD_TICKS:
         raise InputError(

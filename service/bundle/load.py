@@ -147,7 +147,7 @@ def graph_metadata(manifest: Manifest, graph: str) -> dict[str, str]:
         "generators": [(generator.name, generator.predicts) for generator in _columns(manifest, graph)],
     }
     if graph == manifest.evidence.graph:
-        entries["hypotheses"] = [(h.fault, h.size, h.share_of) for h in manifest.evidence.hypotheses]
+        entries["hypotheses"] = [(h.fault, h.size, h.share_of, h.brought) for h in manifest.evidence.hypotheses]
     return {field: msgspec.json.encode(value).decode() for field, value in entries.items()}
 
 

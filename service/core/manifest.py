@@ -66,7 +66,8 @@ class Input(_Part, frozen=True, omit_defaults=True):
     """A column of `z`: a signal of the DBC in the bundle's unit; `lower` and `upper` bound the operating region.
 
     A value that has not changed for `frozen_s` within the operating region, or that lies by more than `largest_step`
-    [unit] from the last one, is not believed; without them any value is. People read `label` and `display`'s units.
+    [unit] from the last one, is not believed; without them any value is. One that lies by more than `outlier` [unit]
+    from the last ones may be held back (`core.signals.gate`). People read `label` and `display`'s units.
     """
 
     signal: Name
@@ -76,6 +77,7 @@ class Input(_Part, frozen=True, omit_defaults=True):
     upper: float
     frozen_s: Positive | None = None
     largest_step: Positive | None = None
+    outlier: Positive | None = None
     label: Text = ""
     display: list[Display] = []
 
@@ -140,8 +142,8 @@ class Modes(_Part, frozen=True):
     """Rules that derive the operating mode from the samples.
 
     It is the first of the `steady` ones that holds; the one without bounds holds where no other does. It is *edge* for
-    `settle_s` after an input has moved by more than its entry in `edges` from one tick to the next, and where a signal
-    of the bounds cannot be used.
+    `settle_s` after an input has moved by more than its entry in `edges` within a quarter of that time, and where a
+    signal of the bounds cannot be used.
     """
 
     steady: NotEmpty[Mode]
@@ -233,12 +235,31 @@ class Disturbance(_Part, frozen=True):
 class Hypothesis(_Part, frozen=True):
     """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none.
 
-    In a second form of the fault its size is the fraction by which a parameter changes, `share_of`.
+    In a second form of the fault its size is the fraction by which a parameter changes, `share_of`. With a consequence,
+    `brought` is the size of the fault that is brought, as its second form says it, if it has one.
     """
 
     fault: Name
     size: float
     share_of: Name | None = None
+    brought: float | None = None
+
+
+class SizeUnit(_Part, frozen=True, omit_defaults=True):
+    """How people read the sizes of a form of a fault: the unit, and of what it is a part."""
+
+    fault: Name
+    display: Display
+    share_of: Name | None = None
+    of: Text = ""
+
+
+class Consequence(_Part, frozen=True):
+    """Consequence of a severe `fault`: it brings the effect of fault `brings` where the signals are within bounds."""
+
+    fault: Name
+    brings: Name
+    where: dict[Name, Bounds]
 
 
 class Follower(_Part, frozen=True):
@@ -262,7 +283,8 @@ class Evidence(_Part, frozen=True):
     `noise` (mode, generator, generator) [Pa^2] the covariance of ticks, `visit` that of visits to the mode besides.
     From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
     mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too.
-    `operation` (mode, generator) is the usual mean of the signals that are predicted.
+    `operation` (mode, generator) is the usual mean of the signals that are predicted. Faults have `consequences`, at
+    most one each; hypotheses with one are behind the others. `sizes` say how people read those of a fault.
     """
 
     generators: NotEmpty[Name]
@@ -276,6 +298,13 @@ class Evidence(_Part, frozen=True):
     followers: list[Follower]
     graph: Name | None
     hypotheses: list[Hypothesis]
+    consequences: list[Consequence] = []
+    sizes: list[SizeUnit] = []
+
+    @property
+    def simple(self) -> int:
+        """The number of hypotheses without a consequence."""
+        return sum(hypothesis.brought is None for hypothesis in self.hypotheses)
 
 
 class Count(_Part, frozen=True):

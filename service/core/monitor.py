@@ -22,7 +22,7 @@ class Monitor:
     """One vehicle's diagnosis. `source` names the recording or the vehicle, `bundle_id` is the manifest's SHA-256.
 
     `watch`, where given, is called after each tick with what was seen and decided: for freeze frames and pictures,
-    never for decisions. Ticks have the samples' ages where it `watches_ages`.
+    never for decisions.
     """
 
     def __init__(
@@ -33,8 +33,6 @@ class Monitor:
         source: str,
         bundle_id: str,
         watch: Callable[[Tick, Decision], None] | None = None,
-        *,
-        watches_ages: bool = False,
     ) -> None:
         self._sampler = Sampler(manifest.inputs)
         self._observer = Observer(
@@ -45,7 +43,6 @@ class Monitor:
             manifest.period_s,
             manifest.start_within_s,
         )
-        self._observer.gives_ages = watches_ages
         self._decision = Decision(manifest)
         self._teller = Teller(source, bundle_id, manifest.time)
         self.watch = watch

@@ -100,9 +100,7 @@ def _diagnose(path: Path, log: Log, bundle: Bundle, options: argparse.Namespace,
     if out is not None:
         out.begin(log.id, str(path))
     watch = out.add if out is not None else None
-    monitor = Monitor(
-        bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch, watches_ages=out is not None
-    )
+    monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
     found, blind = _printed(monitor, log, bundle, options.json, out)
     if not (found or accepted):
         raise InputError(

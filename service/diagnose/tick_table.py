@@ -93,7 +93,6 @@ class TickTable:
 
     def add(self, tick: Tick, decision: Decision) -> None:
         """Add a tick that has ages, with what was decided at it."""
-        assert tick.ages is not None
         row: list[object] = [
             self._recording,
             tick.number,

@@ -9,7 +9,7 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Equation, Fault, Manifest
 from faultline.service.core.records.context import SCHEMA as CONTEXT
 from faultline.service.core.records.context import Context, LampStates, TroubleCode
-from faultline.service.core.records.event import Diagnosis, Event, decode, schema_of
+from faultline.service.core.records.event import Diagnosis, Event, Size, decode, schema_of
 from faultline.service.core.records.fault import CLEARED, Change, Cleared, FaultRecord
 from faultline.service.core.records.fault import SCHEMA as FAULT
 from faultline.service.core.records.health import SCHEMA as HEALTH
@@ -160,9 +160,24 @@ def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Map
         known = (f"{name} ({equations[name].description})" if name in equations else name for name in diagnosis.near)
         where = f", near {', '.join(known)}" if diagnosis.near else ""
         why = "no fault of the model explains what is seen" if diagnosis.p is None else "no fault of a component"
-        return f"{diagnosis.rank}. unknown: {why}{where}{likelihood}"
+        return f"{diagnosis.rank}. unknown: {why}{where}{_sizes(diagnosis)}{likelihood}"
     names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
-    return f"{diagnosis.rank}. {names}{likelihood}"
+    return f"{diagnosis.rank}. {names}{_sizes(diagnosis)}{likelihood}"
+
+
+def _sizes(diagnosis: Diagnosis) -> str:
+    return "".join(f", {_size(each)}" for each in diagnosis.sizes)
+
+
+def _size(size: Size) -> str:
+    """An interval, what is lost as a loss.
+
+    >>> _size(Size(low=-47.0, high=-41.0, unit="%", of="area of the filter")), _size(Size(low=0.1, high=0.2, unit="V"))
+    ('41 to 47 % of the area of the filter lost', 'by 0.1 to 0.2 V')
+    """
+    if size.of and size.high <= 0.0:
+        return f"{-size.high:g} to {-size.low:g} {size.unit} of the {size.of} lost"
+    return f"by {size.low:g} to {size.high:g} {size.unit}{size.of and f' of the {size.of}'}"
 
 
 def _meaning(fault: Fault | None) -> str:

@@ -4,8 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 Record = dict[str, Any]
-Said = list[tuple[str, int, float | None, list[str]]]
-"""Diagnoses as (faults joined by +, or unknown; rank; p; equations that the unknown is near to)."""
+Said = list[tuple[Any, ...]]
+"""Diagnoses as (faults joined by +, or unknown; rank; p; equations that the unknown is near to; sizes).
+
+Sizes are 95 % intervals as (low, high, unit); records of older code have none.
+"""
 
 LOOKS_S = (30.0, 60.0, 120.0, 300.0)
 """A diagnosis is looked at so long after the first one was told."""
@@ -59,7 +62,7 @@ class Judged:
     def located(self, equation: str, look_s: float = LOOK_S) -> bool:
         """Whether of rank 1, alone or among others, is that it is unknown and near to this equation of the model."""
         said = self.standing.get(look_s, [])
-        return any(equation in near for name, rank, _, near in said if rank == 1 and name == "unknown")
+        return any(equation in near for name, rank, _, near, *_ in said if rank == 1 and name == "unknown")
 
     def wrong_alone(self, look_s: float = LOOK_S) -> bool:
         """Whether one diagnosis alone is of rank 1, names something, and names no true fault."""
@@ -69,12 +72,12 @@ class Judged:
 
 def first(said: Said) -> list[str]:
     """Those of rank 1, the names of a pair in order."""
-    return ["+".join(sorted(name.split("+"))) for name, rank, _, _ in said if rank == 1]
+    return ["+".join(sorted(name.split("+"))) for name, rank, *_ in said if rank == 1]
 
 
 def candidates(said: Said) -> list[tuple[str, int]]:
     """Names and ranks: what is new when it changes, as a probability creeps."""
-    return [(name, rank) for name, rank, _, _ in said]
+    return [(name, rank) for name, rank, *_ in said]
 
 
 def judged(vehicle: int, told: Record) -> Judged:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from diagnosis_cases import Case, Set, request, seed_of
 
@@ -180,9 +179,10 @@ def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
 
 
 def said(diagnosis: Diagnosis) -> list[Any]:
-    """A diagnosis as a row of the records: faults, rank, p, and equations that what is unknown is near to."""
-    given = msgspec.to_builtins(diagnosis)
-    return ["+".join(diagnosis.faults) or "unknown", diagnosis.rank, diagnosis.p, given.get("near", [])]
+    """A diagnosis as a row of the records (`diagnosis_judged.Said`)."""
+    name = "+".join(diagnosis.faults) or "unknown"
+    sizes = [[size.low, size.high, size.unit] for size in diagnosis.sizes]
+    return [name, diagnosis.rank, diagnosis.p, [*diagnosis.near], sizes]
 
 
 def told_of(case: Case, seen: Watched, period_s: float) -> Record:

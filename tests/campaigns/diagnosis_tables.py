@@ -170,7 +170,7 @@ def calibration(told: Sequence[Judged]) -> list[str]:
         for one in told
         if one.kind in ("single", "curve") and one.faults[0] not in APART
         for said in one.standing.values()
-        for name, _, p, _ in said
+        for name, _, p, *_ in said
         if p is not None
     ]
     rows = ["| p told | mean | true |", "|---|---|---|"]

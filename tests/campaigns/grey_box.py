@@ -22,7 +22,7 @@ import numpy.typing as npt
 from results_page import digest, head_commit
 
 from faultline.analysis.calibration.command import main as calibrate
-from faultline.analysis.graph.bank import build_bank
+from faultline.analysis.graph.bank import build_bank, inputs_of
 from faultline.analysis.graph.networks import Networks
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, load_model
@@ -133,9 +133,9 @@ def trained(
     tests: Sequence[str] | None = None,
 ) -> tuple[Networks, Training, float]:
     """Networks from recordings, and the CPU time [s] that they took."""
-    bank, layout = build_bank(model), layout_of(model, tests)
+    layout = layout_of(model, tests)
     of = [recordings] if isinstance(recordings, Path) else recordings
-    samples = load_samples(model, bank.inputs, of, lambda _: None)
+    samples = load_samples(model, inputs_of(model), of, lambda _: None)
     start = time.process_time()
     training = Training(layout, samples, recipe, seed, begin)
     training.run(lambda _: None, lambda: None)
@@ -179,7 +179,7 @@ def watched(model: Model, networks: Networks, recording: Path) -> dict[str, Watc
     table = compile_dbc(log.dbc, {c.signal: c.unit for c in runnable.bank.inputs}, str(recording))
     ticks = ticks_of(model, runnable.bank.inputs, log.signals(table), runnable.fresh())
     t_s, z = np.array([tick.t_s for tick in ticks]), np.array([tick.z for tick in ticks])
-    r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "usable"))
+    r, sigma, usable = (np.array([getattr(t.residuals, part) for t in ticks]) for part in ("r", "sigma", "counted"))
     names = [generator.name for generator in runnable.generators]
     found = {}
     for n, generator in enumerate(runnable.generators):
@@ -335,7 +335,7 @@ def _as_the_thesis(test: str, folder: Path, epochs: int | None) -> tuple[Trainin
     """A training by its recipe, of one member of one test, and the CPU time [s]."""
     model = load_model(MODEL)
     recording = made(Case("bench", None, 0), "training", folder, 1, 600.0)
-    samples = load_samples(model, build_bank(model).inputs, [recording], lambda _: None)
+    samples = load_samples(model, inputs_of(model), [recording], lambda _: None)
     begins = [stretch.begin_s for stretch in samples.stretches]
     first = next((k for k in range(1, len(begins)) if begins[k] <= begins[k - 1]), len(begins))
     one = replace(samples, stretches=samples.stretches[:first])  # of one start, as the thesis had

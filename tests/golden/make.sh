@@ -6,7 +6,7 @@ cd "$(dirname "$0")/../.."
 here=tests/golden
 rm -rf "$here"/bundle "$here"/log "$here"/bench
 cp -r out/demo/bundle "$here"/bundle
-.venv/bin/faultline rig record --id golden --cycle validation --seed 8 --duration 120 --fault fA_du --size 0.65 \
+.venv/bin/faultline rig record --id golden --cycle validation --seed 8 --duration 127 --fault fA_du --size 0.65 \
 	--onset 70 --out "$here"/bench --truth "$here"/bench-truth
 .venv/bin/faultline ingest "$here"/bench/golden --out "$here"/logs
 mv "$here"/logs/golden "$here"/log

@@ -46,7 +46,7 @@ def test_a_row_is_a_tick_as_the_monitor_saw_it(out: Path) -> None:
         for name, _, quality in bundle.table.decode(frame.can_id, frame.is_extended, frame.data):
             came.setdefault(name, []).extend([frame.t] if quality is Quality.GOOD else [])
     rows = [row for row in parquet.read_table(out).to_pylist() if row["recording"] == "golden"]
-    assert len(rows) == len(seen) == 600
+    assert len(rows) == len(seen) == 635
     for row, (tick, alarm, sums) in zip(rows, seen, strict=True):
         assert (row["tick"], row["log_s"], row["alarm"]) == (tick.number, tick.t_s, alarm)
         assert row["t_s"] == pytest.approx(0.2 * tick.number)
@@ -70,8 +70,8 @@ def test_a_row_is_a_tick_as_the_monitor_saw_it(out: Path) -> None:
 def test_several_recordings_are_in_it_one_after_another(out: Path) -> None:
     table = parquet.read_table(out)
     names = table.column("recording").to_pylist()
-    assert names == ["golden"] * 600 + ["begin"] * (len(names) - 600)
-    assert 240 <= len(names) - 600 <= 260
+    assert names == ["golden"] * 635 + ["begin"] * (len(names) - 635)
+    assert 260 <= len(names) - 635 <= 280
 
 
 def test_units_and_meanings_are_in_the_schema_and_on_the_page(out: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_table_in_an_mf4_beside_a_log(tmp_path: Path) -> None:
         file.write(f'\n[table]\nfile = "tank.mf4"\noffset_s = {2.0 - START_S}\nsignals = {{ y_p_tp = "tank" }}\n')
     found = came(open_log(folder), {"y_p_tp": "Pa", "y_p_du": "Pa"})
     assert found["y_p_tp"][:2] == [(2.0, 0.0, "GOOD"), (2.1, 1000.0, "GOOD")]
-    assert len(found["y_p_du"]) == 600
+    assert len(found["y_p_du"]) == 635
 
 
 def test_a_cut_mf4_says_so_or_is_no_log(tmp_path: Path) -> None:

@@ -104,6 +104,9 @@ ROWS = {
     ),
     "ingest": Row("--help", (Writes("{in}/bench/drive --offset 0.1 --out {out} --force", "drive/recording.toml"),)),
     "j1939": Row("--help", interrupted=0),
+    "limit": Row(
+        f"{BUNDLE} {LOG} --within 40", (Writes(f"{BUNDLE} {LOG} --within 40 --picture {{out}}/p.png", "p.png"),)
+    ),
     "log": Row(f"{LOG} --json"),
     "mqtt": Row("--help", interrupted=0),
     "new": Row(

@@ -75,7 +75,7 @@ def test_jitter_and_a_repeating_gateway_change_neither_health_nor_what_is_told(s
     assert [candidates(e.diagnoses) for e in events] == [candidates(e.diagnoses) for e in usual], seed
 
 
-@pytest.mark.parametrize(("age_s", "last"), [(40.0, "withdrawn"), (5.0, "refined")])
+@pytest.mark.parametrize(("age_s", "last"), [(40.0, "withdrawn"), (5.0, "occurred")])
 def test_a_fault_that_rests_on_samples_doubted_later_is_withdrawn(age_s: float, last: str) -> None:
     """Suspected at 72 s: a crowd found at 105 s that began at 65 s has made it; one that began at 100 s has not."""
     bundle = load_bundle(GOLDEN / "bundle")
@@ -84,4 +84,4 @@ def test_a_fault_that_rests_on_samples_doubted_later_is_withdrawn(age_s: float, 
     monitor.doubt({"y_p_du": age_s})
     events += monitor.advance(110.0)
     assert [event.transition for event in events if event.transition != "cannot_tell"][-1] == last
-    assert bool(events[-1].diagnoses) == (last == "refined")
+    assert bool(events[-1].diagnoses) == (last == "occurred")

@@ -42,7 +42,7 @@ class BlockMeans:
 
     def __init__(self, evidence: Evidence, generators: Sequence[str], time: TimeScale) -> None:
         self._columns = np.array([generators.index(name) for name in evidence.generators])
-        self._hypotheses = len(evidence.hypotheses)
+        self._hypotheses = evidence.simple
         self._period_s, self._length = time.period_s, time.ticks(BLOCK)
         self._mode = EDGE
         self._begins = False
@@ -56,12 +56,12 @@ class BlockMeans:
             self._mode, self._begins = mode, True
         if mode == EDGE:
             return closed
-        usable = residuals.usable[self._columns]
+        usable = residuals.counted[self._columns]
         self._count += 1
         self._ticks += usable
         self._total += np.where(usable, residuals.r[self._columns], 0.0)
         if self._hypotheses:
-            self._shift += np.where(usable, residuals.shift, 0.0)
+            self._shift += np.where(usable, residuals.shift[: self._hypotheses], 0.0)
         if self._count == self._length:
             closed = self._close(tick)
         return closed

@@ -132,6 +132,30 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     yield from _unknown(followers, names, "evidence.followers", "generator")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
+    assumed = {hypothesis.fault for hypothesis in evidence.hypotheses}
+    yield from _repeated([each.fault for each in evidence.consequences], "evidence.consequences", ".fault")
+    if any(hypothesis.brought is not None for hypothesis in evidence.hypotheses[: evidence.simple]):
+        yield "evidence.hypotheses: one with a consequence is before one without"
+    brings = {each.fault for each in evidence.consequences}
+    brought = [each.fault for each in evidence.hypotheses if each.brought is not None]
+    yield from _unknown(brought, brings, "evidence.hypotheses", "consequence of")
+    yield from _unknown((each.fault for each in evidence.sizes), assumed, "evidence.sizes", "hypothesis")
+    yield from _grids(evidence)
+    for index, each in enumerate(evidence.consequences):
+        yield from _unknown([each.fault, each.brings], assumed, f"evidence.consequences[{index}]", "hypothesis")
+        yield from _unknown(each.where, signals, f"evidence.consequences[{index}].where", "signal")
+
+
+def _grids(evidence: Evidence) -> Iterator[str]:
+    """Consequences that are not assumed with the two or more largest sizes of one sign, with each size alike."""
+    for index, each in enumerate(evidence.consequences):
+        own = [h for h in evidence.hypotheses if h.fault == each.fault and h.share_of is None]
+        found = sorted((h.size, h.brought) for h in own if h.brought is not None)
+        of = sorted({size for size, _ in found}, key=abs)
+        brought = sorted({size for _, size in found})
+        sizes = sorted((h.size for h in own if h.brought is None and of and h.size * of[0] > 0.0), key=abs)
+        if len(of) < 2 or of != sizes[-len(of) :] or found != sorted((a, b) for a in of for b in brought):
+            yield f"evidence.consequences[{index}]: not assumed with the two or more largest sizes of {each.fault!r}"
 
 
 def _by_mode(manifest: Manifest) -> Iterator[str]:

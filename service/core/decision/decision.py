@@ -108,7 +108,7 @@ class Decision:
         self._calm = np.zeros(len(self._names))  # ticks of every mode since anything was suspicious
         self._look: Look | None = None
         self._fitting: list[Fitted] = []  # the faults that the window could not tell apart, the last time it showed one
-        self._settled = self._cleared = False
+        self._settled = self._cleared = self._by_evidence = self._ranked = False
         self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
@@ -207,8 +207,11 @@ class Decision:
                 self.confirmed, self._settled = True, False
                 self._explain()
             return
-        look = self._hypotheses.look(self._window.means, self._change.level)
-        if look is None:
+        look = self._hypotheses.look(self._window.means, self._change.level, self._window.history)
+        if look is None:  # the system may hunt, and never come to a mode in which residuals can be weighed
+            could = settled and self._usable[self._looked_at].any()
+            if could and self._change.sure and self._alarmed & self._trusted:
+                self._confirm()
             return
         self._look, self._settled = look, settled
         far = look.sigmas.max(axis=0) > DEVIATING
@@ -218,10 +221,13 @@ class Decision:
         self._doubts = self._doubts + 1 if doubtful else 0
         if look.gain >= DOUBTED:
             self._fitting = look.fitting
-        self.confirmed = self.confirmed or self._change.sure or look.gain > CONFIRMED or look.nothing > SURE
-        if self.confirmed:
-            self._change.hold()
-            self._explain()
+        if self.confirmed or self._change.sure or look.gain > CONFIRMED or look.nothing > SURE:
+            self._confirm()
+
+    def _confirm(self) -> None:
+        self.confirmed = True
+        self._change.hold()
+        self._explain()
 
     def _close_block(self) -> None:
         """What the last seconds have shown is kept, unless the fault comes and goes."""
@@ -302,6 +308,11 @@ class Decision:
         return self.confirmed and self._intermittence.found
 
     @property
+    def settled(self) -> bool:
+        """Return True if what is confirmed is ranked by what the window shows, and not named by conflicts alone."""
+        return bool(self._diagnoses) and self._ranked
+
+    @property
     def diagnoses(self) -> list[Diagnosis]:
         """What explains a confirmed fault, best first. An alarm whose test has become unable to tell still counts."""
         return self._diagnoses
@@ -310,12 +321,14 @@ class Decision:
         """What a look says stands once the next one says the same: near a limit they alternate."""
         seen = self._explained()
         if candidates(seen) == candidates(self._seen) or not self._diagnoses:
-            self._diagnoses = seen
+            self._diagnoses, self._ranked = seen, self._by_evidence
         self._seen = seen
 
     def _explained(self) -> list[Diagnosis]:
         alarmed = self._alarmed & self._trusted
-        if self._settled and self._look is not None and self._look.faults and not self.intermittent:
-            return self._explainer.by_evidence(sorted(self._deviating or alarmed), self._look)
+        look = self._look if self._settled and not self.intermittent else None
+        self._by_evidence = look is not None and bool(look.faults)
+        if look is not None and self._by_evidence:
+            return self._explainer.by_evidence(sorted(self._deviating or alarmed), look)
         rows = (self._deviating or alarmed) if self._settled else self._deviating | alarmed
-        return self._explainer.by_conflicts(sorted(rows))
+        return self._explainer.by_conflicts(sorted(rows), self._look)

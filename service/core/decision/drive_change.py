@@ -36,7 +36,7 @@ class DriveChange:
     def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses, time: TimeScale) -> None:
         self._frozen = time.ticks(FROZEN)
         self._rows = [generators.index(name) for name in evidence.generators]
-        self._hypotheses, self._count = hypotheses, len(evidence.hypotheses)
+        self._hypotheses, self._count = hypotheses, evidence.simple
         self._model, self._period_s = BaselineModel(evidence, time), time.period_s
         self._baseline = BaselineLevel(evidence, generators, self._model)
         self._blocks = BlockMeans(evidence, generators, time)

@@ -1,8 +1,9 @@
 """Who it is: from the conflicts, and from a look at the window, to ranked explanations.
 
 Where residuals have not settled, conflicts alone name candidates (`core.decision.isolation`). Later a fault has to fit
-what is seen as well: a single one, else the best two at once, else the fault is unknown. It is unknown too where a
-disturbance fits, which is no component's fault, and near the equation that this enters.
+what is seen as well: a single one, else the best two at once, and behind them that the fault is unknown: what nobody
+has declared is as likely as two faults at once. It is unknown too where a disturbance fits, which is no component's
+fault, and near the equation that this enters.
 
 A bundle of a single test tells no faults apart: what it shows is one of those that it is sensitive to.
 """
@@ -13,6 +14,7 @@ import numpy as np
 
 from faultline.service.core.decision.hypotheses import TIE, Look, confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
+from faultline.service.core.decision.size_intervals import SizeIntervals
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis
 
@@ -22,6 +24,9 @@ SUREST = 0.999
 TIE_PART = 0.25
 """Hypotheses whose misfits differ by less than `TIE`, or than this part of the larger one, are not told apart: the data
 do not separate them, or neither explains the data."""
+
+NEARLY = 0.1
+"""The part of what is seen that may be left by a fault that is listed beside the unknown one."""
 
 OF_TWO = 15.0
 """By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""
@@ -34,43 +39,62 @@ class Explainer:
         self._sensitive = [frozenset(generator.faults) for generator in manifest.generators]
         self._equations = [frozenset(generator.equations) for generator in manifest.generators]
         self._disturbed = {each.name: each.equation for each in manifest.disturbances}
+        self._brings = {each.fault: each.brings for each in manifest.evidence.consequences}
         self._faults = frozenset(fault.name for fault in manifest.faults)
+        self._sizes = SizeIntervals(manifest.evidence)
         self._has_one_test = len({generator.test for generator in manifest.generators}) == 1
 
-    def by_conflicts(self, rows: Sequence[int]) -> list[Diagnosis]:
+    def by_conflicts(self, rows: Sequence[int], look: Look | None) -> list[Diagnosis]:
         """The explanations that these generators allow, all of one rank."""
-        return self._ranked(diagnoses([self._sensitive[row] for row in rows] or [self._faults]), {}, rows)
+        return self._ranked(diagnoses([self._moving(row, look) for row in rows] or [self._faults]), {}, rows, None)
 
     def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
         """Those of them that fit what is seen."""
         if self._has_one_test:
-            return self.by_conflicts(rows)
-        conflicts = [self._sensitive[row] | self._disturbing(row) for row in rows]
+            return self.by_conflicts(rows, look)
+        conflicts = [self._moving(row, look) | self._disturbing(row) for row in rows]
         misfits = fitting(conflicts, look)
-        return self._ranked([*misfits] or [UNKNOWN], misfits, rows)
+        if any(len(faults) == 1 for faults in misfits):
+            return self._ranked([*misfits], misfits, rows, look)
+        told = self._ranked([*misfits, *nearest(conflicts, look)], {}, rows, look)
+        unknown = self._told(UNKNOWN, 1 + len(misfits), None, rows, look)  # behind two that explain all of it
+        return [*told, unknown] if misfits else [unknown, *told]
+
+    def _moving(self, row: int, look: Look | None) -> frozenset[str]:
+        """The faults that move a generator, by themselves or by a consequence that the look shows."""
+        own = self._sensitive[row]
+        shown = () if look is None else look.brought
+        return own | {fault for fault in shown if self._brings[fault] in own}
 
     def _disturbing(self, row: int) -> frozenset[str]:
         """The disturbances that move a generator."""
         return frozenset(name for name, equation in self._disturbed.items() if equation in self._equations[row])
 
     def _ranked(
-        self, found: Sequence[tuple[str, ...]], misfits: Mapping[tuple[str, ...], float], rows: Sequence[int]
+        self,
+        found: Sequence[tuple[str, ...]],
+        misfits: Mapping[tuple[str, ...], float],
+        rows: Sequence[int],
+        look: Look | None,
     ) -> list[Diagnosis]:
         p = probabilities(misfits)
-        return [self._told(faults, rank, p.get(faults), rows) for faults, rank in ranked(found, misfits)]
+        return [self._told(faults, rank, p.get(faults), rows, look) for faults, rank in ranked(found, misfits)]
 
-    def _told(self, faults: tuple[str, ...], rank: int, p: float | None, rows: Sequence[int]) -> Diagnosis:
+    def _told(
+        self, faults: tuple[str, ...], rank: int, p: float | None, rows: Sequence[int], look: Look | None
+    ) -> Diagnosis:
         """An explanation as it is told: nobody is named for a disturbance."""
+        sizes = self._sizes.of(faults[0], look) if look is not None and len(faults) == 1 else []
         if near := [self._disturbed[name] for name in faults if name in self._disturbed]:
-            return Diagnosis(faults=[], rank=rank, p=p, near=near)
+            return Diagnosis(faults=[], rank=rank, p=p, near=near, sizes=sizes)
         if faults == UNKNOWN and rows:
             near = sorted(frozenset.intersection(*(self._equations[row] for row in rows)))
-        return Diagnosis(faults=list(faults), rank=rank, p=p, near=near)
+        return Diagnosis(faults=list(faults), rank=rank, p=p, near=near, sizes=sizes)
 
 
 def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, ...], float]:
     """The misfits of what fits and hits every conflict: single faults, else the best two at once, else nothing."""
-    single = confined(conflicts, {(fault,): q for fault, q in look.faults.items()})
+    single = confined(conflicts, {(fault,): q for fault, q in look.growing_or_not.items()})
     best = min(single.values(), default=np.inf)
     if any(look.fits(faults, q) for faults, q in single.items()):
         return {faults: q for faults, q in single.items() if look.fits(faults, q) or q <= best + TIE}
@@ -79,6 +103,15 @@ def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, 
     if least > best - OF_TWO or not any(look.fits(faults, q) for faults, q in pairs.items()):
         return {}
     return {faults: q for faults, q in pairs.items() if q <= least + TIE}
+
+
+def nearest(conflicts: Sequence[frozenset[str]], look: Look) -> list[tuple[str, ...]]:
+    """The single faults that explain nearly all of what is seen, though more is left than chance leaves."""
+    single = confined(conflicts, {(fault,): q for fault, q in look.growing_or_not.items()})
+    best = min(single.values(), default=np.inf)
+    if best > NEARLY * look.nothing:
+        return []
+    return [faults for faults, q in single.items() if q <= best + max(TIE, TIE_PART * best)]
 
 
 def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:

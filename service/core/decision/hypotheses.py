@@ -12,6 +12,10 @@ line between those that are assumed. Without a fault mu is zero. Means of a gene
 Of two faults at once the shifts are added, and both sizes are free. A disturbance (what is no component's fault) is
 weighed as a fault is, but not as one of two.
 
+A severe fault may have a consequence, another one's effect: a filter that is all but shut starves the pump. How much of
+it comes differs from mode to mode, so it has a size of its own in each mode in which it shows; the fault has one size
+in all of them. Its misfit is the better of those with and without a consequence.
+
 A fault without assumed sizes, of residuals that another tool computes, may shift the m means of the generators that are
 sensitive to it by anything. Its misfit is -2 log of the marginal likelihood under Zellner's g-prior, with the g that is
 likeliest (Liang et al. 2008): q_rest + m (1 + ln(Q/m)), where q_rest is the misfit of no fault in the other means, and
@@ -25,11 +29,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from faultline.service.core.decision.straying import Level, Means, Straying
+from faultline.service.core.decision.growth import grown, present_sizes
+from faultline.service.core.decision.straying import History, Level, Means, Straying
 from faultline.service.core.manifest import Evidence, Manifest
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 GAMMA = 0.1
+
+SIZES = 33
+"""Sizes from one assumed size to the next at which the misfit is asked for an interval."""
+
+BETWEEN = 8
+"""Parts of the way from one size to the next at which a fault with its consequence is tried."""
+
+GROWN = 15.0
+"""A fault that has grown must fit better by this than one of one size: its course is free."""
+
+COURSE = 4.0
+"""A course of growth costs the misfit of a present size this much: two more numbers are free (Akaike 1974)."""
+
+NEAREST = 8
+"""Courses of growth that are nearest by each mean for itself, of which the misfit is computed."""
+
+SHOWING = 0.1
+"""A consequence shows in a mode if it does in more than this part of the ticks: some of each is between the two."""
 
 TIE = 9.0
 """Hypotheses whose misfits differ by less than three standard deviations are not told apart."""
@@ -44,17 +67,30 @@ NO_SIGNATURES: Mapping[str, Collection[str]] = {}
 class Segments(NamedTuple):
     """Neighbouring sizes of one sign: the fault of each, and its ends as rows of the shifts, of which row 0 is none.
 
-    Those of `alone` are never one of two.
+    `shares` are the parameters of which a second form takes a share; those of one fault, form and sign are a chain, by
+    its number. Those of `alone` are never one of two.
     """
 
     alone: frozenset[str]
     faults: list[str]
+    shares: list[str | None]
+    chain: Indices
     begin: Indices
     end: Indices
 
 
 Signatures = Mapping[str, Mask]
 """The generators of the evidence (K,) that are sensitive to a fault without assumed sizes, by its name."""
+
+
+class Consequences(NamedTuple):
+    """A fault with its consequence: `rows` (I, J) of the shifts by I sizes of the fault and J of what it brings.
+
+    The first of the J is none. It `shows` in modes (C,).
+    """
+
+    rows: Indices
+    shows: Mask
 
 
 class Fitted(NamedTuple):
@@ -65,17 +101,35 @@ class Fitted(NamedTuple):
     part: float
 
 
+class Profile(NamedTuple):
+    """The misfits (M,) of sizes of one chain: so far `parts` (M,) along `rows` (M,) of the segments."""
+
+    rows: Indices
+    parts: FloatArray
+    misfits: FloatArray
+
+
 class Look:
     """One look at a window: the deviations `d` (D,) of the means `seen` (C, K), and what may explain them.
 
     `S` (D, D) is their covariance without the error of a prediction, `shifts` (1 + H, D) those of no fault and of every
-    hypothesis. `prices` are what a free shift costs the explanations that have one, as far as they have been weighed.
+    hypothesis. `brought` are the faults whose consequence shows. `prices` are what a free shift costs the explanations
+    that have one, as far as they have been weighed.
     """
 
     def __init__(
-        self, d: FloatArray, S: FloatArray, seen: Mask, shifts: FloatArray, segments: Segments, signatures: Signatures
+        self,
+        d: FloatArray,
+        S: FloatArray,
+        seen: Mask,
+        shifts: FloatArray,
+        segments: Segments,
+        signatures: Signatures,
+        brought: Mapping[str, Consequences],
+        history: History | None = None,
     ) -> None:
-        self._d, self._S, self._seen, self._segments, self._signatures = d, S, seen, segments, signatures
+        self._d, self._S, self._seen, self.segments, self._signatures = d, S, seen, segments, signatures
+        self._shifts, self.brought, self._history = shifts, brought, history
         self.prices: dict[tuple[str, ...], float] = {}
         self._white = np.linalg.cholesky(S)
         self._target = np.linalg.solve(self._white, d)
@@ -129,10 +183,92 @@ class Look:
         parts = self._reweighted(parts)
         misfits = self._misfits((self._begin + parts[:, None] * self._way)[:, None])
         found: dict[str, Fitted] = {}
-        for row, (fault, misfit) in enumerate(zip(self._segments.faults, misfits.tolist(), strict=True)):
+        for row, (fault, misfit) in enumerate(zip(self.segments.faults, misfits.tolist(), strict=True)):
             if fault not in found or misfit < found[fault].misfit:
                 found[fault] = Fitted(misfit, row, float(parts[row]))
+        for fault, profile in self._with_consequence.items():
+            best = int(profile.misfits.argmin())
+            least = Fitted(float(profile.misfits[best]), int(profile.rows[best]), float(profile.parts[best]))
+            found[fault] = min(found[fault], least)
         return found
+
+    @cached_property
+    def growing_or_not(self) -> dict[str, float]:
+        """The misfit of every fault, of one size or one that has grown, which costs `GROWN`."""
+        grown = {fault: misfit for fault, (misfit, _) in self._grown.items()}
+        self.prices |= {(fault,): GROWN for fault in grown}
+        return self.faults | grown
+
+    @cached_property
+    def _grown(self) -> dict[str, tuple[float, int]]:
+        """The misfit of the faults that fit better if they have grown, with its cost, and the chain that does."""
+        found: dict[str, tuple[float, int]] = {}
+        if self._history is None:
+            return found
+        for number in range(int(self.segments.chain.max(initial=-1)) + 1):
+            tried = self._courses(number)
+            variance = self._S.diagonal() + (GAMMA * tried) ** 2
+            near = ((tried - self._d) ** 2 / variance).sum(axis=1).argsort()[:NEAREST]
+            misfit = float(self._misfits(self._whitened(tried[near])[:, None]).min()) + GROWN
+            fault = self.segments.faults[int(np.flatnonzero(self.segments.chain == number)[0])]
+            if misfit < found.get(fault, (self.faults[fault], 0))[0]:
+                found[fault] = misfit, number
+        return found
+
+    def _courses(self, number: int) -> FloatArray:
+        """The mean shifts (M, D) of one chain's fault by its present size and the course of its growth."""
+        assert self._history is not None
+        rows = self.segments.end[self.segments.chain == number] - 1  # without that of no fault
+        return grown(self._history, rows, self._seen)
+
+    def _whitened(self, mu: FloatArray) -> FloatArray:
+        """Shifts (M, D) in the coordinates in which S is the unit matrix."""
+        return np.asarray(np.linalg.solve(self._white, mu.T).T)
+
+    def profile(self, fault: str) -> Profile:
+        """The misfits of a fault's sizes, in the form that fits best, with its consequence where that fits best.
+
+        A fault may have grown: the misfits of its present size, by the best course, are behind them and cost `COURSE`.
+        """
+        best, brought = self.fitted[fault], self._with_consequence.get(fault)
+        number = self._grown[fault][1] if fault in self._grown else int(self.segments.chain[best.row])
+        if brought is not None and brought.misfits.min() <= best.misfit and fault not in self._grown:
+            return brought
+        own = np.flatnonzero(self.segments.chain == number)
+        rows, parts = np.repeat(own, SIZES), np.tile(np.linspace(0.0, 1.0, SIZES), len(own))
+        mu = self._begin[rows] + parts[:, None] * self._way[rows]
+        constant = Profile(rows, parts, self._misfits(mu[:, None]))
+        if self._history is None:
+            return constant
+        misfits = self._misfits(self._whitened(self._courses(number))[:, None])
+        at = present_sizes(len(own))
+        step = np.minimum(at.astype(np.intp), len(own) - 1)
+        grown = Profile(own[step], at - step, misfits.reshape(len(at), -1).min(axis=1) + COURSE)
+        return Profile(*(np.concatenate(pair) for pair in zip(constant, grown, strict=True)))
+
+    def lengths(self, rows: Indices, parts: FloatArray) -> FloatArray:
+        """Return the lengths (M,) of the shifts of faults of some sizes, in standard deviations of what is seen."""
+        return np.asarray(np.sqrt(((self._begin[rows] + parts[:, None] * self._way[rows]) ** 2).sum(axis=1)))
+
+    @cached_property
+    def _with_consequence(self) -> dict[str, Profile]:
+        return {fault: self._with(brought) for fault, brought in self.brought.items()}
+
+    def _with(self, brought: Consequences) -> Profile:
+        """The fault's larger sizes, with the best size of its consequence in each mode in which that shows."""
+        rows, shifts = brought.rows, self._shifts[brought.rows]  # (I, J, D)
+        part = np.linspace(0.0, 1.0, BETWEEN + 1)[:, None, None]
+        tried = (shifts[:-1, None] * (1.0 - part) + shifts[1:, None] * part).reshape(-1, *shifts.shape[1:])  # (M, J, D)
+        mu = tried[:, 0].copy()
+        weight = 1.0 / (self._S.diagonal() + (GAMMA * self._d) ** 2)
+        modes = np.nonzero(self._seen)[0]  # (D,)
+        for mode in np.flatnonzero(brought.shows):
+            of = modes == mode
+            mu[:, of] = _nearest(tried[:, :, of], self._d[of], weight[of])
+        misfits = self._misfits(self._whitened(mu)[:, None])
+        ends = list(zip(self.segments.begin.tolist(), self.segments.end.tolist(), strict=True))
+        of = [ends.index(pair) for pair in zip(rows[:-1, 0].tolist(), rows[1:, 0].tolist(), strict=True)]
+        return Profile(np.repeat(of, BETWEEN + 1), np.tile(part.ravel(), len(of)), misfits)
 
     @property
     def fitting(self) -> list[Fitted]:
@@ -149,10 +285,10 @@ class Look:
         """The misfit of every two faults at once, at their best sizes."""
         sizes, far = self._sizes_of_two()
         at: dict[tuple[str, ...], tuple[int, int]] = {}
-        faults = self._segments.faults
+        faults = self.segments.faults
         for i, j in combinations(range(len(faults)), 2):
             pair = tuple(sorted((faults[i], faults[j])))
-            if faults[i] == faults[j] or not self._segments.alone.isdisjoint(pair):
+            if faults[i] == faults[j] or not self.segments.alone.isdisjoint(pair):
                 continue
             if pair not in at or far[i, j] < far[at[pair]]:
                 at[pair] = i, j
@@ -228,6 +364,16 @@ class Look:
         return np.moveaxis(np.take_along_axis(parts, best[:, None], 0)[0], 0, 2), np.take_along_axis(far, best, 0)[0]
 
 
+def _nearest(polygons: FloatArray, d: FloatArray, weight: FloatArray) -> FloatArray:
+    """The point (M, D) of each polygon (M, J, D) that is nearest to `d` (D,), by weighted squares."""
+    begin, way = polygons[:, :-1], np.diff(polygons, axis=1)
+    length = np.maximum((weight * way**2).sum(axis=-1), 1e-300)
+    part = np.clip((weight * (d - begin) * way).sum(axis=-1) / length, 0.0, 1.0)
+    points = begin + part[..., None] * way  # (M, J - 1, D)
+    best = (weight * (d - points) ** 2).sum(axis=-1).argmin(axis=1)
+    return np.asarray(points[np.arange(len(points)), best])
+
+
 class Hypotheses:
     """All faults of a bundle, as polygons of shifts that begin at none."""
 
@@ -237,12 +383,13 @@ class Hypotheses:
         """`sensitive` are the names of the generators that are sensitive to each fault without assumed sizes."""
         self._straying = Straying(evidence)
         self.segments = _segments(evidence, alone)
+        self._brought = {each.fault: _rows_of_consequence(evidence, each.fault) for each in evidence.consequences}
         self._signatures = {
             fault: np.array([name in generators for name in evidence.generators])
             for fault, generators in sensitive.items()
         }
 
-    def look(self, means: Means, level: Level | None = None) -> Look | None:
+    def look(self, means: Means, level: Level | None = None, history: History | None = None) -> Look | None:
         """What the means say at this level, by default an unknown one; None while too little has been seen."""
         seen = means.seen  # (C, K)
         if not seen.any():
@@ -253,7 +400,16 @@ class Hypotheses:
         S = (level.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
         shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
         shifts = np.concatenate([np.zeros((1, len(d))), shift])
-        return Look(d, S, seen, shifts, self.segments, self._signatures)
+        return Look(d, S, seen, shifts, self.segments, self._signatures, self._shown(means), history)
+
+    def _shown(self, means: Means) -> dict[str, Consequences]:
+        """The consequences that show in some mode."""
+        found = {}
+        for (fault, rows), ticks in zip(self._brought.items(), means.brought, strict=True):
+            shows = (means.seen & (ticks > SHOWING * means.ticks)).any(axis=1)
+            if shows.any():
+                found[fault] = Consequences(rows, shows)
+        return found
 
 
 def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
@@ -263,21 +419,33 @@ def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
     return {fault: [each.name for each in manifest.generators if fault in each.faults] for fault in free}
 
 
+def _rows_of_consequence(evidence: Evidence, fault: str) -> Indices:
+    """The rows (I, J) of a fault with its consequence, those without it first."""
+    row = {(h.fault, h.size, h.brought): k for k, h in enumerate(evidence.hypotheses, start=1) if h.share_of is None}
+    sizes = sorted({size for name, size, brought in row if name == fault and brought is not None}, key=abs)
+    sizes_brought = sorted({brought for name, _, brought in row if name == fault and brought is not None}, key=abs)
+    return np.array([[row[fault, size, each] for each in (None, *sizes_brought)] for size in sizes])
+
+
 def _segments(evidence: Evidence, alone: Collection[str]) -> Segments:
     """The chains of sizes: the positive and the negative ones of each form of a fault, from none on."""
     chains: dict[tuple[str, str | None, bool], list[tuple[float, int]]] = {}
-    for row, h in enumerate(evidence.hypotheses, start=1):
+    for row, h in enumerate(evidence.hypotheses[: evidence.simple], start=1):
         chains.setdefault((h.fault, h.share_of, h.size > 0), []).append((abs(h.size), row))
     faults: list[str] = []
+    shares: list[str | None] = []
+    number: list[int] = []
     ends: list[tuple[int, int]] = []
-    for (fault, *_), chain in chains.items():
+    for k, ((fault, share_of, _), chain) in enumerate(chains.items()):
         before = 0
         for _, row in sorted(chain):
             faults.append(fault)
+            shares.append(share_of)
+            number.append(k)
             ends.append((before, row))
             before = row
     begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
-    return Segments(frozenset(alone), faults, begin, end)
+    return Segments(frozenset(alone), faults, shares, np.array(number, dtype=np.intp), begin, end)
 
 
 def confined(

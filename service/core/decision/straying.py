@@ -35,7 +35,8 @@ class Means(NamedTuple):
     """What was seen of C modes and K generators: ticks, squares of visits' lengths, sums of residuals, each (C, K).
 
     A visit is a stay in a mode; the squares say how evenly the ticks lie in visits. `predicted` (C, K) are sums of the
-    signals that were predicted, `shift` (H, C, K) of what each hypothesis would have done to the residuals.
+    signals that were predicted, `shift` (H, C, K) of what each hypothesis would have done to the residuals, `brought`
+    (n, C, K) of the ticks in which a consequence showed.
     """
 
     ticks: FloatArray
@@ -43,11 +44,23 @@ class Means(NamedTuple):
     total: FloatArray
     predicted: FloatArray
     shift: FloatArray
+    brought: FloatArray
 
     @property
     def seen(self) -> Mask:
         """The means (C, K) that count."""
         return np.asarray(self.ticks >= MINIMUM_TICKS)
+
+
+class History(NamedTuple):
+    """What was seen of C modes and K generators in N parts of a window, one after the other.
+
+    `ticks` (N, C, K) and sums of `shift` (N, H, C, K) are as those of `Means`, `age` (N,) is their mean one [ticks].
+    """
+
+    ticks: FloatArray
+    age: FloatArray
+    shift: FloatArray
 
 
 class Level(NamedTuple):

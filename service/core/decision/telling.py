@@ -35,6 +35,10 @@ class Decided(Protocol):
         """Whether what is confirmed comes and goes."""
 
     @property
+    def settled(self) -> bool:
+        """Whether what is confirmed rests on how far residuals deviate in each mode."""
+
+    @property
     def since(self) -> int | None:
         """The tick at which the evidence began."""
 
@@ -48,6 +52,7 @@ class Told(NamedTuple):
 
     suspected: bool
     candidates: list[tuple[tuple[str, ...], int, tuple[str, ...]]]
+    settled: bool = False
 
 
 class Settled(Generic[State]):
@@ -88,7 +93,7 @@ class Teller:
             return [self._event(tick, "started", decision)]
         events = []
         before = self._told.value
-        if self._told.update(Told(decision.suspected, candidates(decision.diagnoses))):
+        if self._told.update(Told(decision.suspected, candidates(decision.diagnoses), decision.settled)):
             self._diagnoses = decision.diagnoses
             events.append(self._event(tick, _transition(before, self._told.value, decision.withdrawn), decision))
             if before.candidates and not self._told.value.candidates:
@@ -114,6 +119,7 @@ class Teller:
             bundle=self.bundle,
             suspected=decision.suspected,
             intermittent=decision.intermittent,
+            settled=decision.settled,
         )
 
 

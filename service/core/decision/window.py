@@ -11,14 +11,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from faultline.service.core.decision.straying import Means, Visit
+from faultline.service.core.decision.straying import History, Means, Visit
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import Span, TimeScale
 
+FIRST = 5
+"""The row of the sums at which those of the hypotheses begin."""
+
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
+CHUNK, CHUNKS = 5, 64
+"""Blocks that are joined once they are no more the last two, and so many of these; then the oldest two become one."""
 
 
 class Window:
@@ -30,30 +35,36 @@ class Window:
     def __init__(self, evidence: Evidence, generators: Sequence[str], time: TimeScale) -> None:
         self._columns = np.array([generators.index(name) for name in evidence.generators])
         self._hypotheses, self._modes = len(evidence.hypotheses), len(evidence.offset) - 1
+        self._consequences = len(evidence.consequences)
         self._part, self._recent = time.ticks(PART), time.ticks(RECENT)
         self.clear()
 
     def clear(self) -> None:
         """Starts a fresh window."""
         K = len(self._columns)
-        # Sums as in `Means`, those of hypotheses behind the others.
-        self._sums = np.zeros((self.PARTS, 4 + self._hypotheses, self._modes, K))
+        # Sums as in `Means`, those of hypotheses and of consequences behind the others.
+        self._sums = np.zeros((self.PARTS, FIRST + self._hypotheses + self._consequences, self._modes, K))
         self._visit = Visit(K)
+        self._tick = 0
 
     def add(self, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick; those at an edge say nothing."""
         self._visit.in_mode(mode)
+        self._tick += 1
         self._forget(mode)
         if mode == EDGE:
             return
-        told = residuals.usable[self._columns]
+        told = residuals.counted[self._columns]
         part = self._sums[-1, :, mode - 1]
         part[0] += told
         part[1] += told * (2.0 * self._visit.length + 1.0)
         part[2] += np.where(told, residuals.r[self._columns], 0.0)
         part[3] += np.where(told, residuals.y_hat[self._columns], 0.0)
+        part[4] += told * self._tick
         if self._hypotheses:
-            part[4:] += np.where(told, residuals.shift, 0.0)
+            part[FIRST : FIRST + self._hypotheses] += np.where(told, residuals.shift, 0.0)
+        if self._consequences:
+            part[FIRST + self._hypotheses :] += told & residuals.brought[:, None]
         self._visit.length = self._visit.length + told
 
     def _forget(self, mode: int) -> None:
@@ -66,39 +77,81 @@ class Window:
         return self._means(self._sums.sum(axis=0))
 
     def _means(self, sums: FloatArray) -> Means:
-        ticks, squares, total, predicted, *shift = sums
+        ticks, squares, total, predicted, _, *rest = sums
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
-        shifts = np.array(shift).reshape(-1, self._modes, len(self._columns))
-        return Means(ticks, squares, total, predicted, shifts)
+        behind = np.array(rest).reshape(-1, self._modes, len(self._columns))
+        shift, brought = behind[: self._hypotheses], behind[self._hypotheses :]
+        return Means(ticks, squares, total, predicted, shift, brought)
 
 
 class Blocks(Window):
-    """The same, of which the newest ticks are a block that can be left out, and those before them the last one."""
+    """The same in blocks, of which the newest can be left out. Of every mode the last `PART` is kept.
 
-    PARTS = 4
+    Blocks before the last two are joined to chunks of `CHUNK` blocks.
+    """
+
+    def clear(self) -> None:
+        """Starts a fresh window."""
+        super().clear()  # the last block, and the newest
+        self._past: list[FloatArray] = []
+        self._joined = 0  # blocks in the newest chunk
+
+    def _forget(self, mode: int) -> None:
+        """Ticks of a mode are forgotten where a chunk ends."""
+
+    @property
+    def means(self) -> Means:
+        """What was seen."""
+        return self._means(np.sum([*self._past, *self._sums], axis=0))
 
     @property
     def before(self) -> Means:
         """What was seen before both blocks."""
-        return self._means(self._sums[:-2].sum(axis=0))
+        return self._means(np.sum([np.zeros_like(self._sums[0]), *self._past], axis=0))
 
     @property
     def block(self) -> Means:
         """What the newest block shows."""
         return self._means(self._sums[-1])
 
+    @property
+    def history(self) -> History:
+        """What was seen, one after the other."""
+        parts = np.array([*self._past, *self._sums])
+        ticks, when = parts[:, 0], parts[:, 4]
+        age = (ticks * self._tick - when).sum(axis=(1, 2)) / np.maximum(ticks.sum(axis=(1, 2)), 1.0)
+        return History(ticks, age, parts[:, FIRST : FIRST + self._hypotheses])
+
     def keep(self) -> None:
         """The block ends: it is the last one now."""
-        self._sums[1] += self._sums[-2]
-        self._sums[-2], self._sums[-1] = self._sums[-1], 0.0
+        if self._past and self._joined < CHUNK:
+            self._past[-1] += self._sums[0]
+            self._joined += 1
+        else:
+            self._past.append(self._sums[0].copy())
+            self._joined = 1
+            self._shorten()
+        self._sums[0], self._sums[1] = self._sums[1], 0.0
+
+    def _shorten(self) -> None:
+        """Forgets of each mode what is older than its last `PART`."""
+        ticks = np.array([chunk[0].max(axis=-1) for chunk in self._past])  # (chunks, C)
+        later = ticks[::-1].cumsum(axis=0)[::-1] - ticks
+        for chunk, modes in zip(self._past, later >= self._part, strict=True):
+            chunk[:, modes] = 0.0
+        self._past = [chunk for chunk in self._past[:-1] if chunk[0].any()] + self._past[-1:]
+        if len(self._past) > CHUNKS:
+            self._past[1] += self._past[0]
+            del self._past[0]
 
     def leave_out(self) -> None:
         """The block ends and is left out, and so is the last one."""
-        self._sums[-2:] = 0.0
+        self._sums[:] = 0.0
 
     def forget(self) -> None:
         """Leaves out all but the block."""
-        self._sums[:-1] = 0.0
+        self._past.clear()
+        self._sums[0] = 0.0
 
 
 class Recent(Window):

@@ -61,11 +61,12 @@ class DetectorBank:
         self._frozen = np.zeros(len(generators), dtype=np.int64)  # ticks since each could tell
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
-        """Takes the residuals (T,) of a tick; those that cannot tell are not looked at."""
+        """Takes the residuals (T,) of a tick; those that are no evidence are not looked at."""
         standard = self._standard(mode, residuals)
-        self._frozen = np.where(residuals.usable, 0, self._frozen + 1)
+        counts = residuals.counted
+        self._frozen = np.where(counts, 0, self._frozen + 1)
         for each, row, s in zip(self._detectors, self._rows, standard, strict=True):
-            if residuals.usable[row]:
+            if counts[row]:
                 each.update(tick, float(s))
 
     def beside(self, covered: frozenset[int]) -> bool:

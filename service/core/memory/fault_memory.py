@@ -229,7 +229,7 @@ class FaultMemory:
             return
         if before is None or names(before.diagnoses) & names(episode.told.diagnoses):
             entry = self.faults[episode.number]
-            is_news = candidates(entry.diagnoses) != candidates(episode.told.diagnoses)
+            is_news = entry.diagnoses != episode.told.diagnoses  # also how large it is
             yield self._put(with_told(entry, episode, self.cycle), "refined" if is_news else None)
             return
         self.faults[before.number] = before

@@ -21,6 +21,15 @@ has alarmed for a while. withdrawn: what was confirmed rests on samples that cam
 that nothing is known. cannot_tell: other tests than before cannot tell."""
 
 
+class Size(msgspec.Struct, frozen=True, kw_only=True):
+    """How large a fault is, or what disturbs an equation: a 95 % interval."""
+
+    low: Annotated[float, Meta(description="the least size, with its sign: less is negative")]
+    high: Annotated[float, Meta(description="the largest")]
+    unit: Annotated[str, Meta(description="of both: as people read it, `%` of a part")]
+    of: Annotated[str, Meta(description="of what it is a part; empty where the size is no part of anything")] = ""
+
+
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """One explanation of what is wrong."""
 
@@ -47,6 +56,13 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
             description="of what is unknown: with a `p`, the equation that explains it when something enters it that "
             "is no component's fault, as a leak enters a balance; without, those that all tests which "
             "deviate have in common (`faultline bundle show`)"
+        ),
+    ] = []
+    sizes: Annotated[
+        list[Size],
+        Meta(
+            description="how large it is, of a single fault, or of what enters the equation in `near`, once the "
+            "diagnosis has `settled`; of the moment of telling, as `p`; else empty"
         ),
     ] = []
 
@@ -108,6 +124,13 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
         Meta(
             description="what is confirmed comes and goes: explanations are those that the tests allow, all of one "
             "rank and without `p`"
+        ),
+    ] = False
+    settled: Annotated[
+        bool,
+        Meta(
+            description="the explanations rest on how far residuals deviate in each mode; before, some 20 s, they are "
+            "those that the tests allow, and names may be missing or too many"
         ),
     ] = False
 

@@ -16,6 +16,8 @@ import onnxruntime as ort
 
 from faultline.service.core.manifest import Evidence, Generator, Input
 from faultline.service.core.residuals.assumed import Assumed
+from faultline.service.core.signals.gate import Gate
+from faultline.service.core.signals.regions import Regions
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.core.time_scale import ticks_of
 
@@ -23,18 +25,25 @@ HELD_TICKS = 2
 OUTSIDE = 0.01
 """How far inputs may lie outside their operating region, in parts of its width: a hundredth is rounding."""
 
+STALE = 0.3
+"""A sample older than this part of its `maximum_age_s`, of five periods, stands for one or more that were lost."""
+
 NOVEL = 1.0
 """Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
 
 
-NOTHING = np.zeros((0, 0))
+NOTHING, NOWHERE = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
+NOT_HELD = np.zeros((), dtype=np.bool_)
+FRESH = np.zeros(())
 
 
 class Residuals(NamedTuple):
     """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
 
     `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
-    `level` are the residuals without the drive's baseline (`core.decision.baseline_level`), once that is taken off.
+    `brought` (n,) are the consequences of the evidence that show or did lately. `level` are the residuals without the
+    drive's baseline (`core.decision.baseline_level`), once that is taken off. Those are `held` (T,) that rest on
+    a sample which the gate has replaced, or on one from before a lost frame.
     """
 
     r: FloatArray
@@ -42,7 +51,14 @@ class Residuals(NamedTuple):
     sigma: FloatArray
     usable: Mask
     shift: FloatArray = NOTHING
+    brought: Mask = NOWHERE
     level: FloatArray | None = None
+    held: Mask = NOT_HELD
+
+    @property
+    def counted(self) -> Mask:
+        """The residuals (T,) that are evidence: of tests that can tell, from samples that were received."""
+        return np.asarray(self.usable & ~self.held)
 
 
 class Graph:
@@ -67,8 +83,11 @@ class Graph:
 class Generators(Protocol):
     """Interface of the generators, called once a tick."""
 
-    def step(self, z: FloatArray, usable: Mask) -> Residuals:
-        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
+    def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
+        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at.
+
+        `ages` (nz,) are the times [s] since they were received.
+        """
 
 
 class _Part(NamedTuple):
@@ -111,13 +130,22 @@ class GeneratorBank:
         self._warm_up = np.array([ticks_of(generator.warm_up_s, period_s) for generator in generators])
         self._x = np.zeros(len(states))
         self._z = self._neutral.copy()
+        self._gate = Gate(inputs)
+        self._stale = STALE * np.array([channel.maximum_age_s for channel in inputs])
         self._missed = np.full(len(generators), HELD_TICKS + 1)
         self._ticks = np.zeros(len(generators), dtype=np.int64)
+        consequences = [] if evidence is None else evidence.consequences
+        self._consequences = Regions([each.where for each in consequences], inputs)
+        self._since_shown = np.full(len(consequences), self._warm_up.max() + 1)
         self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
 
-    def step(self, z: FloatArray, usable: Mask) -> Residuals:
-        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at."""
-        self._z = np.where(usable, z, self._z)
+    def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
+        """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at.
+
+        `ages` (nz,) are the times [s] since they were received. What is computed from a stale one is not counted: the
+        operation may have changed since.
+        """
+        self._z = np.where(usable, self._gate.passed(z, usable), self._z)
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
         fresh = self._offset + self._gain @ self._z
         self._restart(fed & (self._missed > HELD_TICKS), fresh)
@@ -132,7 +160,15 @@ class GeneratorBank:
         shift = NOTHING
         if self._assumed is not None:
             shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
-        return Residuals(r, y_hat, sigma, advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL), shift)
+        held = np.asarray((self._needs & (self._gate.held | (ages > self._stale))).any(axis=1))
+        told = advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL)
+        return Residuals(r, y_hat, sigma, told, shift, self._brought(), held=held)
+
+    def _brought(self) -> Mask:
+        """The consequences that show, or did so lately that states of the generators remember it."""
+        shows = self._consequences.holding(self._z)
+        self._since_shown = np.where(shows, 0, self._since_shown + 1)
+        return np.asarray(self._since_shown <= self._warm_up.max())
 
     def _run(self) -> list[FloatArray]:
         """The outputs of all graphs, one after the other."""

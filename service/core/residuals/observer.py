@@ -30,7 +30,7 @@ BLOCK = 4096
 class Tick(NamedTuple):
     """One tick: number, log time [s], samples (nz,), what each is worth (nz,), mode (of `MODES`), residuals.
 
-    `ages` (nz,) are the times since the samples' frames [s], NaN where there is none, if the observer gives them.
+    `ages` (nz,) are the times since the samples' frames [s], NaN where there is none.
     """
 
     number: int
@@ -39,7 +39,7 @@ class Tick(NamedTuple):
     quality: Qualities
     mode: int
     residuals: Residuals
-    ages: FloatArray | None = None
+    ages: FloatArray
 
     @property
     def usable(self) -> Mask:
@@ -60,7 +60,7 @@ class Decoder(Protocol):
 
 
 class Observer:
-    """Frames and the clock in, ticks out. The clock is an argument. Ticks have ages where `gives_ages` is set."""
+    """Frames and the clock in, ticks out. The clock is an argument."""
 
     def __init__(
         self,
@@ -82,7 +82,6 @@ class Observer:
         self._now = -np.inf
         self._number = 0
         self._due = np.inf  # log time of the next tick
-        self.gives_ages = False
 
     def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Tick]:
         """Take a frame received at log time `t_s` [s] on a bus; return the ticks that lie before it.
@@ -113,11 +112,10 @@ class Observer:
             self._origin = self._due = samples.complete_s + PHASE_S
         doubts = deque(samples.doubts)
         while len(dues := self._dues(received.last_s)):
-            ages = samples.ages(dues) if self.gives_ages else [None] * len(dues)
-            for due, z, quality, age in zip(dues.tolist(), *samples.at(dues), ages, strict=True):
+            for due, z, quality, ages in zip(dues.tolist(), *samples.at(dues), samples.ages(dues), strict=True):
                 while doubts and doubts[0].t <= due:
                     self._sampler.note_doubt(*doubts.popleft()[1:])
-                yield self._tick(due, z, quality, age)
+                yield self._tick(due, z, quality, ages)
         for doubt in doubts:
             self._sampler.note_doubt(*doubt[1:])
         self._now = received.last_s
@@ -157,15 +155,15 @@ class Observer:
     def _run(self, t: float, including: bool) -> list[Tick]:
         ticks: list[Tick] = []
         while self._due < t or (including and self._due == t):
-            ages = self._sampler.ages(self._due) if self.gives_ages else None
-            ticks.append(self._tick(self._due, *self._sampler.sample(self._due), ages))
+            ticks.append(self._tick(self._due, *self._sampler.sample(self._due), self._sampler.ages(self._due)))
         return ticks
 
-    def _tick(self, due: float, z: FloatArray, quality: Qualities, ages: FloatArray | None) -> Tick:
+    def _tick(self, due: float, z: FloatArray, quality: Qualities, ages: FloatArray) -> Tick:
         if self._origin is None:
             self._origin = due
         usable = are_good(quality)
-        tick = Tick(self._number, due, z, quality, self._modes.update(z, usable), self._bank.step(z, usable), ages)
+        residuals = self._bank.step(z, usable, ages)
+        tick = Tick(self._number, due, z, quality, self._modes.update(z, usable), residuals, ages)
         self._number += 1
         self._due = self._origin + self._number * self._period
         return tick

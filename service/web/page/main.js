@@ -6,7 +6,7 @@ import { Matrix } from "./matrix.js";
 import { Memory } from "./memory.js";
 import { Signals } from "./signals.js";
 import { Test } from "./test.js";
-import { candidate, clock, codes, condition, separation, verdict } from "./words.js";
+import { candidate, clock, codes, condition, separation, sizes, verdict } from "./words.js";
 
 const STALE_MS = 3000; // without a tick: what is shown is not what is
 const STATE_MS = 2000;
@@ -213,7 +213,7 @@ class Page {
       const p = each.p === null ? "no probability yet" : `p = ${each.p.toFixed(3)}`;
       const bar = each.p === null ? null : el("span", { class: "p", "aria-hidden": "true" }, el("span", { dataset: { p: each.p } }));
       if (bar) bar.firstChild.style.width = `${100 * each.p}%`;
-      return el("li", { value: each.rank }, el("b", {}, candidate(this.system, each)), ` ${[p, codes(this.system, each)].filter(Boolean).join(", ")}`, bar);
+      return el("li", { value: each.rank }, el("b", {}, candidate(this.system, each)), ` ${[sizes(each), p, codes(this.system, each)].filter(Boolean).join(", ")}`, bar);
     });
     $("diagnoses").replaceChildren(...(items.length ? items : [el("p", {}, "Nothing is confirmed that needs one.")]));
     const lines = separating.map((each) => el("p", {}, separation(this.system, each)));

@@ -53,6 +53,14 @@ export function candidate(system, diagnosis) {
   return diagnosis.faults.map((name) => fault(system, name)).join(" and ");
 }
 
+/** How large it is, what is lost as a loss. */
+export function sizes(diagnosis) {
+  return diagnosis.sizes.map(({ low, high, unit, of }) => {
+    if (of && high <= 0) return `${-high} to ${-low} ${unit} of the ${of} lost`;
+    return `by ${low} to ${high} ${unit}${of && ` of the ${of}`}`;
+  }).join(", ");
+}
+
 export function fault(system, name) {
   const known = system.faults.find((each) => each.name === name);
   return known ? [`${known.component}${known.place ? ` (${known.place})` : ""}`, known.description].filter(Boolean).join(": ") : name;

@@ -262,6 +262,34 @@ WRONG = [
         "m.toml: equation[0].fault.shares: are fractions by which a parameter changes, none of them zero, all above -1",
     ),
     (
+        "a consequence of no fault",
+        change('relative_to = "k"', 'relative_to = "k", consequence = {fault = "fX", where = {y = {above = 1.0}}}'),
+        "m.toml: equation[0].fault.consequence.fault: fX is no other fault; those are fy",
+    ),
+    (
+        "a consequence of two sizes",
+        change('relative_to = "k"', 'relative_to = "k", consequence = {fault = "fy", where = {y = {above = 1.0}}}'),
+        "m.toml: equation[0].fault.consequence: goes with three sizes or more, all of one sign",
+    ),
+    (
+        "a consequence of one size",
+        change(
+            'relative_to = "k"',
+            'relative_to = "k", consequence = {fault = "fy", where = {y = {above = 1.0}}, sizes = [-0.5]}',
+        ),
+        "m.toml: equation[0].fault.consequence.sizes: are the two or more largest of the fault's sizes, all of one ",
+    ),
+    (
+        "a consequence everywhere",
+        change('relative_to = "k"', 'relative_to = "k", consequence = {fault = "fy"}'),
+        "m.toml: equation[0].fault.consequence.where: is missing; say at which signals the consequence shows",
+    ),
+    (
+        "a consequence where nobody knows",
+        change('relative_to = "k"', 'relative_to = "k", consequence = {fault = "fy", where = {h = {above = 1.0}}}'),
+        "m.toml: equation[0].fault.consequence.where.h: h is no known signal; those are ",
+    ),
+    (
         "sizes of no parameter",
         change('relative_to = "k"', 'relative_to = "y"'),
         "m.toml: equation[0].fault.relative_to: y is no parameter; leave it away for sizes in SI units",

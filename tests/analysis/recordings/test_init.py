@@ -44,7 +44,7 @@ def test_a_log_with_the_dbc_that_fits_best_is_a_recording(drive: Path, capsys: p
     assert init(drive / "can.log", "--system", "uds", *SAID) == 0
     said = capsys.readouterr().out
     assert "ours.dbc: fits best of 2, with 7 of 7 identifiers" in said
-    assert f"{drive}: 9233 frames read" in said
+    assert f"{drive}: 9775 frames read" in said
     recording = load_recording(drive)
     assert (recording.id, recording.vehicle, recording.sensor_set) == ("drive-3", "v", "instrumented")
     assert recording.can_log.signals == {}

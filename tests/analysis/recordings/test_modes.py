@@ -26,7 +26,8 @@ def test_the_urea_dosing_systems_modes_are_those_of_its_file() -> None:
     assert modes.names == ("edge", "idle", "partial", "maximum")
     assert (modes.edges, modes.settle_s, time_of(UDS4)) == ({"dc_dose": 0.03, "n_p": 4.0}, 8.0, (0.2, 20.0))
     assert stand_ins(UDS4) == (0, 1, 2, 3)
-    assert followed(UDS4, [0.0] * 40 + [0.0, 0.02, 0.04, 0.5]) == [EDGE] * 39 + [IDLE, IDLE, PARTIAL, PARTIAL, EDGE]
+    assert followed(UDS4, [0.0] * 40 + [0.0, 0.02, 0.02, 0.5]) == [EDGE] * 39 + [IDLE, IDLE, PARTIAL, PARTIAL, EDGE]
+    assert followed(UDS4, [0.0] * 40 + [0.02, 0.04]) == [EDGE] * 39 + [IDLE, PARTIAL, EDGE]  # a step of two ticks
 
 
 def test_without_edges_the_mode_for_the_rest_stands_for_them() -> None:

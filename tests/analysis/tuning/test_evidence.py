@@ -67,7 +67,8 @@ class Made:
 
     def shift(self, fault: str, size: float) -> Array:
         """(mode, generator), on the first recording."""
-        [row] = [k for k, h in enumerate(self.evidence.hypotheses) if (h.fault, h.size) == (fault, size)]
+        simple = self.evidence.hypotheses[: self.evidence.simple]
+        [row] = [k for k, h in enumerate(simple) if (h.fault, h.size) == (fault, size)]
         one = self.recordings[0]
         shifts = self.shifts(one)[:, row]
         return np.array(
@@ -89,7 +90,8 @@ class Made:
         for mode, r, usable, shift in zip(seen.mode, seen.r, seen.usable, self.shifts(seen), strict=True):
             usual = np.zeros(len(r))
             usual[columns] = np.array(self.evidence.operation)[mode]
-            window.add(int(mode), Residuals(r, usual, r, usable, shift))
+            nothing = np.zeros(len(self.evidence.consequences), dtype=np.bool_)
+            window.add(int(mode), Residuals(r, usual, r, usable, shift, nothing))
         found = Hypotheses(self.evidence).look(window.means)
         assert found is not None
         return found
@@ -112,8 +114,15 @@ def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> Non
     assumable = made.bank.model.assumable.values()
     sizes = {(fault.name, size, None) for fault in assumable for size in fault.sizes}
     shares = {(fault.name, share, fault.share_of) for fault in assumable for share in fault.shares}
-    found = [(h.fault, h.size, h.share_of) for h in made.evidence.hypotheses]
+    simple = made.evidence.hypotheses[: made.evidence.simple]
+    found = [(h.fault, h.size, h.share_of) for h in simple]
     assert ({*found}, len(found)) == (sizes | shares, len(sizes) + len(shares))
+    behind = [h for h in made.evidence.hypotheses if h.brought is not None]
+    filters = {"fA_t", "fA_p", "fA_du"}
+    assert {h.fault for h in behind} == filters | {"fy_p_du"}
+    assert {h.size for h in behind if h.fault in filters} == {-0.8, -0.92, -0.97}  # the larger half of the sizes
+    assert {h.size for h in behind if h.fault not in filters} == {-5e5, -3e5}  # as the model says
+    assert len(simple) + len(behind) == len(made.evidence.hypotheses)
     shape = (len(MODES), len(made.evidence.generators))
     assert np.shape(made.evidence.offset) == np.shape(made.evidence.allowance) == shape
 
@@ -140,7 +149,7 @@ def test_a_test_that_does_not_see_a_fault_does_not_move(made: Made) -> None:
     shifts = made.shifts(made.recordings[0])
     disturbed = {e.disturbance.name: e.name for e in made.bank.model.equations.values() if e.disturbance}
     assert disturbed == {"fq_leak": "e10"}
-    for row, hypothesis in enumerate(made.evidence.hypotheses):
+    for row, hypothesis in enumerate(made.evidence.hypotheses[: made.evidence.simple]):
         for column, name in enumerate(made.evidence.generators):
             [generator] = [g for g in made.bank.generators if g.name == name]
             if hypothesis.fault not in generator.faults and disturbed.get(hypothesis.fault) not in generator.equations:
@@ -154,6 +163,17 @@ def test_a_share_of_the_pumps_flow_is_lost_as_a_smaller_setting_loses_it(made: M
     columns = [rows.index(name) for name in made.evidence.generators]
     value = made.bank.model.parameters["eps_p"].value
     r = made.bank.simulate([{}, {"eps_p": 0.5 * value}], one.z, made.bank.start(one.z[0]))[:, :, columns]
+    np.testing.assert_allclose(made.shifts(one)[-1, row], (r[:, 0] - r[:, 1])[-1], rtol=1e-3, atol=1.0)
+
+
+def test_a_filter_that_is_all_but_shut_takes_of_the_pumps_flow_as_well(made: Made) -> None:
+    """A fault with its consequence: both parameters differ at once, which is no sum of two shifts."""
+    row = [(h.fault, h.size, h.brought) for h in made.evidence.hypotheses].index(("fA_t", -0.8, -0.5))
+    one, rows = made.recordings[0], [g.name for g in made.bank.generators]
+    columns = [rows.index(name) for name in made.evidence.generators]
+    model = made.bank.model
+    both = {"fA_t": model.faults["fA_t"].absolute(-0.8, model), "eps_p": 0.5 * model.parameters["eps_p"].value}
+    r = made.bank.simulate([{}, both], one.z, made.bank.start(one.z[0]))[:, :, columns]
     np.testing.assert_allclose(made.shifts(one)[-1, row], (r[:, 0] - r[:, 1])[-1], rtol=1e-3, atol=1.0)
 
 
@@ -193,7 +213,7 @@ def test_two_faults_at_once_fit_as_such_and_no_single_one_does(made: Made, names
 
 
 def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None:
-    """Visits whose level strays by 1 kPa: tuning finds that spread, and a longer visit does not get surer."""
+    """Visits whose level strays by 1 kPa: tuning finds an upper bound, and a longer visit does not get surer."""
     rng = np.random.default_rng(6)
     strayed = []
     for one in made.recordings:
@@ -208,7 +228,7 @@ def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None
     evidence, _ = gather(made.bank, made.offset, strayed, OWN)
     column = evidence.generators.index("t02.ode")
     for visit in np.array(evidence.visit)[list(STEADY)]:
-        assert np.sqrt(visit[column, column]) == pytest.approx(1e3, rel=0.35)
+        assert 1e3 < np.sqrt(visit[column, column]) < 1.8e3
         assert np.linalg.eigvalsh(visit).min() > -1e-6
 
 

@@ -51,10 +51,9 @@ def drive(seed: int, offset: float = 0.0, ticks: int = 4000, without: Sequence[i
     usable = np.repeat(~np.isin(mode, [*without])[:, None], 2, axis=1)
     sigma = np.full((ticks, 2), 50.0)
     seen = Seen(f"made-{seed}", np.zeros((ticks, 5)), r, usable, mode, MODES, TIME, sigma)
-    told = [
-        Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), int(mode[k]), Residuals(r[k], r[k], sigma[k], usable[k]))
-        for k in range(ticks)
-    ]
+    nothing, good = np.zeros(5), np.zeros(5, np.int8)
+    residuals = [Residuals(*each) for each in zip(r, r, sigma, usable, strict=True)]
+    told = [Tick(k, 0.2 * k, nothing, good, int(mode[k]), residuals[k], nothing) for k in range(ticks)]
     return Drive(f"{seed:064d}", told, seen, [])
 
 

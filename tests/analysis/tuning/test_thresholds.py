@@ -202,7 +202,8 @@ def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
     """Such as one cut off in its warm-up: what would last 15 s, it cannot show."""
     residuals = Residuals(np.zeros(2), np.zeros(2), np.ones(2), np.ones(2, np.bool_))
     blind = residuals._replace(usable=np.array([True, False]))
-    ticks = [Tick(k, 0.2 * k, np.zeros(5), np.zeros(5, np.int8), IDLE, residuals) for k in range(TOLD_TICKS - 1)]
+    nothing, good = np.zeros(5), np.zeros(5, np.int8)
+    ticks = [Tick(k, 0.2 * k, nothing, good, IDLE, residuals, nothing) for k in range(TOLD_TICKS - 1)]
     with pytest.raises(InputError, match=f"cut-off: some test could tell for {TOLD_TICKS - 1} ticks only"):
         seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)], MODES, TIME)
     assert len(seen("whole", [*ticks, ticks[0]], MODES, TIME).r) == TOLD_TICKS

@@ -127,7 +127,7 @@ TOGETHER: list[tuple[Change, str]] = [
         rf"evidence\.generators\[{K}\]: 't02\.ode' is there twice",
     ),
     (
-        lambda m: m["evidence"]["generators"].append("t06.ode"),
+        lambda m: m["evidence"]["generators"].append("t09.ode"),
         rf"evidence\.offset\[0\]: has length {K}, but there are {K + 1} evidence generators",
     ),
     (lambda m: m["evidence"]["offset"][2].pop(), rf"evidence\.offset\[2\]: has length {K - 1}, but there are {K}"),
@@ -145,10 +145,33 @@ TOGETHER: list[tuple[Change, str]] = [
         rf"evidence\.noise\[1\]\[2\]: has length {K - 1}, but there are {K}",
     ),
     (lambda m: m["evidence"].update(graph=None), rf"evidence\.graph: None for {HYPOTHESES} hypotheses"),
-    (lambda m: m["evidence"].update(hypotheses=[]), r"evidence\.graph: 'faults\.onnx' for 0 hypotheses"),
+    (
+        lambda m: m["evidence"].update(hypotheses=[], consequences=[], sizes=[]),
+        r"evidence\.graph: 'faults\.onnx' for 0 hypotheses",
+    ),
     (lambda m: m["evidence"].update(graph="x.onnx"), r"evidence\.graph: 'x\.onnx' is not in files"),
     (lambda m: m["generators"][3]["equations"].append("e99"), r"generators\[3\]\.equations: unknown equation 'e99'"),
     (lambda m: m["equations"].append(m["equations"][0]), r"equations\[\d+\]\.name: 'e\d+' is there twice"),
+    (
+        lambda m: m["evidence"]["hypotheses"][0].update(brought=-0.5),
+        r"evidence\.hypotheses: one with a consequence is before one without",
+    ),
+    (
+        lambda m: m["evidence"].update(consequences=[]),
+        r"evidence\.hypotheses: unknown consequence of 'fA_t'",
+    ),
+    (
+        lambda m: m["evidence"]["hypotheses"][-1].update(size=-0.5),
+        r"evidence\.consequences\[\d\]: not assumed with the two or more largest sizes of 'fy_p_du'",
+    ),
+    (
+        lambda m: m["evidence"]["consequences"][0].update(brings="fX"),
+        r"evidence\.consequences\[0\]: unknown hypothesis 'fX'",
+    ),
+    (
+        lambda m: m["evidence"]["consequences"][0]["where"].update(nowhere={"above": 1.0}),
+        r"evidence\.consequences\[0\]\.where: unknown signal 'nowhere'",
+    ),
     (
         lambda m: m["evidence"]["hypotheses"][7].update(fault="fX"),
         r"evidence\.hypotheses\[7\]\.fault: unknown fault 'fX'",

@@ -10,10 +10,13 @@ from ports import multicast
 
 from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.bus import Bus, open_bus
+from faultline.service.core.decision.decision import Decision
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Event
 from faultline.service.core.records.health import Condition
+from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.traffic import Traffic
+from faultline.service.core.signals.values import Mask
 from faultline.service.daemon.pipeline import FAILED_S, LOST_S, BusChannel, Pipeline, watched
 from faultline.service.logs import Frame, open_log
 
@@ -26,6 +29,11 @@ MESSAGES = {layout.name for layout in BUNDLE.table.layouts}
 def recording(later_s: float = 0.0, until_s: float = 1e9) -> list[Frame]:
     """The golden one, some time later."""
     return [Frame(t + later_s, n, extended, data) for t, n, extended, data in LOG.relative() if t < until_s]
+
+
+def name_of(frame: Frame) -> str | None:
+    layout = BUNDLE.table.layout_of(frame.can_id, frame.is_extended)
+    return None if layout is None else layout.name
 
 
 def looked_at(made: Pipeline, frames: list[Frame], until_s: float) -> dict[float, set[Condition]]:
@@ -176,6 +184,27 @@ def test_lost_frames_are_told_while_they_are_lost(bus: Bus, monkeypatch: pytest.
     assert line.look(1.0) == {Condition("frames-lost", "powertrain")}
     assert line.look(1.0 + LOST_S - 0.1) == {Condition("frames-lost", "powertrain")}
     assert line.look(1.0 + LOST_S) == set()
+
+
+def test_a_tick_whose_frames_were_lost_is_not_counted() -> None:
+    """Two frames of the controller are lost: no test that needs one counts the tick of the second, and all go on."""
+    counted, usable = list[Mask](), list[Mask]()
+
+    def watch(tick: Tick, _: Decision) -> None:
+        counted.append(tick.residuals.counted)
+        usable.append(tick.residuals.usable)
+
+    monitor = Monitor(BUNDLE.manifest, BUNDLE.bank(), BUNDLE.table, "truck", BUNDLE.id, watch)
+    frames = recording(until_s=60.0)
+    lost = [frame for frame in frames if name_of(frame) == "UDS_ECU" and frame.t > 45.0][:2]
+    list(monitor.log(frame for frame in frames if frame not in lost))
+    assert monitor.origin_s is not None
+    first, last = (int(np.ceil((frame.t - monitor.origin_s) / BUNDLE.manifest.period_s)) for frame in lost)
+    needs = [bool({"y_p_du", "n_p", "dc_dose"} & {*generator.inputs}) for generator in BUNDLE.manifest.generators]
+    assert np.all(counted[first - 5 : first])
+    assert not np.any(counted[last] & needs)
+    assert np.all(counted[last + 1 : last + 6])
+    assert np.all(usable[last])
 
 
 @pytest.mark.parametrize(("share", "surely"), [(0.3, True), (0.5, False)])

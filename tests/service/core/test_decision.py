@@ -62,6 +62,9 @@ def usual(mode: int) -> FloatArray:
     return y_hat
 
 
+NOTHING_BROUGHT = np.zeros(len(EVIDENCE.consequences), dtype=np.bool_)
+
+
 class Vehicle:
     """A decision, fed with residuals whose shifts are known. State: the tick."""
 
@@ -96,7 +99,9 @@ class Vehicle:
         shift = np.array([moved(fault, size, mode if mode != EDGE else MAXIMUM) for fault, size in sizes])
         usable = np.array([name not in mute for name in NAMES])
         for _ in range(ticks):
-            self.decision.update(self.tick, mode, Residuals(r, usual(mode), SCALE[:, mode], usable, shift))
+            self.decision.update(
+                self.tick, mode, Residuals(r, usual(mode), SCALE[:, mode], usable, shift, NOTHING_BROUGHT)
+            )
             self.tick += 1
 
     @property
@@ -141,6 +146,7 @@ def test_two_faults_at_once_are_told_as_two_and_without_a_probability() -> None:
     for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL, MAXIMUM):
         vehicle.drive(SETTLED, mode, {"fA_du": 0.6, "fA_t": 0.7})
     assert [name for name, rank in vehicle.named if rank == 1] == ["fA_du+fA_t"]
+    assert vehicle.named[-1][0] == "unknown", "behind them: what nobody has declared is as likely"
     assert {d.p for d in vehicle.decision.diagnoses} == {None}
 
 
@@ -234,14 +240,16 @@ def test_an_alarm_that_keeps_the_evidence_from_telling_is_confirmed_by_its_lengt
     vehicle.drive(UNSEEN_TICKS // 2, PARTIAL, {"fA_du": 0.6}, mute=tuple(EVIDENCE.generators))
     assert vehicle.named == []
     vehicle.drive(100, PARTIAL)
-    others = [NAMES.index("t06.ode"), NAMES.index("t09.ode")]
+    others = [NAMES.index("t09.ode"), NAMES.index("t19.ode")]
     r = OFFSET[:, PARTIAL].copy()
     r[others] += 20.0 * SCALE[others, PARTIAL]
     usable = np.array([name not in EVIDENCE.generators for name in NAMES])
     shift = np.zeros((len(EVIDENCE.hypotheses), len(EVIDENCE.generators)))
     seen = []
     for _ in range(UNSEEN_TICKS + 3 * RANKING_PERIOD):
-        vehicle.decision.update(vehicle.tick, PARTIAL, Residuals(r, usual(PARTIAL), SCALE[:, PARTIAL], usable, shift))
+        vehicle.decision.update(
+            vehicle.tick, PARTIAL, Residuals(r, usual(PARTIAL), SCALE[:, PARTIAL], usable, shift, NOTHING_BROUGHT)
+        )
         vehicle.tick += 1
         seen.append(bool(vehicle.named))
     assert not seen[UNSEEN_TICKS - 10]
@@ -291,7 +299,7 @@ def test_a_change_that_no_test_alarms_at_is_one_suspicion_and_comes_to_an_end(si
 
 def test_what_the_evidence_alone_suspects_is_confirmed_and_told() -> None:
     vehicle = calm()
-    seen = [each for mode in (MAXIMUM, PARTIAL, MAXIMUM) for each in watched(vehicle, 200, mode, {"fA_dos": 0.07})]
+    seen = [each for mode in (MAXIMUM, PARTIAL, MAXIMUM) for each in watched(vehicle, 200, mode, {"fA_dos": 0.08})]
     assert not any(alarm for _, _, alarm in seen)
     assert (True, False, False) in seen
     assert vehicle.named[0] == ("fA_dos", 1)
@@ -299,12 +307,12 @@ def test_what_the_evidence_alone_suspects_is_confirmed_and_told() -> None:
 
 @pytest.mark.parametrize(("fault", "size"), [("fA_t", 0.3), ("fA_du", 0.25), ("fA_du", 0.2)])
 def test_a_test_that_is_stuck_in_alarm_does_not_hide_a_fault(fault: str, size: float) -> None:
-    """t06 is no evidence: its alarm is doubted after a while, and what comes then is news."""
+    """t09 is no evidence: its alarm is doubted after a while, and what comes then is news."""
     vehicle = calm()
-    stuck = {"t06.ode": 10.0}
+    stuck = {"t09.ode": 10.0}
     for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL):
         vehicle.drive(VAIN_TICKS // 4, mode, stuck=stuck)
-    assert vehicle.decision.alarm == ["t06"]
+    assert vehicle.decision.alarm == ["t09"]
     assert not vehicle.decision.suspected
     assert vehicle.named == []
     vehicle.drive(300, PARTIAL, {fault: size}, stuck=stuck)
@@ -372,7 +380,7 @@ def test_doses_that_a_fault_does_not_show_in_do_not_make_it_come_and_go() -> Non
         for mode in (IDLE, PARTIAL, MAXIMUM):
             vehicle.drive(100, mode, {"fA_dos": 0.6})
     assert not vehicle.decision.intermittent
-    assert vehicle.named == [("fA_dos", 1)]
+    assert [name for name, rank in vehicle.named if rank == 1] == ["fA_dos"]
 
 
 def test_a_fault_from_the_start_that_is_repaired_is_over_in_minutes() -> None:

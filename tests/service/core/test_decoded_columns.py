@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from faultline.service.core.j1939.identifiers import PRIORITY_MASK, SOURCE_MASK
 from faultline.service.core.manifest import Bounds, Input, Mode, Modes
-from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.residuals.generators import FRESH, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.columns import CanSignals
 from faultline.service.core.signals.decode import EXTENDED, STANDARD, DecodeTable
@@ -168,7 +168,7 @@ def cases(draw: st.DrawFn) -> Case:
 
 
 class Blind:
-    def step(self, z: FloatArray, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
         none = np.zeros(0)
         return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
 
@@ -179,9 +179,7 @@ def observer(case: Case) -> tuple[DecodeTable, Sampler, Observer]:
     first = case.inputs[0].signal
     steady = [Mode(name="low", where={first: Bounds(below=0.1)}), Mode(name="rest")]
     modes = Modes(steady=steady, edges={first: 0.1}, settle_s=0.4)
-    found = Observer(table, sampler, ModeTracker(modes, case.inputs, 0.2), Blind(), 0.2, 1.0)
-    found.gives_ages = True
-    return table, sampler, found
+    return table, sampler, Observer(table, sampler, ModeTracker(modes, case.inputs, 0.2), Blind(), 0.2, 1.0)
 
 
 def pieces(case: Case) -> list[Batch]:
@@ -190,7 +188,6 @@ def pieces(case: Case) -> list[Batch]:
 
 
 def shown(tick: Tick, sampler: Sampler) -> str:
-    assert tick.ages is not None
     found = tick.number, tick.t_s, tick.z.tolist(), tick.quality.tolist(), tick.ages.tolist(), tick.mode
     return repr((found, dict(sampler.new_doubts())))  # NaN equals NaN
 

@@ -110,6 +110,18 @@ def test_a_step_is_an_edge_and_an_unwatched_input_is_not() -> None:
     assert [tracker.update(np.array([0.5, 90.0]), USABLE) for _ in range(4)] == [EDGE, EDGE, EDGE, PARTIAL]
 
 
+@pytest.mark.parametrize(("per_tick", "steps"), [(0.02, True), (0.005, False)])
+def test_what_moves_fast_is_an_edge_as_long_as_it_moves(per_tick: float, *, steps: bool) -> None:
+    """A signal that moves by the limit within a quarter of the time that it takes to settle, four ticks here."""
+    modes = Modes(steady=MODES.steady, edges={"n_p": 4.0}, settle_s=16 * TIME.period_s)
+    tracker = ModeTracker(modes, INPUTS, TIME.period_s)
+    speed = [20.0] * 20 + [20.0 + 90.0 * per_tick * k for k in range(30)] + [20.0 + 90.0 * per_tick * 29] * 30
+    seen = [tracker.update(np.array([0.0, n]), USABLE) for n in speed]
+    assert seen[16:20] == [IDLE] * 4
+    moving = [k for k, mode in enumerate(seen) if k >= 16 and mode == EDGE]
+    assert moving == ([*range(23, 63)] if steps else [])
+
+
 def test_without_the_mode_signal_nothing_is_steady() -> None:
     tracker = ModeTracker(MODES, INPUTS, TIME.period_s)
     for _ in range(5):

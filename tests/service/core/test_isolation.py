@@ -15,7 +15,7 @@ from faultline.service.core.decision.hypotheses import Hypotheses, Look, confine
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
 from faultline.service.core.decision.straying import MINIMUM_TICKS, Means
 from faultline.service.core.decision.window import Window
-from faultline.service.core.manifest import Evidence, Hypothesis
+from faultline.service.core.manifest import Bounds, Consequence, Evidence, Hypothesis
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
@@ -145,6 +145,45 @@ def test_two_forms_of_a_fault_are_chains_of_their_own_and_one_fault() -> None:
     assert look.faults["fA"] < 1.0
 
 
+BROUGHT = np.array([[0.0, 0.5]] * 4)
+"""What fC does to t3 at each dose where fA brings it."""
+
+
+def _look_with_consequence(shows: bool, brought: tuple[float, float]) -> Look:
+    """fA of size 2 in modes 0 and 2; it brings so much of fC in each, where that `shows`."""
+    simple = [Hypothesis(fault="fA", size=1.0), Hypothesis(fault="fA", size=3.0), Hypothesis(fault="fC", size=1.0)]
+    with_it = [Hypothesis(fault="fA", size=size, brought=1.0) for size in (1.0, 3.0)]
+    consequence = Consequence(fault="fA", brings="fC", where={"y": Bounds(above=1.0)})
+    evidence = _evidence(hypotheses=simple + with_it, consequences=[consequence])
+    window = _window(evidence)
+    for mode, part in zip((0, 2), brought, strict=True):
+        own, other = FLAT[mode], BROUGHT[mode]
+        shift = np.array([own, 3.0 * own, other, own + other, 3.0 * own + other])
+        for _ in range(MINIMUM_TICKS):
+            r = tuple((2.0 * own + part * other).tolist())
+            window.add(1 + mode, _tick(r, shift)._replace(brought=np.array([shows])))
+    look = Hypotheses(evidence).look(window.means)
+    assert look is not None
+    return look
+
+
+def test_a_fault_and_its_consequence_are_one_fault_however_much_comes_in_each_mode() -> None:
+    """Of its own part a fault has one size in all modes, of the consequence one in each."""
+    look = _look_with_consequence(shows=True, brought=(0.8, 0.1))
+    assert look.faults["fA"] < 0.1 < look.limit < look.faults["fC"]
+    best = look.fitted["fA"]
+    assert list(look.brought) == ["fA"]
+    assert best.part == pytest.approx(0.5)
+
+
+def test_a_consequence_that_does_not_show_explains_nothing() -> None:
+    shown = _look_with_consequence(shows=True, brought=(0.8, 0.1))
+    hidden = _look_with_consequence(shows=False, brought=(0.8, 0.1))
+    assert not hidden.brought
+    assert hidden.faults["fA"] > shown.faults["fA"] + 1.0
+    assert _look_with_consequence(shows=True, brought=(0.0, 0.0)).faults["fA"] < 0.1  # nor need any come
+
+
 def test_away_from_the_usual_operation_the_models_own_error_counts() -> None:
     """Predicted is 0; usual is 10: what a model predicts there may be off by a twentieth of that."""
     shift = {0: (0.5, 0.5), 2: (0.5, 0.5)}
@@ -256,7 +295,7 @@ def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
     _add(window, 0, (1.0, 1.0), ticks=3 * PART_TICKS)
     _add(window, 2, (2.0, 2.0), ticks=PART_TICKS)
     _add(window, 0, (0.0, 0.0), ticks=2 * PART_TICKS)
-    ticks, _, total, _, shift = window.means
+    ticks, _, total, _, shift, _ = window.means
     assert total[0].tolist() == [0.0, 0.0]
     assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
     assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]

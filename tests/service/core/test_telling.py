@@ -19,6 +19,7 @@ class Decided:
     alarm: list[str] = field(default_factory=list)
     suspected: bool = False
     intermittent: bool = False
+    settled: bool = False
     since: int | None = None
     withdrawn: bool = False
 

@@ -61,7 +61,7 @@ def test_a_log_without_fault_ends_with_0(tmp_path: Path, capfdbinary: pytest.Cap
     quiet.write_bytes(b"".join(lines[: len(lines) // 2]))  # 60 of 120 s: all tests can tell, the onset is to come
     assert diagnose.main([str(quiet), "--bundle", str(BUNDLE), "--json"]) == 0
     events = [decode(line) for line in capfdbinary.readouterr().out.splitlines()]
-    assert [event.transition for event in events] == ["started", "cannot_tell", "cannot_tell"]
+    assert [event.transition for event in events] == ["started", "cannot_tell"]
     assert events[-1].cannot_tell == []
     assert events[0].id == "quiet-1"
 
@@ -128,7 +128,8 @@ def test_a_log_cut_off_in_the_middle_is_no_all_clear(
     assert capsys.readouterr().out.endswith(
         "from 0.0 to 60.0 s: no fault: every test could tell at some time, and none alarms\n"
     )
-    path.write_bytes(whole[: len(whole) * 9 // 10])
+    most = len(whole) * 9 // 10
+    path.write_bytes(whole[: most if ending == "blf" else whole.rindex(b"\n", 0, most) + 20])  # within a line
     assert main(["diagnose", str(path), "--bundle", str(BUNDLE)]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
@@ -175,7 +176,7 @@ def test_an_incomplete_last_line_alone_is_reported_and_no_damage(
     assert main(["diagnose", str(path), "--bundle", str(BUNDLE), "--json"]) == 0
     err = capsys.readouterr().err
     assert "the last line is cut off and was not used" in err
-    assert "from 0.0 to 60.0 s: no fault" in err
+    assert "from 0.0 to 63.5 s: no fault" in err
 
 
 def test_what_is_not_a_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

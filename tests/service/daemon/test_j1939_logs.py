@@ -139,7 +139,7 @@ def test_who_is_the_only_sender_is_said(bundle: Path, tmp_path: Path, capsys: py
     log = log_of(tmp_path / "one.log", open_log(LOG).relative())
     assert diagnose.main([str(log), "--bundle", str(bundle), "--sender", "UDS_ECU=0x3D"]) == 1
     assert capsys.readouterr().err == (
-        f"faultline diagnose: {log}: of any sender, by the DBC: UDS_SENSORS from 0xF9 (1192 frames)\n"
+        f"faultline diagnose: {log}: of any sender, by the DBC: UDS_SENSORS from 0xF9 (1265 frames)\n"
     )
 
 

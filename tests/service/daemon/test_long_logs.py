@@ -7,7 +7,7 @@ import numpy as np
 
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.j1939.log_context import LogContext
-from faultline.service.core.residuals.generators import Residuals
+from faultline.service.core.residuals.generators import FRESH, Residuals
 from faultline.service.core.residuals.observer import Observer
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.sampling import Sampler
@@ -34,7 +34,7 @@ def repeated(path: Path, times: int) -> Path:
 class Quiet:
     """Generators that compute nothing: the samples are what is looked at."""
 
-    def step(self, z: FloatArray, usable: Mask) -> Residuals:
+    def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
         none = np.zeros(0)
         return Residuals(none, none, none, np.zeros(0, dtype=np.bool_))
 

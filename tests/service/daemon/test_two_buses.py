@@ -126,7 +126,7 @@ def test_frame_by_frame_and_by_columns_are_the_same(bundle: Path, log: Path, eve
     assert len(found) >= len(events) - 1
     again = load_bundle(bundle)
     list(Monitor(again.manifest, again.bank(), again.table, "golden", again.id).signals(opened.signals(again.table)))
-    assert again.table.taken == loaded.table.taken == {"UDS_ECU": 600, "UDS_SENSORS": 1192}
+    assert again.table.taken == loaded.table.taken == {"UDS_ECU": 635, "UDS_SENSORS": 1265}
     assert again.table.rejected == loaded.table.rejected
     assert not loaded.table.rejected.total
 
@@ -144,7 +144,7 @@ def test_a_recording_says_which_channel_is_which(bundle: Path, log: Path, tmp_pa
     units = {each.signal: each.unit for each in loaded.manifest.inputs}
     table = opened.table(units, "x")
     assert [*table.buses] == [OWN]
-    assert sum(len(piece.columns.get("y_p_tp", [[]])[0]) for piece in opened.signals(table).pieces()) == 1192
+    assert sum(len(piece.columns.get("y_p_tp", [[]])[0]) for piece in opened.signals(table).pieces()) == 1265
     recording = Recording(opened, folder, load_bundle(bundle), lambda _: None, lambda _: None)
     found = [
         decode(record.line) for record in recording.records if record.line.startswith(b'{"schema":"faultline.event')
@@ -206,7 +206,7 @@ def test_live_frames_of_two_buses_are_taken_in_order_of_time(
             for _, heard in line.listen(begin):
                 found += heard
     assert told(found) == told(events)
-    assert loaded.table.taken == {"UDS_ECU": 600, "UDS_SENSORS": 1192}
+    assert loaded.table.taken == {"UDS_ECU": 635, "UDS_SENSORS": 1264}  # the last frame ends the log
 
 
 def test_a_bus_that_is_silent_makes_its_signals_late_and_the_others_go_on(bundle: Path, log: Path) -> None:

@@ -1,5 +1,6 @@
 """Lines that are read with array operations give what the grammar alone gives: frames, bad lines, counts."""
 
+import re
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 
@@ -16,7 +17,7 @@ from faultline.service.logs.delimited import PythonCanCsv, TableCsv, find_table
 from faultline.service.logs.digits import decimal, hexadecimal
 from faultline.service.logs.example import Line
 from faultline.service.logs.lines import WholeLines
-from faultline.service.logs.report import LogReport
+from faultline.service.logs.report import LogError, LogReport
 from faultline.service.logs.text import Dialect, TextReader
 from faultline.service.logs.trc import Trc
 
@@ -157,8 +158,13 @@ def test_arrays_give_what_the_grammar_gives(name: str) -> None:
     @settings(max_examples=40, deadline=None)
     @given(texts(name))
     def check(pieces: list[bytes]) -> None:
+        try:
+            slow, slow_report, slow_names = read(Alone(DIALECTS[name]()), [b"".join(pieces)])
+        except LogError as error:  # a version that is not known
+            with pytest.raises(LogError, match=f"^{re.escape(str(error))}$"):
+                read(DIALECTS[name](), pieces)
+            return
         fast, fast_report, fast_names = read(DIALECTS[name](), pieces)
-        slow, slow_report, slow_names = read(Alone(DIALECTS[name]()), [b"".join(pieces)])
         same(fast, slow)
         assert fast_names == slow_names
         np.testing.assert_array_equal(fast.channel, slow.channel)

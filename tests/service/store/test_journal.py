@@ -371,7 +371,9 @@ def test_one_that_is_locked_for_long_is_taken_up_once_it_is_free(
         assert taken(journal, 1) == records(8, 8)
         journal.finish(10)
     assert stored(path) == records(1, 8)
-    assert said == [f"{path}: cannot be opened within 0 s; events are told and not kept until it is"]
+    first, *later = said  # the opener may try once more, and name the cause, before the lock is gone
+    assert first == f"{path}: cannot be opened within 0 s; events are told and not kept until it is"
+    assert not later or (len(later) == 1 and "another process has it" in later[0])
 
 
 def remove(path: Path) -> None:

@@ -1,0 +1,56 @@
+"""The gate before the residual generators: an outlier is held back, as it would pass through their states for long.
+
+A sample is an outlier where it is further from the median of the last samples than six times how far those are
+themselves, by their median absolute deviation (Hampel 1974), and further than a distance that its noise does not reach:
+
+    |z_k - med| > max(6 * 1.4826 * med |z_j - med|, outlier),     j = k - 12 ... k
+
+The last sample that was none stands for it, and what is computed from that is not counted. A step of a sensor passes
+after 7 samples, when the median has followed. Signals whose steps are the operation's own are not gated.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from faultline.service.core.manifest import Input
+from faultline.service.core.signals.values import FloatArray, Mask
+
+SAMPLES = 13
+FAR = 6.0 * 1.4826
+"""Six standard deviations of normal samples, in median absolute deviations."""
+
+
+class Gate:
+    """The gate of the inputs with an `outlier` distance. State: their last samples, and the last one that passed."""
+
+    def __init__(self, inputs: Sequence[Input]) -> None:
+        self._columns = np.array([k for k, each in enumerate(inputs) if each.outlier is not None], dtype=np.intp)
+        self._least = np.array([each.outlier for each in inputs if each.outlier is not None])
+        self._last = np.zeros((SAMPLES, len(self._columns)))
+        self._passed = np.zeros(len(self._columns))
+        self._seen = np.zeros(len(self._columns), dtype=np.intp)
+        self.held = np.zeros(len(inputs), dtype=np.bool_)
+
+    def passed(self, z: FloatArray, usable: Mask) -> FloatArray:
+        """Return the samples `z` (nz,) with those that were `held` back (nz,) replaced; not usable ones are no samples.
+
+        The first `SAMPLES` of a signal pass.
+        """
+        if not len(self._columns):
+            return z
+        now, good = z[self._columns], usable[self._columns]
+        last = self._last
+        last[np.where(good, self._seen % SAMPLES, 0), np.arange(len(now))] = np.where(good, now, last[0])
+        self._seen += good
+        middle = np.sort(last, axis=0)[SAMPLES // 2]
+        spread = np.sort(np.abs(last - middle), axis=0)[SAMPLES // 2]
+        is_far = np.abs(now - middle) > np.maximum(FAR * spread, self._least)
+        outlier = good & (self._seen > SAMPLES) & is_far
+        self._passed = np.where(good & ~outlier, now, self._passed)
+        self.held[self._columns] = outlier
+        if not outlier.any():
+            return z
+        z = z.copy()
+        z[self._columns[outlier]] = self._passed[outlier]
+        return z
