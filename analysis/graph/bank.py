@@ -205,9 +205,10 @@ def _bank(model: Model, parts: Sequence[_Part], left_out: Mapping[str, str]) -> 
 
 
 def _gated(model: Model, tests: Sequence[Test]) -> tuple[Input, ...]:
-    """The inputs down to where their sensors end, those with an outlier distance that a test predicts by equations.
+    """The inputs down to where their sensors end, with the outlier distances of the model.
 
-    A signal whose steps are edges between modes is a command or follows one: its steps are the operation's own.
+    A signal that a test predicts by equations has one by its noise where none is stated, unless its steps are edges
+    between modes: it may be a command, which comes and goes as the operation wants.
     """
     predicted = {test.predicts for test in tests if test.equations} - model.modes.edges.keys()
     noisy = {name for name in predicted if model.known[name].noise > 0.0}
@@ -215,7 +216,8 @@ def _gated(model: Model, tests: Sequence[Test]) -> tuple[Input, ...]:
     for each in inputs_of(model):
         known = model.known[each.signal]
         lower = each.lower if known.sensor_min is None else known.sensor_min
-        outlier = OUTLIER * known.noise if each.signal in noisy else None
+        by_noise = OUTLIER * known.noise if each.signal in noisy else None
+        outlier = by_noise if known.outlier is None else known.outlier
         found.append(msgspec.structs.replace(each, lower=lower, outlier=outlier))
     return tuple(found)
 

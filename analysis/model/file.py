@@ -217,6 +217,7 @@ def _known(table: Table) -> Known:
         added=table.flag("added"),
         maximum_age_s=table.optional_number("maximum_age_s"),
         lag_s=table.optional_number("lag_s"),
+        outlier=table.optional_number("outlier"),
         sensor_min=table.optional_number("sensor_min"),
         label=table.text("label", ""),
         display=table.text_or_texts("display"),
@@ -225,6 +226,8 @@ def _known(table: Table) -> Known:
     for name in ("maximum_age_s", "lag_s"):
         if (seconds := getattr(known, name)) is not None and seconds <= 0:
             raise table.fail(name, f"{seconds:g} s; give a positive one")
+    if known.outlier is not None and known.outlier <= 0:
+        raise table.fail("outlier", f"{known.outlier:g}; give a positive distance in the signal's unit")
     if known.min >= known.max:
         raise table.fail("max", f"the operating range [{known.min:g}, {known.max:g}] is empty")
     if known.sensor_min is not None and known.sensor_min > known.min:

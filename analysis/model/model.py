@@ -29,9 +29,10 @@ class Known:
     change from one drive to the next; 0 is none. An `added` sensor is one that only instrumented vehicles have. A
     sample that is older than `maximum_age_s` [s] is not used; None stands for five periods. What it shows may be late,
     by a standard deviation of `lag_s` [s]: the sensor's filter, the controller's cycle, the bus; None stands for a
-    tenth of a period. A severe fault may take it below its operating range; tests can tell down to `sensor_min`, by
-    default `min`. `label` is its name for people, the description where it is empty; they read it in the units
-    `display`, coarse to fine, where there are any.
+    tenth of a period. A sample that is further than `outlier` from those around it, and does not last, is wrong; None
+    leaves that to the noise of what a test predicts. A severe fault may take it below its operating range; tests can
+    tell down to `sensor_min`, by default `min`. `label` is its name for people, the description where it is empty;
+    they read it in the units `display`, coarse to fine, where there are any.
     """
 
     unit: str
@@ -44,6 +45,7 @@ class Known:
     added: bool = False
     maximum_age_s: float | None = None
     lag_s: float | None = None
+    outlier: float | None = None
     sensor_min: float | None = None
     label: str = ""
     display: tuple[str, ...] = ()

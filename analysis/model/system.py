@@ -4,6 +4,7 @@ schema = 1
 period_s = 0.2           ticks are so far apart [s]  (a hundredth of the warm-up if absent)
 [signal.y_p_tp]          maximum_age_s: an older sample is not used [s]  (five periods if absent)
       lag_s                  how late it may show, a standard deviation [s]  (a tenth of a period if absent)
+      outlier                a sample so far from those around it that does not last is wrong  (by its noise if absent)
       label, display         its name for people (its description if absent), and units as in [display]
 [display]                Pa = "bar", or ["bar", "mbar"]: units of the model as people read them, coarse to fine
 [fault.fA_t]             spn, fmi: its code on a J1939 network

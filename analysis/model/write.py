@@ -27,7 +27,8 @@ def dump_model(model: Model) -> str:
     for name, k in model.known.items():
         fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
-        fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s, "sensor_min": k.sensor_min}
+        fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s, "outlier": k.outlier}
+        fields |= {"sensor_min": k.sensor_min}
         fields |= {"label": k.label or None, "display": k.display or None}
         blocks.append(f"[known.{name}]\n" + pairs(fields))
     for name, u in model.unknown.items():

@@ -23,7 +23,7 @@ class Stepped(Protocol):
 
 
 class Assumed:
-    """H hypotheses of K generators. State: theirs, x (H, nx); `owner` (nx,) says which generator each column is of.
+    """H hypotheses of K generators. State: theirs, `x` (H, nx); `owner` (nx,) says which generator each column is of.
 
     A hypothesis that cannot be computed shifts nothing at that tick, and begins again from the sensors.
     """
@@ -31,16 +31,16 @@ class Assumed:
     def __init__(self, graph: Stepped, hypotheses: int, owner: Indices) -> None:
         self._graph = graph
         self._owner = owner
-        self._x = np.zeros((hypotheses, len(owner)))
+        self.x = np.zeros((hypotheses, len(owner)))
 
     def restart(self, generators: Mask, fresh: FloatArray) -> None:
         """Takes the states of these generators (K,) from the sensors, as `fresh` (nx,) has them."""
-        self._x = np.where(generators[self._owner], fresh, self._x)
+        self.x = np.where(generators[self._owner], fresh, self.x)
 
     def step(self, z: FloatArray, fresh: FloatArray, r: FloatArray, advanced: Mask) -> FloatArray:
         """Shifts (H, K) of the residuals `r` (K,) at the samples `z` (nz,); only `advanced` (K,) states move on."""
-        assumed, _, _, _, x = self._graph(z=np.tile(z, (len(self._x), 1)), x=self._x)
+        assumed, _, _, _, x = self._graph(z=np.tile(z, (len(self.x), 1)), x=self.x)
         good = np.asarray(np.isfinite(assumed).all(axis=1) & np.isfinite(x).all(axis=1))
-        self._x = np.where(advanced[self._owner], np.where(good[:, None], x, fresh), self._x)
+        self.x = np.where(advanced[self._owner], np.where(good[:, None], x, fresh), self.x)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(good[:, None], r - assumed, 0.0))

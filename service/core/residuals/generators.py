@@ -4,8 +4,9 @@
 
 A generator whose input may not be used, or lies outside the operating region, keeps its state for `HELD_TICKS` ticks;
 after that the state is taken from the sensors again and the warm-up starts anew: a state carried through where the
-model does not hold would tell of that for as long as the slowest pressure remembers. A generator that was trained knows
-besides what it was trained on: where the operation is novel it goes on, and cannot tell.
+model does not hold would tell of that for as long as the slowest pressure remembers. Where samples that were held back
+turn out to be a step, the ticks since are computed again with them. A generator that was trained knows besides what it
+was trained on: where the operation is novel it goes on, and cannot tell.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ import onnxruntime as ort
 
 from faultline.service.core.manifest import Evidence, Generator, Input
 from faultline.service.core.residuals.assumed import Assumed
-from faultline.service.core.signals.gate import Gate
+from faultline.service.core.signals.gate import SAMPLES, Gate
 from faultline.service.core.signals.regions import Regions
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.core.time_scale import ticks_of
@@ -27,6 +28,9 @@ OUTSIDE = 0.01
 
 STALE = 0.3
 """A sample older than this part of its `maximum_age_s`, of five periods, stands for one or more that were lost."""
+
+MOST_DOUBTFUL = 2 * SAMPLES
+"""Ticks that are computed again at most: a step is known after half of `SAMPLES`, and others may overlap with it."""
 
 NOVEL = 1.0
 """Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
@@ -138,6 +142,8 @@ class GeneratorBank:
         self._consequences = Regions([each.where for each in consequences], inputs)
         self._since_shown = np.full(len(consequences), self._warm_up.max() + 1)
         self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
+        self._doubtful: list[tuple[FloatArray, FloatArray, Mask]] = []
+        self._before = self._state()
 
     def step(self, z: FloatArray, usable: Mask, ages: FloatArray = FRESH) -> Residuals:
         """Advances by one tick with the samples `z` (nz,), of which only the `usable` (nz,) ones are looked at.
@@ -145,7 +151,29 @@ class GeneratorBank:
         `ages` (nz,) are the times [s] since they were received. What is computed from a stale one is not counted: the
         operation may have changed since.
         """
-        self._z = np.where(usable, self._gate.passed(z, usable), self._z)
+        passed = self._gate.passed(z, usable)
+        self._reconsider(z, passed, usable)
+        found = self._advance(passed, usable)
+        held = np.asarray((self._needs & (self._gate.held | (ages > self._stale))).any(axis=1))
+        return found._replace(held=held)
+
+    def _reconsider(self, z: FloatArray, passed: FloatArray, usable: Mask) -> None:
+        """Compute the ticks again whose samples were held back and were a step; remember the tick if one is held."""
+        if (stepped := self._gate.stepped).any() and self._doubtful:
+            self._doubtful = [(raw, np.where(stepped, raw, taken), was) for raw, taken, was in self._doubtful]
+            self._restore(self._before)
+            for _, taken, was_usable in self._doubtful:
+                self._advance(taken, was_usable)
+        if not self._gate.held.any() or len(self._doubtful) == MOST_DOUBTFUL:
+            self._doubtful = []
+        if self._gate.held.any():
+            if not self._doubtful:
+                self._before = self._state()
+            self._doubtful.append((z, passed, usable))
+
+    def _advance(self, z: FloatArray, usable: Mask) -> Residuals:
+        """Advance by one tick with these samples."""
+        self._z = np.where(usable, z, self._z)
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
         fresh = self._offset + self._gain @ self._z
         self._restart(fed & (self._missed > HELD_TICKS), fresh)
@@ -160,9 +188,18 @@ class GeneratorBank:
         shift = NOTHING
         if self._assumed is not None:
             shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
-        held = np.asarray((self._needs & (self._gate.held | (ages > self._stale))).any(axis=1))
         told = advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL)
-        return Residuals(r, y_hat, sigma, told, shift, self._brought(), held=held)
+        return Residuals(r, y_hat, sigma, told, shift, self._brought())
+
+    def _state(self) -> tuple[FloatArray, FloatArray, Indices, Indices, Indices, FloatArray]:
+        """What a tick leaves to the next one."""
+        assumed = NOTHING if self._assumed is None else self._assumed.x
+        return self._x, self._z, self._missed, self._ticks, self._since_shown, assumed
+
+    def _restore(self, state: tuple[FloatArray, FloatArray, Indices, Indices, Indices, FloatArray]) -> None:
+        self._x, self._z, self._missed, self._ticks, self._since_shown, assumed = state
+        if self._assumed is not None:
+            self._assumed.x = assumed
 
     def _brought(self) -> Mask:
         """The consequences that show, or did so lately that states of the generators remember it."""
@@ -187,7 +224,7 @@ class GeneratorBank:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
         if generators.any():
             self._x = np.where(generators[self._owner], fresh, self._x)
-            self._ticks[generators] = 0
+            self._ticks = np.where(generators, 0, self._ticks)
             if self._assumed is not None:
                 self._assumed.restart(generators[self._weighed], fresh[self._own])
 

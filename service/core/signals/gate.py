@@ -5,8 +5,9 @@ themselves, by their median absolute deviation (Hampel 1974), and further than a
 
     |z_k - med| > max(6 * 1.4826 * med |z_j - med|, outlier),     j = k - 12 ... k
 
-The last sample that was none stands for it, and what is computed from that is not counted. A step of a sensor passes
-after 7 samples, when the median has followed. Signals whose steps are the operation's own are not gated.
+The last sample that was none stands for it, and what is computed from that is not counted. A step passes after 7
+samples, when the median has followed: what was held back was no outlier then, and can be taken in hindsight. Signals
+that may come and go within that time have no `outlier` distance, and are not gated.
 """
 
 from collections.abc import Sequence
@@ -20,22 +21,30 @@ SAMPLES = 13
 FAR = 6.0 * 1.4826
 """Six standard deviations of normal samples, in median absolute deviations."""
 
+BACK = 3.0
+
 
 class Gate:
-    """The gate of the inputs with an `outlier` distance. State: their last samples, and the last one that passed."""
+    """The gate of the inputs with an `outlier` distance. State: their last samples, and the last one that passed.
+
+    `held` (nz,) are the signals whose sample is held back. `stepped` (nz,) are those that have been and now pass,
+    without having come back: the sample is not `BACK` times nearer to the one that stood for them than to the last.
+    """
 
     def __init__(self, inputs: Sequence[Input]) -> None:
         self._columns = np.array([k for k, each in enumerate(inputs) if each.outlier is not None], dtype=np.intp)
         self._least = np.array([each.outlier for each in inputs if each.outlier is not None])
         self._last = np.zeros((SAMPLES, len(self._columns)))
         self._passed = np.zeros(len(self._columns))
+        self._refused = np.zeros(len(self._columns))
         self._seen = np.zeros(len(self._columns), dtype=np.intp)
         self.held = np.zeros(len(inputs), dtype=np.bool_)
+        self.stepped = np.zeros(len(inputs), dtype=np.bool_)
 
     def passed(self, z: FloatArray, usable: Mask) -> FloatArray:
-        """Return the samples `z` (nz,) with those that were `held` back (nz,) replaced; not usable ones are no samples.
+        """Return the samples `z` (nz,), with those that are `held` back replaced.
 
-        The first `SAMPLES` of a signal pass.
+        Those not `usable` (nz,) are no samples. The first `SAMPLES` of a signal pass.
         """
         if not len(self._columns):
             return z
@@ -47,8 +56,12 @@ class Gate:
         spread = np.sort(np.abs(last - middle), axis=0)[SAMPLES // 2]
         is_far = np.abs(now - middle) > np.maximum(FAR * spread, self._least)
         outlier = good & (self._seen > SAMPLES) & is_far
-        self._passed = np.where(good & ~outlier, now, self._passed)
+        before, passes = self.held[self._columns], good & ~outlier
+        is_beyond = np.abs(now - self._refused) < BACK * np.abs(now - self._passed)
+        self.stepped[self._columns] = before & passes & is_beyond
         self.held[self._columns] = outlier
+        self._passed = np.where(passes, now, self._passed)
+        self._refused = np.where(outlier, now, self._refused)
         if not outlier.any():
             return z
         z = z.copy()

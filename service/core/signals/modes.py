@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.manifest import Input, Modes
+from faultline.service.core.signals.gate import Gate
 from faultline.service.core.signals.regions import Regions
 from faultline.service.core.signals.values import FloatArray, Mask
 from faultline.service.core.time_scale import ticks_of
@@ -22,7 +23,10 @@ STEP = 0.25
 
 
 class ModeTracker:
-    """Follows the mode. State: good values of the inputs for as long as a step may take, the ticks since an edge."""
+    """Follows the mode. State: good values of the inputs for as long as a step may take, the ticks since an edge.
+
+    An outlier is no step (`core.signals.gate`), and what lasts after it was held back is one.
+    """
 
     def __init__(self, modes: Modes, inputs: Sequence[Input], period_s: float, part: float = STEP) -> None:
         names = [channel.signal for channel in inputs]
@@ -30,6 +34,8 @@ class ModeTracker:
         self._regions = Regions([mode.where for mode in modes.steady], inputs)
         bounded = [bool(mode.where) for mode in modes.steady]
         self._order = sorted(range(len(bounded)), key=lambda row: not bounded[row])  # the one without bounds is last
+        self._gate = Gate(inputs)
+        self._steps = np.isfinite(self._limit)
         self._settle = ticks_of(modes.settle_s, period_s)
         self._last = np.full((max(1, round(part * modes.settle_s / period_s)), len(names)), np.nan)
         self._now = 0
@@ -40,11 +46,12 @@ class ModeTracker:
 
         Without a usable signal of its bounds the mode is *edge*: nothing is known of what the residuals should be.
         """
+        z = self._gate.passed(z, usable)
         with np.errstate(invalid="ignore"):
             moved = (np.abs(z - self._last) > self._limit).any(axis=0)
         holds = self._regions.holding(z)
         known = bool(usable[self._regions.needed].all())
-        is_edge = bool((moved & usable).any())
+        is_edge = bool((moved & usable).any() or self._gate.stepped[self._steps].any())
         self._since_edge = 0 if is_edge or not known else self._since_edge + 1
         last, self._now = self._last[self._now], (self._now + 1) % len(self._last)
         self._last[slice(None) if is_edge else self._now] = np.where(usable, z, last)  # what was before it is over

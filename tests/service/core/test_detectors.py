@@ -1,5 +1,6 @@
 """CUSUM and operating modes."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -120,6 +121,16 @@ def test_what_moves_fast_is_an_edge_as_long_as_it_moves(per_tick: float, *, step
     assert seen[16:20] == [IDLE] * 4
     moving = [k for k, mode in enumerate(seen) if k >= 16 and mode == EDGE]
     assert moving == ([*range(23, 63)] if steps else [])
+
+
+def test_a_speed_that_comes_back_is_no_edge_and_one_that_stays_is() -> None:
+    inputs = [*INPUTS[:1], msgspec.structs.replace(INPUTS[1], outlier=0.3)]
+    for length in (1, 5, 20):
+        tracker = ModeTracker(Modes(steady=MODES.steady, edges={"n_p": 4.0}, settle_s=0.6), inputs, TIME.period_s)
+        speed = np.full(60, 20.0)
+        speed[30 : 30 + length] += 10.0
+        seen = [tracker.update(np.array([0.0, n]), USABLE) for n in speed]
+        assert (EDGE in seen[20:]) == (length == 20)
 
 
 def test_without_the_mode_signal_nothing_is_steady() -> None:

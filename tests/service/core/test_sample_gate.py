@@ -61,6 +61,18 @@ def test_a_step_passes_when_the_median_has_followed() -> None:
     assert passed[100 + SAMPLES // 2] == values[100 + SAMPLES // 2]
 
 
+def test_what_lasts_was_a_step_and_what_comes_back_was_none() -> None:
+    for length, is_step in ((1, False), (5, False), (100, True)):
+        values = noise(8)
+        values[50 : 50 + length] += 1000.0
+        gate = Gate([Input(signal="y", unit="Pa", maximum_age_s=1.0, lower=-1e6, upper=1e6, outlier=OUTLIER)])
+        stepped = []
+        for value in values:
+            gate.passed(np.array([value]), np.ones(1, dtype=np.bool_))
+            stepped.append(bool(gate.stepped[0]))
+        assert np.flatnonzero(stepped)[:1].tolist() == ([50 + SAMPLES // 2] if is_step else [])
+
+
 def test_pulsation_is_the_signals_own() -> None:
     """Of a pump that is sampled: a sine that aliases, far above the noise."""
     values = noise(3, 3000) + 100.0 * np.sin(np.arange(3000) * 2.4)
