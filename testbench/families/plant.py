@@ -1,15 +1,18 @@
 """A family's plant as a whole, and its run over a cycle."""
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 
 import numpy as np
 
 from faultline.testbench.families.circuit import Circuit, Integrator
 from faultline.testbench.families.control import Motor, Pulses, Swinging
 from faultline.testbench.families.cycle import Asked, Style
+from faultline.testbench.families.faulty import check, circuit_at, errors_at
 from faultline.testbench.families.sensed import Course, Seen
+from faultline.testbench.faults import Fault
 
 Controller = Callable[[float, float, float], float]
 """From the pressure's error [Pa], the dose [0..1] and the period [s] to the ordered speed [rev/s]."""
@@ -59,23 +62,28 @@ def on_a_day(plant: Plant, rng: np.random.Generator) -> Plant:
     return replace(plant, circuit=circuit, seen=replace(plant.seen, sensors=sensors))
 
 
-def run(plant: Plant, asked: Asked, duration_s: float) -> Course:
-    """The run from standstill.
+def run(plant: Plant, asked: Asked, duration_s: float, faults: Sequence[Fault] = ()) -> Course:
+    """The run from standstill, with `faults` from their onsets on.
 
     Raises:
         ArithmeticError: the integrator does not converge.
+        RigError: the families have no such fault.
     """
+    check(faults)
     controller, motor, pulses = plant.controller(), plant.motor(), plant.pulses()
-    circuit, h, x = plant.circuit, plant.step, plant.circuit.rest
+    h, x = plant.step, plant.circuit.rest
+    begins = {0, *(ceil(fault.onset_s / h) for fault in faults)}
     every, count = round(plant.period / h), int(duration_s / h)
     pressures, speeds, duties = np.empty((count, 4)), array("d"), array("d")
     dosed, ordered, duty = 0.0, 0.0, 0.0
     for k in range(count):
+        if k in begins:
+            circuit, misread = circuit_at(plant.circuit, faults, k * h), errors_at(faults, k * h).get("y_p_du", 0.0)
         if k % every == 0:
             setpoint, dose = asked.at(k * h)
             if setpoint:
                 duty = dose
-                ordered = controller(setpoint - x[3], dose, plant.period)
+                ordered = controller(setpoint - x[3] - misread, dose, plant.period)
         effective = duty if duty >= 1.0 else max(duty - circuit.dead, 0.0)
         speed, opening = motor.step(h, ordered), pulses.step(h, effective)
         lift = (1.0 + circuit.full_open * (duty >= 1.0)) * (1.0 - circuit.deposit * dosed / 1e-4)
@@ -84,4 +92,4 @@ def run(plant: Plant, asked: Asked, duration_s: float) -> Course:
         pressures[k] = x
         speeds.append(speed)
         duties.append(duty)
-    return Course(h * np.arange(1.0, count + 1.0), pressures, np.array(speeds), np.array(duties))
+    return Course(h * np.arange(1.0, count + 1.0), pressures, np.array(speeds), np.array(duties), tuple(faults))

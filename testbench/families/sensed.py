@@ -8,6 +8,8 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from faultline.testbench.bus import Dbc, Knowledge
+from faultline.testbench.families.faulty import errors_at
+from faultline.testbench.faults import Fault
 from faultline.testbench.traffic import FRAME_TIME, Frame
 
 Array = npt.NDArray[np.float64]
@@ -69,12 +71,13 @@ class Seen:
 
 @dataclass(frozen=True)
 class Course:
-    """A run: `t` (K,) [s] evenly, `pressures` (K, 4) [Pa], `speed` (K,) [rev/s] and the valve's `duty` (K,)."""
+    """A run: `t` (K,) [s] evenly, `pressures` (K, 4) [Pa], `speed` (K,) [rev/s], the valve's `duty` (K,), faults."""
 
     t: Array
     pressures: Array
     speed: Array
     duty: Array
+    faults: tuple[Fault, ...] = ()
 
     @property
     def step(self) -> float:
@@ -108,7 +111,8 @@ def frames(course: Course, seen: Seen, dbc: Dbc, rng: np.random.Generator) -> It
     for t, name in sorted(due):
         at = t if name == "UDS_SENSORS" else t - (t % seen.bus.task)
         k = min(int(at / course.step), len(course.t) - 1)
-        reads = {s: _read(felt[s][k], sensor, rng) for s, sensor in seen.sensors.items()}
+        off = errors_at(course.faults, at)
+        reads = {s: _read(felt[s][k] + off.get(s, 0.0), sensor, rng) for s, sensor in seen.sensors.items()}
         if name == "UDS_ECU" and at - renewed >= seen.speed.renewed - 1e-9:
             value = mean[k] + seen.speed.noise * rng.standard_normal() if mean[k] > 0.0 else 0.0
             shown, renewed = max(_rounded(value, seen.speed.resolution), 0.0), at

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,10 @@ from faultline.testbench.families.cycle import STANDING_S, asked
 from faultline.testbench.families.draw import FAMILIES, plant_of
 from faultline.testbench.families.plant import on_a_day, run
 from faultline.testbench.families.recording import record, truth
+from faultline.testbench.families.sensed import PLACE, frames
+from faultline.testbench.faults import Fault
 from faultline.testbench.streams import stream
+from faultline.testbench.traffic import Frame
 from faultline.testbench.units import BAR
 
 DURATION_S = 70.0
@@ -39,6 +43,58 @@ def test_the_integrators_agree() -> None:
         count = min(len(other), len(runs[0]))
         late = slice(round((STANDING_S + 10.0) / 0.05), count)
         assert np.sqrt(np.mean((other[late] - runs[0][late]) ** 2)) < 500.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "size", "moves"),
+    [
+        ("fA_t", 0.5, {"y_p_tp": -1}),
+        ("fA_du", 0.5, {"y_p_ap": 1}),
+        ("fA_ori", 0.3, {"n_p": -1}),
+        ("fq_pump", 0.2, {"n_p": 1}),
+        ("fy_p_du", 1e5, {"y_p_ap": -1, "n_p": -1}),
+        ("leak_ap", 1.0, {"n_p": 1}),
+    ],
+)
+def test_a_fault_moves_what_it_must_from_its_onset_on(fault: str, size: float, moves: dict[str, int]) -> None:
+    """At a pressure that is held, by what the controller reads."""
+    plant, onset_s = plant_of("stepped", 2), 50.0
+    style = replace(plant.style, doses=(DURATION_S, DURATION_S), idle=1.0, steady=1.0)
+    cycle = asked(style, DURATION_S, stream(1, "cycle"))
+    healthy = run(plant, cycle, DURATION_S)
+    faulty = run(plant, cycle, DURATION_S, [Fault(fault, size, onset_s)])
+    before, after = slice(round(onset_s / plant.step)), slice(round((onset_s + 10.0) / plant.step), None)
+    np.testing.assert_array_equal(faulty.pressures[before], healthy.pressures[before])
+    read = {
+        "n_p": (faulty.speed - healthy.speed)[after].mean(),
+        **{name: (faulty.pressures - healthy.pressures)[after, k].mean() for name, k in PLACE.items()},
+    }
+    assert {name: int(np.sign(read[name])) for name in moves} == moves
+    assert all(abs(read[name]) > (0.3 if name == "n_p" else 100.0) for name in moves)
+
+
+def test_a_sensor_that_is_off_is_sent_so_and_other_faults_are_refused() -> None:
+    plant = plant_of("stepped", 2)
+    cycle = asked(plant.style, DURATION_S, stream(1, "cycle"))
+    course = run(plant, cycle, DURATION_S, [Fault("fy_p_ap", 5e4, 30.0)])
+    clean = run(plant, cycle, DURATION_S)
+    sent, usual = (
+        [decoded(frame) for frame in frames(of, plant.seen, load_dbc(), stream(1, "frames"))] for of in (course, clean)
+    )
+    off = [a - b for a, b in zip(sent, usual, strict=True) if a is not None and b is not None]
+    assert off[0] == 0.0
+    assert off[-1] == pytest.approx(50.0, abs=1.0)
+    with pytest.raises(RigError, match=r"^off_p_du: plants of the families have fA_t, fA_p, .*, leak_ap$"):
+        run(plant, cycle, DURATION_S, [Fault("off_p_du", 1.0, 30.0)])
+
+
+def decoded(frame: Frame) -> float | None:
+    """The reading of `y_p_ap` [kPa] in a frame."""
+    message = load_dbc().sensor_box.message
+    if frame.frame_id != message.frame_id:
+        return None
+    values: Any = message.decode(frame.data)
+    return float(values["y_p_ap"])
 
 
 def test_at_rest_what_flows_in_flows_out() -> None:
