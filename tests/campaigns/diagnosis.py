@@ -18,9 +18,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, get_args
 
+import diagnosis_plants
 import msgspec
-from diagnosis_cases import VEHICLES, Case, Set, cases, hidden
-from diagnosis_shop import Watched, Workshop, run_of, told_of, watched
+from diagnosis_cases import PLANTS, VEHICLES, VEHICLES_C, Case, Set, cases, hidden
+from diagnosis_limit import limit_of
+from diagnosis_shop import Workshop, run_of, sent, told_of, watched
 from diagnosis_visible import changes
 from results_page import digest, head_commit
 
@@ -34,7 +36,7 @@ WORK = Path("out/campaign-diagnosis")
 """Bundles and series of residuals, by the code that made them; not in git."""
 WAYS = ("own", "adapted")
 """A vehicle is tuned on drives of its own, or adapts the tuning of the reference vehicles."""
-_OWN = (f"tests/campaigns/diagnosis_{name}.py" for name in ("cases", "shop", "reference"))
+_OWN = (f"tests/campaigns/diagnosis_{name}.py" for name in ("cases", "plants", "shop", "reference"))
 FROZEN = ("analysis", "service", "testbench", "dbc", *_OWN)
 
 
@@ -54,11 +56,17 @@ def folder_of(effects_set: Set, code: str, way: str) -> Path:
     return WORK / code / f"{effects_set}-{way}"
 
 
+def numbers_of(options: argparse.Namespace) -> list[int]:
+    """The vehicles of this part."""
+    own = VEHICLES_C if options.effects == "C" else VEHICLES
+    return shard(options.vehicles or own, options.shard)
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What both campaigns are asked."""
     parser.add_argument("--effects", choices=get_args(Set), default=os.environ.get("EFFECTS", "A"))
     parser.add_argument("--shard", default=os.environ.get("SHARD", "1/1"), help="i/n: this part of the vehicles")
-    parser.add_argument("--vehicles", type=int, nargs="+", default=VEHICLES)
+    parser.add_argument("--vehicles", type=int, nargs="+", help="their numbers; those of the set where none are given")
     parser.add_argument("--tuning", choices=WAYS, default=os.environ.get("TUNING", WAYS[0]), help="how it is tuned")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -68,6 +76,7 @@ def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
     """All recordings of one vehicle; none where the workshop's tuning refuses it: it is not put into service."""
     start, busy = time.monotonic(), time.process_time()
     bundle, refused = None, None
+    free = [case for case in wanted if case.kind == "free"]
     try:
         bundle = shop.bundle()
     except InputError as error:
@@ -79,6 +88,7 @@ def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
         "doubts": shop.doubts,
         "refused": refused,
         "claim": None if bundle is None else shop.claim,
+        "limit": None if bundle is None else limit_of(bundle, [sent(case) for case in free]),
         "judged": [] if bundle is None else [_judged(shop, bundle, case) for case in wanted],
         "wall_s": round(time.monotonic() - start, 1),
         "cpu_s": round(time.process_time() - busy, 1),
@@ -86,14 +96,19 @@ def vehicle(shop: Workshop, wanted: Sequence[Case]) -> Record:
 
 
 def _judged(shop: Workshop, bundle: Bundle, case: Case) -> Record:
-    asked = case.request
-    run = run_of(asked)
-    seen: Watched = watched(bundle, asked, run)
+    seen = watched(bundle, case.name, sent(case))
     seen.save(shop.folder / "series" / f"{case.name}.npz")
     told = told_of(case, seen, bundle.manifest.period_s)
     if case.kind != "pair" and "fA_p" in dict(case.faults):
-        told["changes"] = changes(asked, run, run_of(case.healthy))
+        told["changes"] = _changes(case)
     return told
+
+
+def _changes(case: Case) -> bool:
+    """Whether the fault changes anything that is measured."""
+    if case.number in PLANTS:
+        return diagnosis_plants.changes(case)
+    return changes(case.request, run_of(case.request), run_of(case.healthy))
 
 
 def kept_in(effects_set: Set, results: Path = RESULTS, *, part: bool = False) -> Path:
@@ -140,11 +155,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = digest(*FROZEN)
         stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
         there = kept(path)
-        asked = {number: _wanted(number, options.effects, options.faults) for number in options.vehicles}
+        asked = {number: _wanted(number, options.effects, options.faults) for number in numbers_of(options)}
         missing = [
-            number
-            for number in shard(options.vehicles, options.shard)
-            if not is_made(number, asked[number], there, code, options.tuning)
+            number for number in numbers_of(options) if not is_made(number, asked[number], there, code, options.tuning)
         ]
         shops = workshops(missing, options.effects, code, options.tuning)
         wanted = [(shop, asked[shop.number]) for shop in shops]

@@ -19,14 +19,26 @@ from faultline.testbench.request import Request
 from faultline.testbench.sizes import frozen
 from faultline.testbench.vehicles import vehicle
 
-Set = Literal["A", "B", "none"]
+Set = Literal["A", "B", "C", "none"]
 Kind = Literal["free", "single", "curve", "pair"]
 
 VEHICLES = tuple(range(401, 421))
+VEHICLES_C = tuple(range(801, 821))
+PLANTS: dict[int, tuple[str, int]] = {
+    815: ("counted", 61),
+    816: ("counted", 62),
+    817: ("swinging", 63),
+    818: ("swinging", 64),
+    819: ("seldom", 65),
+    820: ("seldom", 66),
+}
+"""Vehicles of set C that are plants of other structures (`faultline.testbench.families`), by family and number."""
+BACKLASH = 5
+"""Every fifth truck of set C has a sensor with backlash, of which few visits to a mode say little."""
 REFERENCE = tuple(range(451, 459))
 """Vehicles of which only fault-free drives are ever seen: what other vehicles' thresholds come from."""
 
-PROFILES_OF: dict[Set, str] = {"A": "everyday", "B": "everyday", "none": "realistic"}
+PROFILES_OF: dict[Set, str] = {"A": "everyday", "B": "everyday", "C": "everyday", "none": "realistic"}
 """Every recording has a day of its own, but where nothing is hidden either: what the frozen sizes are small against."""
 
 HIDDEN: dict[Set, dict[str, float]] = {
@@ -51,7 +63,8 @@ HIDDEN: dict[Set, dict[str, float]] = {
     },
     "none": {},
 }
-"""Modest sizes. Set A is for development; set B is run once, after a commit that says so."""
+HIDDEN["C"] = {**HIDDEN["A"], **HIDDEN["B"]}
+"""Modest sizes. Set A is for development; sets B and C are each run once, after a commit that says so."""
 
 FREE, FREE_S = 4, 900.0
 """Fault-free drives of each vehicle, and how long each is [s]."""
@@ -103,13 +116,15 @@ class Case:
 
 
 def hidden(number: int, effects_set: Set) -> dict[str, float]:
-    """One or two effects of the set, by the vehicle's number; none for a reference vehicle, or where there are none."""
-    if number in REFERENCE or not HIDDEN[effects_set]:
+    """One or two effects of the set, by the vehicle's number; none for a reference vehicle or a plant of a family."""
+    if number in REFERENCE or number in PLANTS or not HIDDEN[effects_set]:
         return {}
     rng = np.random.default_rng([number, 11])
     sizes = HIDDEN[effects_set]
-    chosen = rng.permutation([*sizes])[: rng.integers(1, 3)]
-    return {str(name): sizes[str(name)] for name in chosen}
+    chosen = [str(name) for name in rng.permutation([*sizes])[: rng.integers(1, 3)]]
+    if effects_set == "C" and number % BACKLASH == 0:
+        chosen = ["sensor_backlash", *(name for name in chosen[1:] if name != "sensor_backlash")]
+    return {name: sizes[name] for name in chosen}
 
 
 def request(
@@ -154,12 +169,12 @@ def _cases(number: int, effects_set: Set) -> Iterator[Case]:
     for row, (fault, both) in enumerate(sizes.items()):
         for column, label in enumerate(("small", "large")):
             yield case("single", 100 + 2 * row + column, label, (fault, both[column]))
-    if number % CURVE_EVERY == 1:
+    if number % CURVE_EVERY == 1 and effects_set != "C":
         for row, (fault, (_, large)) in enumerate(sizes.items()):
             for column, part in enumerate(CURVE):
                 if part * large <= limit(fault):
                     yield case("curve", 200 + 10 * row + column, f"{part:g}", (fault, part * large))
-    first = number - VEHICLES[0]
+    first = number - (VEHICLES_C if effects_set == "C" else VEHICLES)[0]
     for k in range(first % len(VEHICLES), len(PAIRS), len(VEHICLES)):
         one, other = PAIRS[k]
         yield case("pair", 400 + k, "large", (one, sizes[one][1]), (other, sizes[other][1]))

@@ -10,6 +10,7 @@ from typing import Any
 
 from diagnosis_goals import Hours, goals
 from diagnosis_judged import Judged, all_of
+from diagnosis_limits import beside_the_limit
 from diagnosis_mates import excused
 from diagnosis_tables import alarms, by_effect, by_fault, by_look, calibration, curve, isolability, pairs, smallest
 from results_page import exact_rate
@@ -24,7 +25,9 @@ HEAD = """# What is told of faults on other vehicles
 
 All data are **simulated** by the rig. Sets A and B: profile `everyday`, every recording has a day of its own
 (viscosity, zeros of the sensors, tank level), every vehicle one or two hidden effects of modest size. None: profile
-`realistic`, days do not differ and nothing is hidden; against that the frozen sizes are small and large. Made by
+`realistic`, days do not differ and nothing is hidden; against that the frozen sizes are small and large. Set C: the
+effects of A and B on other trucks, every fifth with a sensor's backlash, and six plants of families of another
+structure; run once. Made by
 `make campaign-diagnosis` and `make campaign-false-alarms`; vehicles, effects, faults, sizes and pairs are declared in
 `tests/campaigns/diagnosis_cases.py`. Each vehicle is calibrated on a training recording of its own and tuned as its
 workshop would, then judged on other drives, by what it tells. Small and large are sizes by effect, frozen before any
@@ -48,8 +51,10 @@ def page(records: Sequence[Record], hours: Sequence[Record] = (), more: str = ""
     free, of_others = fault_free(told, hours, records[0]["claim"]), excused(told)
     effects = {record["vehicle"]: [*record["effects"]] for record in records}
     said = Counter(name for names in free.false for name in names)
+    limits = {record["vehicle"]: record["limit"] for record in records if record.get("limit")}
     tables = {
         "Wanted and measured": goals(told, free, of_others),
+        "Beside the limit": beside_the_limit(told, limits) if limits else [],
         "Every fault": by_fault(told, of_others),
         "How a diagnosis develops": by_look(told),
         "Probabilities": calibration(told),
@@ -124,7 +129,7 @@ def write_page(results: Path) -> None:
         SystemExit: nothing is there.
     """
     parts = [HEAD]
-    for name in ("B", "A", "none"):
+    for name in ("C", "B", "A", "none"):
         records, hours = (_read(results / f"{kind}-{name}.jsonl") for kind in ("diagnosis", "false-alarms"))
         rivals = results / f"diagnosis-rivals-{name}.md"
         more = "\n" + rivals.read_text() if rivals.exists() else ""
@@ -133,7 +138,7 @@ def write_page(results: Path) -> None:
         if hours:
             more += "\n" + "\n".join(["## Hours by vehicle", "", *by_vehicle(hours), ""])
         if records:
-            title = "# No days, no hidden effects" if name == "none" else f"# Hidden effects of set {name}"
+            title = "# No days, no hidden effects" if name == "none" else f"# Set {name}"
             parts.append(f"{title}\n\n" + page(records, hours, more))
     if len(parts) == 1:
         raise SystemExit(f"{results}: no records of a diagnosis campaign; run make campaign-diagnosis first")

@@ -3,14 +3,15 @@
 import io
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import diagnosis_plants
 import numpy as np
-from diagnosis_cases import Case, Set, request, seed_of
+from diagnosis_cases import PLANTS, Case, Set, request, seed_of
 
 from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.export import main as export
@@ -24,7 +25,7 @@ from faultline.testbench.bus import load_dbc
 from faultline.testbench.recording import record
 from faultline.testbench.request import Request
 from faultline.testbench.simulation import Run, simulate
-from faultline.testbench.traffic import frames
+from faultline.testbench.traffic import Frame, frames
 
 Record = dict[str, Any]
 
@@ -49,6 +50,9 @@ class Workshop:
 
     def made(self, cycle: str, k: int, seconds: float) -> Path:
         """A fault-free recording of the vehicle, on a day of its own."""
+        if self.number in PLANTS:
+            name = f"{cycle}-{k}"
+            return diagnosis_plants.recorded(self.number, name, seed_of(self.number, k), seconds, self.folder / "logs")
         wanted = request(self.number, self.effects_set, cycle, seed_of(self.number, k), seconds)
         where = self.folder / "logs", self.folder / "truth"
         return record(wanted, load_dbc(), *where, force=True, progress=lambda _: None)[0]
@@ -63,14 +67,17 @@ class Workshop:
             dbc = str(training / "uds.dbc")
             must(export, [str(model), "--tuning", str(tuned), "--dbc", dbc, "--out", str(out)])
             for folder in ("logs", "truth"):
-                shutil.rmtree(self.folder / folder)
+                shutil.rmtree(self.folder / folder, ignore_errors=True)
         return load_bundle(out)
 
     def calibrated(self) -> tuple[Path, Path]:
         """The model file, and the recording that it was calibrated on."""
         training = self.made("training", 1, TRAINING_S)
         model = self.folder / "model.toml"
-        words = ["uds", str(training), "--out", str(model)]
+        given = "uds"
+        if self.number in PLANTS:
+            given = str(diagnosis_plants.sheet(self.number, self.folder / "sheet.toml"))
+        words = [given, str(training), "--out", str(model)]
         code, told = quietly(calibrate, words)
         if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
             self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))
@@ -146,8 +153,15 @@ def run_of(asked: Request) -> Run:
     return simulate(vehicle, cycle, faults, asked.seed, asked.duration, effects=asked.effects, day=asked.day)
 
 
-def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
-    """The rig's frames straight into the vehicle's monitor: what a log of them would give, without writing one."""
+def sent(case: Case) -> Iterable[Frame]:
+    """The frames of a case's drive."""
+    if case.number in PLANTS:
+        return diagnosis_plants.frames_of(case)
+    return frames(case.request, load_dbc(), [run_of(case.request)])
+
+
+def watched(bundle: Bundle, name: str, drive: Iterable[Frame]) -> Watched:
+    """Frames straight into the vehicle's monitor: what a log of them would give, without writing one."""
     manifest, ticks, blind = bundle.manifest, [], []
     alarms: list[tuple[float, str]] = []
     standing: set[str] = set()
@@ -160,8 +174,8 @@ def watched(bundle: Bundle, asked: Request, run: Run) -> Watched:
         blind.append(len(decision.cannot_tell))
         ticks.append(tick)
 
-    monitor = Monitor(manifest, bundle.bank(), bundle.table, asked.name, bundle.id, watch)
-    told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in frames(asked, load_dbc(), [run])))
+    monitor = Monitor(manifest, bundle.bank(), bundle.table, name, bundle.id, watch)
+    told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in drive))
     origin_s = ticks[0].t_s
     dose = [channel.signal for channel in manifest.inputs].index("dc_dose")
     z = np.array([tick.z for tick in ticks])

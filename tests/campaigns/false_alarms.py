@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from diagnosis import FROZEN, RESULTS, add_options, kept, shard, workshops
-from diagnosis_cases import Set, request
-from diagnosis_shop import Workshop, run_of, said, watched
+from diagnosis import FROZEN, RESULTS, add_options, kept, numbers_of, workshops
+from diagnosis_cases import Case, Set
+from diagnosis_shop import Workshop, said, sent, watched
 from results_page import digest, head_commit
 
 from faultline.service.core.errors import InputError
@@ -36,8 +36,8 @@ def hour(shop: Workshop, number: int, seconds: float = DRIVE_S) -> Record:
     busy = time.process_time()
     bundle = shop.bundle()
     seed = SEEDS + 1000 * shop.number + number
-    asked = request(shop.number, shop.effects_set, "drive", seed, seconds)
-    seen = watched(bundle, asked, run_of(asked))
+    case = Case(shop.number, shop.effects_set, "free", "", (), seed, seconds)
+    seen = watched(bundle, case.name, sent(case))
     occurred = [(t, event) for t, event in seen.events if event.transition == "occurred"]
     return {
         "vehicle": shop.number,
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     stamp = {"commit": head_commit(), "code": code, "tuning": options.tuning}
     same = [record for record in kept(path) if (record["code"], record["tuning"]) == (code, options.tuning)]
     there = {(record["vehicle"], record["hour"]) for record in same}
-    shops = workshops(shard(options.vehicles, options.shard), options.effects, code, options.tuning)
+    shops = workshops(numbers_of(options), options.effects, code, options.tuning)
     with get_context("spawn").Pool(options.processes) as pool:
         made = pool.map(_made, shops)  # each once, before two processes want the same
         served = [shop for shop, is_made in zip(shops, made, strict=True) if is_made]

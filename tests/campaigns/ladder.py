@@ -24,8 +24,10 @@ from diagnosis_visible import changes
 from results_page import exact_share, provenance
 
 from faultline.service.core.errors import InputError
+from faultline.testbench.bus import load_dbc
 from faultline.testbench.faults import Course, Fault
 from faultline.testbench.request import Request
+from faultline.testbench.traffic import frames
 
 Record = dict[str, Any]
 
@@ -105,7 +107,8 @@ def vehicle(shop: Workshop) -> Record:
         bundle = shop.bundle()
         for rung in rungs(shop.number, shop.effects_set):
             run = run_of(rung.request)
-            seen = told_of(rung, watched(bundle, rung.request, run), bundle.manifest.period_s)
+            drive = frames(rung.request, load_dbc(), [run])
+            seen = told_of(rung, watched(bundle, rung.request.name, drive), bundle.manifest.period_s)
             if "fA_p" in dict(rung.faults):
                 seen["changes"] = changes(rung.request, run, run_of(rung.healthy))
             told.append(seen)

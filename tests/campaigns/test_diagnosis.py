@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from diagnosis import Record, is_made, kept_in, main, vehicle
 from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidden, request
-from diagnosis_judged import all_of, judged
+from diagnosis_judged import Judged, all_of, judged
+from diagnosis_limits import beside_the_limit
 from diagnosis_mates import excused, in_words, narrow
 from diagnosis_page import PAGE, latest, of_same_code, page, write_page
 from diagnosis_shop import Workshop, run_of
@@ -37,19 +38,22 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 @pytest.fixture(scope="module")
 def told(shop: Workshop) -> Record:
     large = [case for case in cases(NUMBER, "none") if (case.kind, case.label) == ("single", "large")]
-    wanted = [case for case in large if {*dict(case.faults)} <= FAULTS]
+    free = [case for case in cases(NUMBER, "none") if case.kind == "free"][:1]
+    wanted = [*free, *(case for case in large if {*dict(case.faults)} <= FAULTS)]
     return vehicle(shop, [replace(case, seconds=450.0) for case in wanted])
 
 
 def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_one(told: Record) -> None:
-    looked = all_of([told])
+    free, *looked = all_of([told])
+    assert free.false == []
     assert len(looked) == 3
     for one in looked:
+        limit = told["limit"][one.faults[0]]["large"]
+        assert one.delay_s is not None, one
+        assert limit["delay_s"] <= one.delay_s <= 60.0
         assert one.false == [], one
         assert one.holds(), one
         assert len(one.first()) <= 3, one
-        assert one.delay_s is not None, one
-        assert one.delay_s < 60.0, one
         assert one.excited_s is not None, one
         assert one.excited_s <= one.delay_s + 0.3, one  # a tick, and both are rounded
 
@@ -60,7 +64,7 @@ def test_an_hour_is_driven_and_counted(shop: Workshop, told: Record) -> None:
     assert driven["seconds"] == 300.0
     stamp = {"commit": "abc", "code": "def"}
     said = page([{**told, **stamp}], [{**driven, **stamp}, {**driven, **stamp}])
-    seconds = sum(one["onset_s"] for one in told["judged"]) + 600.0
+    seconds = sum(one["onset_s"] if one["faults"] else one["seconds"] for one in told["judged"]) + 600.0
     assert f"| none in 500 h over 20 vehicles | 0 in {seconds / 3600:.1f} h" in said
     assert "| fA_t | large | 1 of 1, 100.0 % (2.5 to 100.0 %) |" in said
 
@@ -187,6 +191,29 @@ def test_a_fault_changes_what_is_measured_or_does_not() -> None:
     large = replace(quiet, faults=(Fault("fA_t", 0.333, 60.0),))
     told["fA_t"] = changes(large, run_of(large), run_of(quiet))
     assert told == {"quiet": False, "pulsing": True, "fA_t": True}
+
+
+def test_small_faults_are_counted_beside_their_limit() -> None:
+    def one(vehicle: int, fault: str, excited_s: float | None, size: float) -> Judged:
+        said = {300.0: [(fault, 1, 0.99, (), [(-30.0, -20.0, "%")])]} if excited_s is not None else {}
+        return Judged(
+            vehicle, "single", "small", (fault,), 100.0, [], [], excited_s, excited_s, said, 0.0, True, (size,)
+        )
+
+    told = [one(1, "fA_t", 40.0, 0.25), one(2, "fA_t", None, 0.25), one(1, "fA_du", 310.0, 0.35)]
+    limits = {
+        number: {
+            "fA_t": {"small": {"delay_s": 20.0, "within": 1.0 if number == 1 else 0.2, "others": ["fA_p"]}},
+            "fA_du": {"small": {"delay_s": 20.0, "within": 0.5, "others": []}},
+        }
+        for number in (1, 2)
+    }
+    found = "\n".join(beside_the_limit(told, limits))
+    assert "exciting operation | >= 85 % | 1 of 2" in found
+    assert "the same | >= 75 % | 1 of 3" in found
+    assert "| 1.00 to 1.50 |" in found
+    assert "has it | 90 to 98 % | 1 of 2" in found
+    assert "| fA_t | 2 | 1 | 1 of 2, 50.0 % (1.3 to 98.7 %) | 40 | 20 | 2.0 |" in found
 
 
 def test_hours_count_with_the_code_that_made_the_records() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from by_vehicle import Campaign, run, set_of
 from diagnosis_cases import Case, hidden, seed_of
 from diagnosis_judged import Judged, all_of
-from diagnosis_shop import Workshop, run_of, told_of, watched
+from diagnosis_shop import Workshop, sent, told_of, watched
 from results_page import exact_share, provenance
 
 from faultline.service.core.errors import InputError
@@ -64,7 +64,7 @@ def vehicle(shop: Workshop) -> Record:
     try:
         bundle = shop.bundle()
         for case in cases(shop.number):
-            seen = watched(bundle, case.request, run_of(case.request))
+            seen = watched(bundle, case.name, sent(case))
             told.append(told_of(case, seen, bundle.manifest.period_s))
     except InputError as error:
         refused = str(error)
