@@ -1,11 +1,13 @@
 """A recording through the whole core, with everything that happened inside kept for the picture."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from faultline.service.bundle.load import Bundle
+from faultline.service.core.decision.blocks import Block, BlockMeans
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
@@ -24,7 +26,7 @@ class Story:
     `source` says where the recording comes from, None of a bare log. `level` (K, T) are the residuals without the day,
     which detectors test; `sums` (K, T) the detectors' in parts of their thresholds, with sign. `t_s` (K,) is log time
     after the first frame, `mode` (K,) indices of `MODES`, `origin_s` the time of tick 0, `end_s` that of the last one.
-    Columns are generators, in the manifest's order.
+    Columns are generators, in the manifest's order. `blocks` are the means that the decision goes by.
     """
 
     bundle: Bundle
@@ -42,6 +44,7 @@ class Story:
     mode: npt.NDArray[np.intp]
     origin_s: float
     end_s: float
+    blocks: Sequence[Block] = ()
 
     @property
     def standardised(self) -> Array:
@@ -67,12 +70,17 @@ def tell(bundle: Bundle, log: Log) -> Story:
     levels: list[Array] = []
     sums: list[Array] = []
     fired: list[Mask] = []
+    blocks: list[Block] = []
+    manifest = bundle.manifest
+    cut = BlockMeans(manifest.evidence, [generator.name for generator in manifest.generators], manifest.time)
 
     def watch(tick: Tick, decision: Decision) -> None:
         ticks.append(tick)
         levels.append(decision.level)
         sums.append(decision.sums)
         fired.append(decision.fired)
+        if (block := cut.add(tick.number, tick.mode, tick.residuals)) is not None:
+            blocks.append(block)
 
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
     events = list(monitor.signals(log.signals(bundle.table)))
@@ -94,4 +102,5 @@ def tell(bundle: Bundle, log: Log) -> Story:
         mode=np.array([tick.mode for tick in ticks]),
         origin_s=ticks[0].t_s,
         end_s=ticks[-1].t_s,
+        blocks=blocks,
     )

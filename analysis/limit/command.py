@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from faultline.analysis.limit.drive import blocks_of
-from faultline.analysis.limit.limits import limits_of
+from faultline.analysis.limit.limits import limits_of, of_drive
 from faultline.analysis.limit.table import Units, lines
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.observe import open_known
@@ -44,8 +44,7 @@ def main(argv: list[str]) -> int:
             log = open_known(path, partial(print, file=sys.stderr))
             log.check_senders(bundle.table)
             log.check_dbc(bundle.dbc_sha256)
-            drives[log.id] = blocks_of(bundle, log)
-        progress.say("computing")
+            drives[log.id] = of_drive(bundle.manifest, blocks_of(bundle, log), options.every, options.within)
         found = limits_of(bundle.manifest, bundle.id, drives, options.every, options.within)
         if options.picture:
             from faultline.analysis.limit.picture import draw  # matplotlib takes a second to import

@@ -1,6 +1,7 @@
 """The limits of a bundle on drives: delay, smallest size and separation of every assumed fault."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -62,65 +63,96 @@ class Limits(msgspec.Struct, frozen=True):
     smallest: list[Smallest]
 
 
+class DriveLimits(NamedTuple):
+    """What one drive's onsets show: `delay` (O, H) [s], `rate` (modes, H) [nats/s], `reached` (O, times, H) [nats].
+
+    `apart` (A, H, faults) [s] is of those A onsets that have the longest of the times behind them.
+    """
+
+    delay: FloatArray
+    rate: FloatArray
+    reached: FloatArray
+    apart: FloatArray
+
+
+def of_drive(manifest: Manifest, blocks: Sequence[Block], every_h: float, within_s: float) -> DriveLimits:
+    """Return what a fault-free drive's onsets show of all hypotheses."""
+    model, segments = BaselineModel(manifest.evidence, manifest.time), Hypotheses(manifest.evidence).segments
+    times_s = _times(within_s)
+    onsets = np.unique(np.linspace(FIRST * len(blocks), LAST * len(blocks), ONSETS).astype(np.intp))
+    g = signatures(blocks, model, onsets)
+    J, end_s = information(g), np.array([float(block.end_s[0]) for block in blocks])
+    since_s = end_s - np.concatenate([[0.0], end_s])[onsets][:, None]
+    reached, apart = [], []
+    for k, onset in enumerate(onsets.tolist()):
+        if since_s[k, -1] >= within_s:
+            apart.append(_apart(g[k, onset:], since_s[k, onset:], segments, times_s))
+        ends = [int(np.flatnonzero(since_s[k] <= time_s)[-1]) for time_s in times_s]
+        seen = since_s[k, -1] >= np.array(times_s)  # J is not known beyond the drive's end
+        reached.append(np.where(seen[:, None], J[k, ends], np.nan))
+    return DriveLimits(
+        delays(J, since_s, _nats(manifest, every_h)),
+        rates(J, blocks, since_s, within_s, len(manifest.modes.names)),
+        np.array(reached),
+        np.array(apart).reshape(len(apart), J.shape[2], len(dict.fromkeys(segments.faults))),
+    )
+
+
 def limits_of(
-    manifest: Manifest, bundle_id: str, drives: dict[str, list[Block]], every_h: float, within_s: float
+    manifest: Manifest, bundle_id: str, drives: Mapping[str, DriveLimits], every_h: float, within_s: float
 ) -> Limits:
     """Return the limits over all onsets of all drives.
 
     Raises:
         InputError: no onset has `within_s` of drive behind it.
     """
-    evidence, time = manifest.evidence, manifest.time
-    model, segments = BaselineModel(evidence, time), Hypotheses(evidence).segments
-    block_s = time.ticks(BLOCK) * time.period_s
-    nats = float(np.log(3600.0 * every_h / block_s))
-    modes = manifest.modes.names
-    times_s = [*(time_s for time_s in TIMES_S if time_s < within_s), within_s]
-    delayed, by_mode, far, reached = [], [], [], []
-    for blocks in drives.values():
-        onsets = np.unique(np.linspace(FIRST * len(blocks), LAST * len(blocks), ONSETS).astype(np.intp))
-        g = signatures(blocks, model, onsets)
-        J, end_s = information(g), np.array([float(block.end_s[0]) for block in blocks])
-        since_s = end_s - np.concatenate([[0.0], end_s])[onsets][:, None]
-        delayed.append(delays(J, since_s, nats))
-        by_mode.append(rates(J, blocks, since_s, within_s, len(modes)))
-        for k, onset in enumerate(onsets.tolist()):
-            if since_s[k, -1] >= within_s:
-                far.append(_apart(g[k, onset:], since_s[k, onset:], segments, times_s))
-            ends = [int(np.flatnonzero(since_s[k] <= time_s)[-1]) for time_s in times_s]
-            seen = since_s[k, -1] >= np.array(times_s)  # J is not known beyond the drive's end
-            reached.append(np.where(seen[:, None], J[k, ends], np.nan))
-    if not far:
+    evidence, segments = manifest.evidence, Hypotheses(manifest.evidence).segments
+    apart = np.concatenate([drive.apart for drive in drives.values()])
+    if not len(apart):
         raise InputError(
             f"{', '.join(drives)}: no onset has {within_s:g} s of drive behind it; give a longer drive or --within"
         )
-    delay, rate = np.concatenate(delayed), _mean(np.array(by_mode))
-    separate = np.median(np.array(far), axis=0)  # (H, faults)
-    faults = list(dict.fromkeys(segments.faults))
+    delay = np.concatenate([drive.delay for drive in drives.values()])
+    reached = np.concatenate([drive.reached for drive in drives.values()])
+    rate = _mean(np.array([drive.rate for drive in drives.values()]))
+    separate = np.median(apart, axis=0)  # (H, faults)
+    nats, faults = _nats(manifest, every_h), list(dict.fromkeys(segments.faults))
     simple = evidence.hypotheses[: evidence.simple]
     return Limits(
         bundle=bundle_id,
         drives=[*drives],
         every_h=every_h,
-        times_s=times_s,
-        block_s=block_s,
+        times_s=_times(within_s),
+        block_s=_block_s(manifest),
         nats=nats,
-        onsets=np.isfinite(np.array(reached)[..., 0]).sum(axis=0).tolist(),
+        onsets=np.isfinite(reached[..., 0]).sum(axis=0).tolist(),
         limits=[
             Limit(
                 fault=each.fault,
                 size=each.size,
                 share_of=each.share_of,
                 delay_s=_quantiles(delay[:, row]),
-                rate={name: _known(rate[mode, row]) for mode, name in enumerate(modes) if mode > 0},
+                rate={name: _known(rate[mode, row]) for mode, name in enumerate(manifest.modes.names) if mode > 0},
                 apart_s={
                     fault: _known(separate[row, column]) for column, fault in enumerate(faults) if fault != each.fault
                 },
             )
             for row, each in enumerate(simple)
         ],
-        smallest=_smallest(simple, segments, np.array(reached), nats),
+        smallest=_smallest(simple, segments, reached, nats),
     )
+
+
+def _times(within_s: float) -> list[float]:
+    return [*(time_s for time_s in TIMES_S if time_s < within_s), within_s]
+
+
+def _block_s(manifest: Manifest) -> float:
+    return manifest.time.ticks(BLOCK) * manifest.time.period_s
+
+
+def _nats(manifest: Manifest, every_h: float) -> float:
+    return float(np.log(3600.0 * every_h / _block_s(manifest)))
 
 
 def _apart(g: FloatArray, since_s: FloatArray, segments: Segments, times_s: Sequence[float]) -> FloatArray:

@@ -14,7 +14,10 @@ from faultline.analysis.evaluation.given import Given
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.cases import Case, cases_of
 from faultline.analysis.evaluation.measure.metrics import Told, told
+from faultline.analysis.evaluation.measure.sizes import SizeTold, size_told
 from faultline.analysis.evaluation.story import Story
+from faultline.analysis.limit.drive import FEWEST
+from faultline.analysis.limit.limits import DriveLimits, of_drive
 from faultline.analysis.model.display import Units
 from faultline.service.core.records.event import Event
 from faultline.service.core.signals.values import Mask
@@ -22,6 +25,8 @@ from faultline.service.core.signals.values import Mask
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
+EVERY_H, WITHIN_S = 500.0, 120.0
+"""Hours from alarm to alarm that the limit is for, and how long it looks after an onset: short drives have no more."""
 BINS = 60
 LARGEST = 100.0
 EDGES: Array = np.sinh(np.linspace(-np.arcsinh(LARGEST), np.arcsinh(LARGEST), BINS + 1))
@@ -36,7 +41,8 @@ class Facts:
     (2, T) sums their squared residuals, `histogram` (2, T, BINS) counts the standardised ones, and `products` (2, T, T)
     sums these times each other, over the ticks in which all could tell. `episodes` (T,) are the alarms of each detector
     that began in the fault-free part, `delays_s` (T,) from the onset to the first that began after it (NaN: none),
-    `standing` (T,) whether one stood at the onset.
+    `standing` (T,) whether one stood at the onset. `size` was told of its fault; `limits` are what a fault-free
+    recording says of the smallest faults (`faultline.analysis.limit`).
     """
 
     given: Given
@@ -54,6 +60,8 @@ class Facts:
     delays_s: Array
     standing: Mask
     period_s: float
+    size: SizeTold | None = None
+    limits: DriveLimits | None = None
 
     @property
     def hours(self) -> Array:
@@ -94,7 +102,17 @@ def facts(given: Given, verdict: Verdict, events: list[Event], story: Story) -> 
         delays_s=_delays(rising[onset:], manifest.period_s),
         standing=story.fired[onset - 1] & (0 < onset < K),
         period_s=manifest.period_s,
+        size=size_told(given.truth, events, story.end_s - story.origin_s),
+        limits=_limits(story) if not given.truth.fault else None,
     )
+
+
+def _limits(story: Story) -> DriveLimits | None:
+    """What the blocks of a fault-free story say of the smallest faults; None where they are too few, or sizes none."""
+    manifest = story.bundle.manifest
+    if not manifest.evidence.hypotheses or len(story.blocks) < FEWEST:
+        return None
+    return of_drive(manifest, story.blocks, EVERY_H, WITHIN_S)
 
 
 def _rising(alarm: Mask) -> Mask:

@@ -9,13 +9,16 @@ import numpy as np
 from faultline.analysis.evaluation.blocks import joined, scored
 from faultline.analysis.evaluation.judge import Verdict
 from faultline.analysis.evaluation.measure.equal import equal_groups
-from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.measure.facts import EVERY_H, WITHIN_S, Facts
 from faultline.analysis.evaluation.measure.intervals import Rate, Share, rate, share
 from faultline.analysis.evaluation.measure.isolation import Isolation, isolations
 from faultline.analysis.evaluation.measure.methods import Method, methods
 from faultline.analysis.evaluation.measure.metrics import Scores, scores
+from faultline.analysis.evaluation.measure.reached import Reached, reached
 from faultline.analysis.evaluation.measure.selection import EXACT, REACHED, Reach, Selection, select
 from faultline.analysis.evaluation.measure.signature import Cell, cells
+from faultline.analysis.evaluation.measure.sizes import SizeTold
+from faultline.analysis.limit.limits import Limits, limits_of
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.display import Display, fitting
 from faultline.service.logs.recording import is_simulated
@@ -35,6 +38,7 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
     faulty_hours: float
     detection_s: float | None
     isolation_s: float | None
+    size: SizeTold | None
     verdict: Verdict
 
 
@@ -78,7 +82,11 @@ class Told(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything. `selection` is None where there are more generators than can be searched exactly."""
+    """Everything. `selection` is None where there are more generators than can be searched exactly.
+
+    `limits` say what any detector could find, by the fault-free recordings; None where none is long enough, or where
+    the bundle assumes no sizes. `reached` are the single faults beside it.
+    """
 
     schema: str
     bundle: str
@@ -96,6 +104,8 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     cells: list[Cell]
     isolation: list[Isolation]
     methods: list[Method]
+    limits: Limits | None
+    reached: list[Reached]
     selection: Selection | None
 
 
@@ -106,6 +116,7 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
     modes = np.sum([one.modes.sum(axis=0) for one in of], axis=0)
     tests = _tests(bundle, of)
     found = cells(of, manifest.generators, known, scored(manifest))
+    limits = _limits(bundle, of)
     return Evaluation(
         schema=SCHEMA,
         bundle=manifest.name,
@@ -129,8 +140,17 @@ def evaluation(bundle: Bundle, of: Sequence[Facts], required: Sequence[tuple[str
         cells=found,
         isolation=isolations(of, known),
         methods=methods(of, manifest.generators, known),
+        limits=limits,
+        reached=[] if limits is None else reached(of, limits, manifest.evidence),
         selection=_selection(bundle, of, tests, found, required) if len(tests) <= EXACT else None,
     )
+
+
+def _limits(bundle: Bundle, of: Sequence[Facts]) -> Limits | None:
+    drives = {one.given.recording.id: one.limits for one in of if one.limits is not None}
+    if not any(len(drive.apart) for drive in drives.values()):
+        return None
+    return limits_of(bundle.manifest, bundle.id, drives, EVERY_H, WITHIN_S)
 
 
 def _judged(one: Facts) -> Judged:
@@ -145,6 +165,7 @@ def _judged(one: Facts) -> Judged:
         faulty_hours=round(float(one.hours[1]), 4),
         detection_s=one.told.detection_s,
         isolation_s=one.told.isolation_s,
+        size=one.size,
         verdict=one.verdict,
     )
 

@@ -6,6 +6,7 @@ from faultline.analysis.evaluation.blocks import ALL
 from faultline.analysis.evaluation.measure.isolation import columns
 from faultline.analysis.evaluation.measure.selection import Selection
 from faultline.analysis.evaluation.measure.signature import Cell
+from faultline.analysis.evaluation.measure.sizes import PART
 from faultline.analysis.evaluation.report.document import Evaluation
 from faultline.analysis.evaluation.report.wording import NONE, between, hourly, number, percent, seconds
 from faultline.service.core.manifest import EDGE
@@ -100,6 +101,55 @@ def isolation(e: Evaluation) -> Table:
         "By fault. Rank, p and size (number of diagnoses) are those at the end of each recording; p where it is told."
     )
     return Table([*head, "FIA", "true isolation", "false isolation"], rows, caption)
+
+
+def sizes(e: Evaluation) -> Table:
+    """Sizes told beside the true ones."""
+    told = [(one, one.size) for one in e.recordings if one.size is not None]
+    rows: list[Row] = [
+        [
+            one.id,
+            one.case,
+            f"{size.low:g} to {size.high:g} {size.unit}",
+            size.of or NONE,
+            NONE if size.true is None else f"{size.true:g} {size.unit}",
+            NONE if size.covered is None else ("yes" if size.covered else "no"),
+        ]
+        for one, size in told
+    ]
+    known = [size.covered for _, size in told if size.covered is not None]
+    caption = (
+        f"Intervals of 95 % told at the end of each recording of a single fault; {sum(known)} of {len(known)} have "
+        "the true size."
+    )
+    return Table(["recording", "truth", "told", "of", "true", "in it"], rows, caption, text=(1, 3))
+
+
+def reached(e: Evaluation) -> Table:
+    """Delays beside the limit's."""
+    rows: list[Row] = [
+        [
+            one.case,
+            Td(f"{one.detected.hits} of {one.recordings}", between(one.detected)),
+            seconds(one.delay_s),
+            seconds(one.limit_s),
+            NONE if one.delay_s is None or one.limit_s is None else f"{one.delay_s / one.limit_s:.1f}",
+            NONE if one.smallest is None else _with_unit(one.smallest, one.unit),
+        ]
+        for one in e.reached
+    ]
+    within = f"smallest within {e.limits.times_s[-1]:g} s" if e.limits else "smallest"
+    caption = (
+        "By fault: the median delay, and what any detector could reach at best in the fault-free recordings, with one "
+        f"alarm in {e.limits.every_h:g} h without a fault; then the smallest size that it could find."
+        if e.limits
+        else ""
+    )
+    return Table(["truth", "detected", "delay, median", "limit", "times the limit", within], rows, caption)
+
+
+def _with_unit(size: float, unit: str) -> str:
+    return f"{100.0 * size:.3g} %" if unit == PART else f"{size:.3g} {unit}".rstrip()
 
 
 def _listed(values: Sequence[object]) -> str:
