@@ -1,4 +1,4 @@
-"""Show, export and erase the remembered faults of a running service."""
+"""Show, export and erase the remembered faults of a running service; let it learn its baseline anew."""
 
 import argparse
 import json
@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from faultline.options import Parser
+from faultline.service.core.decision.relearning import VISITS
 from faultline.service.core.errors import InputError
 from faultline.service.core.records.event import Diagnosis
 from faultline.service.core.records.fault import Fault
@@ -21,6 +22,7 @@ EXAMPLE = """examples:
   faultline faults show 3
   faultline faults export > faults.json
   faultline faults clear 3
+  faultline faults relearn
 """
 
 SOCKET = Path("/run/faultline/control.sock")
@@ -30,7 +32,7 @@ PAGE = 500
 def main(argv: list[str]) -> int:
     """Runs the command; `list` returns 1 where a fault is there now, `clear` where it could not be kept."""
     parser = Parser("faultline faults", description=__doc__, epilog=EXAMPLE)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="list|show|export|clear")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="list|show|export|clear|relearn")
     each = {name: commands.add_parser(name, help=text, description=text) for name, text in TEXTS.items()}
     for sub in each.values():
         sub.add_argument("--control", type=Path, default=SOCKET, help=f"the service's control socket ({SOCKET})")
@@ -40,6 +42,7 @@ def main(argv: list[str]) -> int:
     which = each["clear"].add_mutually_exclusive_group(required=True)
     which.add_argument("number", type=int, nargs="?", help="of the fault, as `list` says")
     which.add_argument("--all", action="store_true", help="all of them")
+    each["relearn"].add_argument("system", nargs="?", help="its name, where the service watches several")
     options = parser.parse_args(argv)
     with ControlClient(options.control) as control:
         try:
@@ -119,13 +122,25 @@ def _clear(control: ControlClient, options: argparse.Namespace) -> int:
     return 0
 
 
+def _relearn(control: ControlClient, options: argparse.Namespace) -> int:
+    """After a repair: what the system's residuals are without a fault is learnt anew."""
+    answer = control.ask_json("relearn", name=options.system)
+    modes = ", ".join(answer["baseline"]["wanting"])
+    print(
+        f"{answer['system']}: learns its baseline anew, and finds no fault until then. Operate it in each mode "
+        f"({modes}), {VISITS} times at least. Remembered faults stay: see `faultline faults clear`"
+    )
+    return 0
+
+
 TEXTS = {
     "list": "What is remembered; exit code 1 where a fault is there now.",
     "show": "One fault, with what was seen when it was told.",
     "export": "Everything, as one JSON document.",
     "clear": "Erases one fault, or all; what is still there is told anew.",
+    "relearn": "After a repair or with another sensor: learns anew what is usual without a fault.",
 }
-COMMANDS = {"list": _list, "show": _show, "export": _export, "clear": _clear}
+COMMANDS = {"list": _list, "show": _show, "export": _export, "clear": _clear, "relearn": _relearn}
 
 
 def _print(answer: object) -> None:

@@ -29,6 +29,7 @@ from faultline.analysis.tuning.vehicles import (
     pooled_left_out,
 )
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.offsets import shifted
 from faultline.service.core.manifest import Claim, Count, Detector, Evidence, Manifest
 from faultline.service.core.residuals.generators import Generators
 
@@ -143,34 +144,6 @@ def thresholds(
 def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
     seen = [without_baseline(s, evidence, rule.generators) for s in pooled_left_out(vehicles, to, rule.stand_ins)]
     return tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to)
-
-
-def shifted(manifest: Manifest, by: Array) -> Manifest:
-    """The manifest for a vehicle whose offsets lie further by (T, modes)."""
-    names = [generator.name for generator in manifest.generators]
-    return msgspec.structs.replace(
-        manifest,
-        detectors=[shifted_detector(d, by[names.index(d.generator)]) for d in manifest.detectors],
-        evidence=shifted_evidence(manifest.evidence, names, by),
-    )
-
-
-def shifted_detector(detector: Detector, by: Array) -> Detector:
-    """The detector with its offsets moved by (modes,)."""
-    return msgspec.structs.replace(detector, offset=(np.array(detector.offset) + by).tolist())
-
-
-def shifted_evidence(evidence: Evidence, names: Sequence[str], by: Array) -> Evidence:
-    """The evidence with its offsets, and those of its followers, moved by (T, modes) of the generators `names`."""
-    own = by[[names.index(name) for name in evidence.generators]]
-    return msgspec.structs.replace(
-        evidence,
-        offset=(np.array(evidence.offset) + own.T).tolist(),
-        followers=[
-            msgspec.structs.replace(f, offset=(np.array(f.offset) + by[names.index(f.generator)]).tolist())
-            for f in evidence.followers
-        ],
-    )
 
 
 def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:

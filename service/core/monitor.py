@@ -5,7 +5,10 @@ Live, in replay and offline the same frames at the same times give the same even
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
+import numpy as np
+
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.relearning import Relearning
 from faultline.service.core.decision.telling import Teller
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
@@ -46,6 +49,8 @@ class Monitor:
         self._decision = Decision(manifest)
         self._teller = Teller(source, bundle_id, manifest.time)
         self.watch = watch
+        self.relearning: Relearning | None = None
+        """While the vehicle's baseline is learnt, no test can tell."""
         self._quality: Qualities | None = None
 
     def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Event]:
@@ -112,7 +117,11 @@ class Monitor:
             self._quality = tick.quality
             for signal, since in self._sampler.new_doubts().items():
                 self._decision.withdraw(self._observer.tick_at(since), signal)
-            self._decision.update(tick.number, tick.mode, tick.residuals)
+            residuals = tick.residuals
+            if self.relearning is not None:
+                self.relearning.add(tick.mode, residuals)
+                residuals = residuals._replace(usable=np.zeros_like(residuals.usable))
+            self._decision.update(tick.number, tick.mode, residuals)
             events += self._teller.update(tick.number, self._decision)
             if self.watch is not None:
                 self.watch(tick, self._decision)

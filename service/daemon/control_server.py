@@ -7,10 +7,11 @@ import msgspec
 from faultline.service.core.records.health import Standing
 from faultline.service.daemon.fault_recorder import FaultRecorder, SystemState
 from faultline.service.daemon.sequencer import now
-from faultline.service.daemon.views import bus_status, description, live_tick, system_status
+from faultline.service.daemon.views import baseline_status, bus_status, description, live_tick, system_status
 from faultline.service.distribution import installed_version
 from faultline.service.outputs.control import Asker, Live, Then, refusal
 from faultline.service.protocol.answers import (
+    Begun,
     Erased,
     FaultDetail,
     FaultList,
@@ -51,6 +52,8 @@ class ControlServer:
                 then(self._fault(question.number))
             case "clear":
                 self._clear(question.number, asker, then)
+            case "relearn":
+                then(self._relearn(question.name, asker))
             case "state":
                 then(self._service_state())
             case "records":
@@ -99,6 +102,15 @@ class ControlServer:
         if cleared is None:
             raise RefusedError("not-kept", "the fault memory failed, and nothing was erased: see the service's log")
         self._waiting.append((cleared.seq, Erased(cleared=cleared.numbers, id=cleared.id), then))
+
+    def _relearn(self, name: str | None, asker: Asker) -> Begun:
+        if not asker.may_clear:
+            raise RefusedError("not-allowed", f"{asker.user} may not let it relearn: see [control] clear")
+        here = self._system(name)
+        self._fault_recorder.relearn(here, asker.user)
+        baseline = baseline_status(here)
+        assert baseline is not None
+        return Begun(system=here.name, baseline=baseline)
 
     def _service_state(self) -> ServiceState:
         source, since, seq, conditions = self._state()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.service.core.decision.relearning import Baseline
 from faultline.service.core.memory.fault_memory import FaultChange, FaultMemory, Remembered
 from faultline.service.core.memory.freeze import Recorder, Sample
 from faultline.service.core.memory.rules import Rules
@@ -23,6 +24,7 @@ from faultline.service.daemon.cycle import Cycle, OperationCycle
 from faultline.service.daemon.kept_rows import KeptRows
 from faultline.service.daemon.pipeline import BusChannel, Pipeline
 from faultline.service.daemon.sequencer import Sequencer
+from faultline.service.daemon.sequencer import now as wall_clock
 from faultline.service.store.file import Record
 from faultline.service.store.journal import Journal
 
@@ -31,6 +33,9 @@ FRAMED: frozenset[Change | None] = frozenset(("pending", "confirmed", "failed"))
 
 UNKEPT = 1000
 """Events of a run that are kept for a store that opens late, of all systems together."""
+
+BASELINES_S = 30.0
+"""How often what has been learnt of a baseline is kept [s]: a loss of power costs so much of it."""
 
 FAILED_S = 60.0
 """For so long after the fault memory has failed, that is told [s]."""
@@ -89,6 +94,7 @@ class FaultRecorder:
         self._rules, self._boot, self._now = rules, boot, now
         self._failed_at, self._failure = -float("inf"), ""
         self._rows = KeptRows(journal, say)
+        self._baselines_due = now
         self._frame_s, self._absent = frame_s, frozenset(absent)
         self._unkept = deque[tuple[SystemState, Event, list[str]]](maxlen=UNKEPT)
         self._given = next(self._rows.read(["names"], dict[str, str]), {})
@@ -108,6 +114,7 @@ class FaultRecorder:
         self.systems, self._given = {}, next(self._rows.read(["names"], dict[str, str]), {})
         for here in systems:
             self._name(here)
+            self._recall(here)
         self.begin()
         self.look(self._now)  # the cycle that lasts is this run's
         for here, event, showing in self._unkept:
@@ -119,7 +126,35 @@ class FaultRecorder:
     def _observe(self, line: BusChannel, watched: Pipeline) -> SystemState:
         here = SystemState(line, watched, self._frame_s)
         self._name(here)
+        self._recall(here)
         return here
+
+    def relearn(self, here: SystemState, by: str) -> None:
+        """Let a system learn its baseline anew, on behalf of the person `by`."""
+        self._say(f"{here.name}: {by} lets it learn its baseline anew; until then it finds no fault")
+        here.watched.begin_with(Baseline(bundle=here.bundle.id, begun=wall_clock(), by=by))
+        self._keep_baseline(here)
+
+    def _recall(self, here: SystemState) -> None:
+        """Go on with the baseline that an earlier run has learnt, or had begun to learn, for the same bundle."""
+        key = f"baseline/{here.name}"
+        for baseline in self._rows.read([key], Baseline):
+            if not baseline.is_of(here.bundle.manifest):
+                self._rows.set_aside(key, "it is of other generators or modes")
+            elif baseline.bundle == here.bundle.id:
+                here.watched.begin_with(baseline)
+            else:
+                self._say(f"{here.name}: the baseline that was learnt is of bundle {baseline.bundle[:12]}; forgotten")
+                self._journal.remember({key: None})
+
+    def _keep_baseline(self, here: SystemState) -> None:
+        """Keep what replaces the bundle's baseline, as far as it has been learnt."""
+        key, baseline = f"baseline/{here.name}", here.watched.baseline
+        row = None
+        if baseline is not None:
+            row = msgspec.json.encode(msgspec.structs.replace(baseline, bundle=here.watched.bundle.id))
+        if row != self._journal.kept.get(key):
+            self._journal.remember({key: row})
 
     def _name(self, here: SystemState) -> None:
         """Give the bundle's system a name of its own, and keep it: whatever else is configured or refused later.
@@ -196,6 +231,10 @@ class FaultRecorder:
         self._now = now
         with self._surviving():
             self._follow(self._cycle.look(sum(line.bus.counts.frames for line in self.lines), now))
+            if now >= self._baselines_due:
+                self._baselines_due = now + BASELINES_S
+                for here in self.systems.values():
+                    self._keep_baseline(here)
             for here in self.systems.values():
                 for name, frame in [*here.unfinished.items()]:
                     if (done := here.recorder.completed(frame)) is not None:

@@ -4,6 +4,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import groupby
 
+import msgspec
 import numpy as np
 
 from faultline.service.bundle.files import BundleError, one_line
@@ -13,6 +14,8 @@ from faultline.service.bus.base import BATCH, Trouble
 from faultline.service.bus.losses import Losses
 from faultline.service.core.compatibility import are_compatible
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.offsets import shifted
+from faultline.service.core.decision.relearning import Baseline, Relearning
 from faultline.service.core.j1939.context import GROUPS, Change, CodeTracker
 from faultline.service.core.memory.freeze import Sample
 from faultline.service.core.monitor import Monitor
@@ -64,6 +67,8 @@ class Pipeline:
         """
         self.bundle, self._make, self._speed, self._seen = bundle, make, speed, seen
         self.place = place or bundle.where
+        self._baseline: Baseline | None = None
+        self._relearning: Relearning | None = None
         self._samples: list[Sample] = []
         self._renew()
         self._waiting: list[tuple[float, str, Frame]] = []  # of a bundle of several buses: time, bus, frame
@@ -123,9 +128,40 @@ class Pipeline:
             return failed
         if self._begun is None:
             self._begun = now
+        if self._relearning is not None and not self._relearning.wanting:
+            self._take_baseline()
+            self._begun = now
+        if self._relearning is not None:
+            failed.add(Condition("relearning", self.bundle.manifest.name))
         found = self._traffic.look((now - self._begun) * self._speed, self._monitor.quality)
         self._monitor.doubt(self._traffic.doubted)  # what is doubted is not believed
         return found | failed
+
+    @property
+    def baseline(self) -> Baseline | None:
+        """Return what replaces the bundle's baseline, learnt or still being learnt; None where nothing does."""
+        if self._baseline is None or self._relearning is None:
+            return self._baseline
+        return msgspec.structs.replace(self._baseline, sums=self._relearning.sums)
+
+    @property
+    def wanting(self) -> list[str]:
+        """Return the operating modes of which more has to be seen while the baseline is learnt."""
+        return [] if self._relearning is None else self._relearning.wanting
+
+    def begin_with(self, baseline: Baseline) -> None:
+        """Begin anew with a baseline that has been learnt, or go on to learn it."""
+        self._baseline = baseline
+        is_learnt = baseline.moved is not None
+        self._relearning = None if is_learnt else Relearning(self.bundle.manifest, baseline.sums)
+        self.restart()
+
+    def _take_baseline(self) -> None:
+        """Begin anew with what has been learnt."""
+        assert self._relearning is not None
+        assert self._baseline is not None
+        moved = self._relearning.moved().tolist()
+        self.begin_with(msgspec.structs.replace(self._baseline, sums=None, moved=moved))
 
     def knows(self, now: float) -> bool:
         """Return True if by the monotonic time `now` [s] it has seen enough to judge the frames."""
@@ -159,6 +195,7 @@ class Pipeline:
             self._monitor.rename(bundle.id)
             return True
         self.bundle, self._start, self._begun = bundle, None, None
+        self._baseline = self._relearning = None
         self._renew()
         return False
 
@@ -168,8 +205,11 @@ class Pipeline:
         return None if tick is None or self._start is None else self._start + tick / self._speed + LAG_S
 
     def _renew(self) -> None:
-        self._monitor, self._traffic = self._make(self.bundle)
-        self._monitor.watch = self._watch
+        bundle = self.bundle
+        if self._baseline is not None and self._baseline.moved is not None:
+            bundle = bundle._replace(manifest=shifted(bundle.manifest, np.array(self._baseline.moved)))
+        self._monitor, self._traffic = self._make(bundle)
+        self._monitor.watch, self._monitor.relearning = self._watch, self._relearning
 
     def _watch(self, tick: Tick, decision: Decision) -> None:
         sample = Sample.of(tick, decision)

@@ -8,7 +8,7 @@ from faultline.service.core.records.line import encode
 from faultline.service.core.signals.values import FloatArray, Quality
 from faultline.service.daemon.fault_recorder import SystemState
 from faultline.service.daemon.pipeline import BusChannel
-from faultline.service.protocol.answers import BusStatus, SystemStatus
+from faultline.service.protocol.answers import BaselineStatus, BusStatus, SystemStatus
 from faultline.service.protocol.live import (
     DisturbanceMeaning,
     EquationMeaning,
@@ -37,6 +37,7 @@ def system_status(here: SystemState) -> SystemStatus:
     """Return the status of a system and of its tests."""
     latest = here.recorder.latest
     named = SystemStatus(
+        baseline=baseline_status(here),
         name=here.name,
         bundle=here.bundle.id,
         bus=here.line.name,
@@ -52,6 +53,16 @@ def system_status(here: SystemState) -> SystemStatus:
         suspected=latest.suspected,
         anomaly=latest.suspicious,
         diagnoses=latest.diagnoses,
+    )
+
+
+def baseline_status(here: SystemState) -> BaselineStatus | None:
+    """Return what replaces the bundle's baseline; None where nothing does."""
+    baseline = here.watched.baseline
+    if baseline is None:
+        return None
+    return BaselineStatus(
+        since=baseline.begun, by=baseline.by, learnt=baseline.moved is not None, wanting=here.watched.wanting
     )
 
 

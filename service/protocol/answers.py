@@ -37,6 +37,15 @@ class BusStatus(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
 
 
+class BaselineStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """A baseline that a system learns anew, or has learnt, instead of its bundle's."""
+
+    since: Annotated[str | None, Meta(description="when that was asked for (RFC 3339)")]
+    by: Annotated[str, Meta(description="by whom")]
+    learnt: Annotated[bool, Meta(description="it has been learnt; until then no test can tell")]
+    wanting: Annotated[list[str], Meta(description="operating modes of which more has to be seen")] = []
+
+
 class SystemStatus(msgspec.Struct, frozen=True, kw_only=True):
     """A watched system, and what its tests say now."""
 
@@ -49,6 +58,7 @@ class SystemStatus(msgspec.Struct, frozen=True, kw_only=True):
     suspected: Annotated[bool, Meta(description="as in an event")] = False
     anomaly: Annotated[bool, Meta(description="as in a live tick")] = False
     diagnoses: Annotated[list[Diagnosis], Meta(description="as in an event")] = []
+    baseline: Annotated[BaselineStatus | None, Meta(description="in place of the bundle's; null: the bundle's")] = None
 
 
 class ServiceState(msgspec.Struct, frozen=True, kw_only=True):
@@ -95,6 +105,13 @@ class Erased(msgspec.Struct, frozen=True, kw_only=True):
 
     cleared: Annotated[list[int], Meta(description="their numbers")]
     id: Annotated[str, Meta(description="of the record that says so")] = ""
+
+
+class Begun(msgspec.Struct, frozen=True, kw_only=True):
+    """A baseline that is learnt anew from now on."""
+
+    system: Annotated[str, Meta(description="its name")]
+    baseline: Annotated[BaselineStatus, Meta(description="as in the state")]
 
 
 class RecordPage(msgspec.Struct, frozen=True, kw_only=True):

@@ -27,6 +27,8 @@ from faultline.service.core.records.health import SCHEMA as HEALTH
 from faultline.service.core.records.health import Health, Standing
 from faultline.service.protocol.answers import (
     STATE,
+    BaselineStatus,
+    Begun,
     BusStatus,
     Erased,
     FaultDetail,
@@ -70,11 +72,22 @@ SENT: dict[str, Message] = {
 
 PARTS: tuple[Message, ...] = (
     *(LampStates, TroubleCode, Diagnosis, Fault, Status, Seen, Dtc, Standing, Input, Verdict, Excerpt, Separation),
-    *(StoreStatus, BusStatus, SystemStatus, Signal, Display, GeneratorMeaning, FaultMeaning),
+    *(StoreStatus, BusStatus, SystemStatus, BaselineStatus, Signal, Display, GeneratorMeaning, FaultMeaning),
     *(EquationMeaning, DisturbanceMeaning, Stand, Refusal),
 )
 BESIDES: tuple[Message, ...] = (
-    *(Subscription, Rejection, Question, FaultList, FaultDetail, FreezeFrames, Erased, RecordPage, SystemDescription),
+    *(
+        Subscription,
+        Rejection,
+        Question,
+        FaultList,
+        FaultDetail,
+        FreezeFrames,
+        Erased,
+        Begun,
+        RecordPage,
+        SystemDescription,
+    ),
     *(History, ErrorAnswer),
 )
 MESSAGES = (*SENT.values(), *PARTS, *BESIDES)

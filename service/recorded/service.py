@@ -102,8 +102,8 @@ class _Answers(ControlServer):
         match question.ask:
             case "history":
                 then(self._history(question))
-            case "clear":
-                raise RefusedError("not-allowed", "this is a recording: nothing of it can be erased")
+            case "clear" | "relearn":
+                raise RefusedError("not-allowed", "this is a recording: nothing of it can be erased or learnt anew")
             case _:
                 super().answer(question, asker, then)
 

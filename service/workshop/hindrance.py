@@ -43,6 +43,7 @@ REMEDIES: dict[str, str] = {
     "store-reset": "nothing for this test; what was remembered before is gone",
     "clients-refused": "close screens and pages that nobody looks at",
     "store-removed": "nothing for this test; keep other programs away from the store",
+    "relearning": "operate the vehicle in each mode, several times, until this ends",
     "rows-set-aside": "nothing for this test; see the service's log for what was set aside",
     "memory-failed": "see the service's log; the test can go on",
 }

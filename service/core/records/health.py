@@ -15,7 +15,7 @@ SCHEMA = "faultline.health/1"
 BusKind = Literal["bus-down", "bus-removed", "bus-off", "error-passive", "frames-lost"]
 MessageKind = Literal["no-traffic", "second-sender", "address-claim", "short-frames", "unknown-selector", "incomplete"]
 SignalKind = Literal["missing", "not-available", "error", "out-of-range", "frozen", "jump"]
-ServiceKind = Literal["bundle-failed", "bundle-refused", "clients-refused", "memory-failed"]
+ServiceKind = Literal["bundle-failed", "bundle-refused", "clients-refused", "memory-failed", "relearning"]
 StoreKind = Literal["store-failed", "store-reset", "store-removed", "rows-set-aside"]
 Kind = Literal[BusKind, MessageKind, SignalKind, ServiceKind, StoreKind]
 
@@ -44,6 +44,7 @@ MEANINGS: dict[str, str] = {
     "clients-refused": "refuses clients: too many are connected, or the process has too few file descriptors",
     "store-removed": "was removed or replaced while it was in use, and has been written anew",
     "rows-set-aside": "has rows that make no sense: they are set aside in it as unreadable/..., the others are used",
+    "relearning": "learns its baseline anew and finds no fault until each operating mode has been seen often enough",
     "memory-failed": "failed and goes on with what the store has: a fault may be missing there, not in the events",
 }
 """What a condition is, for a person, of the bus, message or signal that it is of."""

@@ -13,13 +13,13 @@ import pytest
 
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.tuning.claim import claim, folds, rate_of, thresholds
-from faultline.analysis.tuning.claim import shifted as of_left_out
 from faultline.analysis.tuning.kinds import LEAST, LEVEL_KINDS, Kind
 from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule, Trace, factor_for, levels
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, tune_detectors
 from faultline.analysis.tuning.vehicles import Drive, Vehicle, hardly_seen, left_out_offset, moved, offsets, pooled
 from faultline.service.bundle.load import load_bundle
+from faultline.service.core.decision.offsets import shifted as of_left_out
 from faultline.service.core.detectors.bank import DetectorBank
 from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.manifest import Detector, Evidence
