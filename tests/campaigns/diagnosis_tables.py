@@ -179,4 +179,19 @@ def calibration(told: Sequence[Judged]) -> list[str]:
         if inside:
             mean = statistics.fmean(p for p, _ in inside)
             rows.append(f"| {low:g} to {high:g} | {mean:.2f} | {exact_share(sum(t for _, t in inside), len(inside))} |")
+    if looks:
+        rows += ["", f"Expected calibration error: {calibration_error(looks):.3f} over {len(looks)} probabilities."]
     return rows
+
+
+def calibration_error(looks: Sequence[tuple[float, bool]]) -> float:
+    """The mean distance of probabilities told from how often they were true, by bins of 0.1 (Naeini and others, 2015).
+
+    >>> calibration_error([(0.95, True)] * 19 + [(0.95, False)] + [(0.05, True)])
+    0.04523809523809527
+    """
+    bins: dict[int, list[tuple[float, bool]]] = {}
+    for p, true in looks:
+        bins.setdefault(min(int(10.0 * p), 9), []).append((p, true))
+    off = [abs(sum(p for p, _ in inside) - sum(true for _, true in inside)) for inside in bins.values()]
+    return sum(off) / len(looks)
