@@ -47,7 +47,7 @@ def limit_of(bundle: Bundle, drives: Iterable[Iterable[Frame]]) -> dict[str, Any
         blocks = blocks_of(bundle, drive)
         onsets = np.unique(np.linspace(FIRST * len(blocks), LAST * len(blocks), ONSETS).astype(np.intp))
         g = signatures(blocks, model, onsets)
-        g = np.concatenate([g, np.stack([_shift(bundle, g, fault, size) for fault, _, size in asked], axis=2)], axis=2)
+        g = np.concatenate([g, np.stack([shift(bundle, g, fault, size) for fault, _, size in asked], axis=2)], axis=2)
         end_s = np.array([float(block.end_s[0]) for block in blocks])
         since_s = end_s - np.concatenate([[0.0], end_s])[onsets][:, None]
         delayed.append(delays(information(g), since_s, nats)[:, -len(asked) :])
@@ -79,7 +79,7 @@ def blocks_of(bundle: Bundle, drive: Iterable[Frame]) -> list[Block]:
     return found
 
 
-def _shift(bundle: Bundle, g: FloatArray, fault: str, size: float) -> FloatArray:
+def shift(bundle: Bundle, g: FloatArray, fault: str, size: float) -> FloatArray:
     """The shift (O, N, K) by a size of a fault, on the straight line between the assumed ones that it is between."""
     name, form, unit = OF_MODEL.get(fault, (fault, None, 1.0 if fault.startswith("fy_") else -1.0))
     evidence = bundle.manifest.evidence
