@@ -64,7 +64,8 @@ def gather(
     visit = np.zeros_like(noise)
     for mode in set(described):
         noise[mode] = _noise(recordings, mode, rows, spread[mode])
-        visit[mode] = _visit_effect(recordings, mode, rows, noise[mode])
+    for mode, effect in _visit_effects(recordings, set(described), rows, noise).items():
+        visit[mode] = effect
     own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
     drifts = named_drifts(bank.only(order), recordings, described)
     sizes = np.ones(len(drifts))
@@ -122,10 +123,12 @@ def no_surer(evidence: Evidence, bank: Bank, recordings: Sequence[Seen], stand_i
     rows = [names.index(name) for name in evidence.generators]
     noise, visit = np.array(evidence.noise), np.array(evidence.visit)
     spread = np.array(evidence.spread)
+    own = np.zeros_like(noise)
     for mode in set(described):
-        own = _noise(recordings, mode, rows, spread[mode])
-        noise[mode] += _positive(own - noise[mode])
-        visit[mode] += _positive(_visit_effect(recordings, mode, rows, own) - visit[mode])
+        own[mode] = _noise(recordings, mode, rows, spread[mode])
+        noise[mode] += _positive(own[mode] - noise[mode])
+    for mode, effect in _visit_effects(recordings, set(described), rows, own).items():
+        visit[mode] += _positive(effect - visit[mode])
     return msgspec.structs.replace(evidence, noise=noise[described].tolist(), visit=visit[described].tolist())
 
 
@@ -188,22 +191,38 @@ def _noise(recordings: Sequence[Seen], mode: int, rows: list[int], spread: Array
     return np.asarray(total / differences)
 
 
-def _visit_effect(recordings: Sequence[Seen], mode: int, rows: list[int], noise: Array) -> Array:
-    """The covariance (K, K) of a visit's effect: how visits' means differ within a drive.
+def _visit_effects(recordings: Sequence[Seen], modes: set[int], rows: list[int], noise: Array) -> dict[int, Array]:
+    """The covariance (K, K) of a visit's effect by mode: how visits' means differ within a drive.
 
     It is a posterior mean of what was supposed and what was seen, times what makes it an upper bound: a few visits show
     variances badly, and what was not seen in them would be a fault. The noise of the means is in it, which is little.
+    Nor is a mode supposed to be quieter than the quietest of the others: backlash of a sensor, which a few short visits
+    may not show, is the same in all of them.
     """
-    total, visited = SUPPOSED * noise / recordings[0].time.ticks(VISIT), SUPPOSED
+    seen = {mode: _between_visits(recordings, mode, rows) for mode in modes}
+    usual = {mode: noise[mode] / recordings[0].time.ticks(VISIT) for mode in modes}
+    mean = {mode: (SUPPOSED * usual[mode] + total) / (SUPPOSED + count) for mode, (total, count) in seen.items()}
+    found = {}
+    for mode, (total, count) in seen.items():
+        supposed = usual[mode]
+        if others := [mean[other] for other in modes if other not in (mode, EDGE)]:
+            supposed = supposed + _positive(min(others, key=np.trace) - supposed)
+        total = total + SUPPOSED * supposed
+        # where each drive is one visit, its effect is the drive's
+        found[mode] = total / chdtri(SUPPOSED + count, 1.0 - LARGER) if count else total / SUPPOSED
+    return found
+
+
+def _between_visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> tuple[Array, int]:
+    """The sum of the squares (K, K) of visits' means around their drive's, and its degrees of freedom."""
+    total, count = np.zeros((len(rows), len(rows))), 0
     for s in recordings:
         means = [r.mean(axis=0) for r in visits([s], mode, rows) if len(r) >= MINIMUM_TICKS]
         if len(means) > 1:
             away = np.array(means) - np.mean(means, axis=0)
             total += away.T @ away
-            visited += len(means) - 1
-    if visited == SUPPOSED:  # each drive is one visit, whose effect is the drive's
-        return np.asarray(total / visited)
-    return np.asarray(total / chdtri(visited, 1.0 - LARGER))
+            count += len(means) - 1
+    return total, count
 
 
 def _operation(bank: Bank, recordings: Sequence[Seen], described: Sequence[int]) -> Array:

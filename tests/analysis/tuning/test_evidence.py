@@ -232,6 +232,25 @@ def test_a_visit_of_its_own_level_is_no_independent_evidence(made: Made) -> None
         assert np.linalg.eigvalsh(visit).min() > -1e-6
 
 
+def test_few_calm_visits_do_not_make_a_mode_calm(made: Made) -> None:
+    """Visits stray by 1 kPa, but for two of each drive to one mode: the backlash of a sensor is the same in all."""
+    rng = np.random.default_rng(6)
+    strayed = []
+    for one in made.recordings:
+        z, r, usable, mode = (np.concatenate([part] * 10) for part in (one.z, one.r, one.usable, one.mode))
+        r, mode = r.copy(), mode.copy()
+        calm = np.flatnonzero(mode == MAXIMUM)
+        for start in range(0, len(r), 40):
+            r[start : start + 40] += 0.0 if mode[start + 20] == MAXIMUM else rng.normal(0.0, 1e3)
+        mode[::40] = EDGE
+        mode[calm[calm >= 2 * TICKS * len(LEVELS)]] = EDGE
+        strayed.append(Seen(one.name, z, r, usable, mode, MODES, TIME))
+    evidence, _ = gather(made.bank, made.offset, strayed, OWN)
+    column = evidence.generators.index("t02.ode")
+    idle, partial, maximum = np.sqrt(np.array(evidence.visit)[list(STEADY), column, column])
+    assert maximum > 0.6 * min(idle, partial)
+
+
 def test_a_drift_of_the_model_is_a_shift_that_all_means_share(made: Made) -> None:
     """A sensor's is its own in the test that predicts it; a parameter's has the pattern of that parameter's fault."""
     assert made.evidence.drifts == []
