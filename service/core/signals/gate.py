@@ -29,6 +29,7 @@ class Gate:
 
     `held` (nz,) are the signals whose sample is held back. `stepped` (nz,) are those that have been and now pass,
     without having come back: the sample is not `BACK` times nearer to the one that stood for them than to the last.
+    Of them those have `jumped` (nz,) that lie further than the `outlier` distance from what stood for them.
     """
 
     def __init__(self, inputs: Sequence[Input]) -> None:
@@ -40,6 +41,7 @@ class Gate:
         self._seen = np.zeros(len(self._columns), dtype=np.intp)
         self.held = np.zeros(len(inputs), dtype=np.bool_)
         self.stepped = np.zeros(len(inputs), dtype=np.bool_)
+        self.jumped = np.zeros(len(inputs), dtype=np.bool_)
 
     def passed(self, z: FloatArray, usable: Mask) -> FloatArray:
         """Return the samples `z` (nz,), with those that are `held` back replaced.
@@ -57,8 +59,10 @@ class Gate:
         is_far = np.abs(now - middle) > np.maximum(FAR * spread, self._least)
         outlier = good & (self._seen > SAMPLES) & is_far
         before, passes = self.held[self._columns], good & ~outlier
-        is_beyond = np.abs(now - self._refused) < BACK * np.abs(now - self._passed)
-        self.stepped[self._columns] = before & passes & is_beyond
+        by = np.abs(now - self._passed)
+        stepped = before & passes & (np.abs(now - self._refused) < BACK * by)
+        self.stepped[self._columns] = stepped
+        self.jumped[self._columns] = stepped & (by > self._least)
         self.held[self._columns] = outlier
         self._passed = np.where(passes, now, self._passed)
         self._refused = np.where(outlier, now, self._refused)

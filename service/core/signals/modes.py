@@ -51,7 +51,7 @@ class ModeTracker:
             moved = (np.abs(z - self._last) > self._limit).any(axis=0)
         holds = self._regions.holding(z)
         known = bool(usable[self._regions.needed].all())
-        is_edge = bool((moved & usable).any() or self._gate.stepped[self._steps].any())
+        is_edge = bool((moved & usable).any() or self._gate.jumped[self._steps].any())
         self._since_edge = 0 if is_edge or not known else self._since_edge + 1
         last, self._now = self._last[self._now], (self._now + 1) % len(self._last)
         self._last[slice(None) if is_edge else self._now] = np.where(usable, z, last)  # what was before it is over
