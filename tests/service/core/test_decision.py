@@ -299,7 +299,7 @@ def test_a_change_that_no_test_alarms_at_is_one_suspicion_and_comes_to_an_end(si
 
 def test_what_the_evidence_alone_suspects_is_confirmed_and_told() -> None:
     vehicle = calm()
-    seen = [each for mode in (MAXIMUM, PARTIAL, MAXIMUM) for each in watched(vehicle, 200, mode, {"fA_dos": 0.08})]
+    seen = [each for mode in (MAXIMUM, PARTIAL) * 3 for each in watched(vehicle, 200, mode, {"fA_dos": 0.1})]
     assert not any(alarm for _, _, alarm in seen)
     assert (True, False, False) in seen
     assert vehicle.named[0] == ("fA_dos", 1)
