@@ -1,10 +1,13 @@
 """A fault-free drive as block means with the shifts of all hypotheses, through the bundle's own generators."""
 
+from collections.abc import Callable, Iterable
+
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.decision.blocks import Block, BlockMeans
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
+from faultline.service.core.records.event import Event
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.logs import Log
 
@@ -18,6 +21,14 @@ def blocks_of(bundle: Bundle, log: Log) -> list[Block]:
     Raises:
         InputError: it has too few of them.
     """
+    found = blocks_from(bundle, log.id, lambda monitor: monitor.signals(log.signals(bundle.table)))
+    if len(found) < FEWEST:
+        raise InputError(f"{log.id}: has {len(found)} steady blocks, a limit needs {FEWEST}; give a longer drive")
+    return found
+
+
+def blocks_from(bundle: Bundle, name: str, drive: Callable[[Monitor], Iterable[Event]]) -> list[Block]:
+    """Return the blocks of what `drive` gives a fresh monitor, whatever their number."""
     manifest = bundle.manifest
     names = [generator.name for generator in manifest.generators]
     cut, found = BlockMeans(manifest.evidence, names, manifest.time), list[Block]()
@@ -28,9 +39,6 @@ def blocks_of(bundle: Bundle, log: Log) -> list[Block]:
         if block is not None:
             found.append(block)
 
-    monitor = Monitor(manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
-    for _ in monitor.signals(log.signals(bundle.table)):
+    for _ in drive(Monitor(manifest, bundle.bank(), bundle.table, name, bundle.id, watch)):
         pass
-    if len(found) < FEWEST:
-        raise InputError(f"{log.id}: has {len(found)} steady blocks, a limit needs {FEWEST}; give a longer drive")
     return found

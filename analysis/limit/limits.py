@@ -64,7 +64,7 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class DriveLimits(NamedTuple):
-    """What one drive's onsets show: `delay` (O, H) [s], `rate` (modes, H) [nats/s], `reached` (O, times, H) [nats].
+    """Limits at the onsets of a drive: `delay` (O, H) [s], `rate` (modes, H) [nats/s], `reached` (O, times, H) [nats].
 
     `apart` (A, H, faults) [s] is of those A onsets that have the longest of the times behind them.
     """

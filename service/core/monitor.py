@@ -113,15 +113,16 @@ class Monitor:
 
     def _decide(self, ticks: Iterable[Tick]) -> list[Event]:
         events: list[Event] = []
-        for tick in ticks:
+        for observed in ticks:
+            tick = observed
             self._quality = tick.quality
             for signal, since in self._sampler.new_doubts().items():
                 self._decision.withdraw(self._observer.tick_at(since), signal)
-            residuals = tick.residuals
             if self.relearning is not None:
-                self.relearning.add(tick.mode, residuals)
-                residuals = residuals._replace(usable=np.zeros_like(residuals.usable))
-            self._decision.update(tick.number, tick.mode, residuals)
+                self.relearning.add(tick.mode, tick.residuals)
+                mute = np.zeros_like(tick.residuals.usable)  # for who watches too: silence now heals no fault
+                tick = tick._replace(residuals=tick.residuals._replace(usable=mute))
+            self._decision.update(tick.number, tick.mode, tick.residuals)
             events += self._teller.update(tick.number, self._decision)
             if self.watch is not None:
                 self.watch(tick, self._decision)

@@ -5,15 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from faultline.analysis.limit.drive import blocks_from
 from faultline.analysis.limit.information import against, delays, information, signatures
 from faultline.analysis.limit.limits import APART, FIRST, LAST, ONSETS
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.decision.baseline import BaselineModel
-from faultline.service.core.decision.blocks import BLOCK, Block, BlockMeans
-from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.blocks import BLOCK, Block
 from faultline.service.core.decision.hypotheses import Hypotheses
-from faultline.service.core.monitor import Monitor
-from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.values import FloatArray
 from faultline.testbench.sizes import frozen
 from faultline.testbench.traffic import Frame
@@ -63,20 +61,8 @@ def limit_of(bundle: Bundle, drives: Iterable[Iterable[Frame]]) -> dict[str, Any
 
 def blocks_of(bundle: Bundle, drive: Iterable[Frame]) -> list[Block]:
     """The block means of a drive, with the shifts of all hypotheses."""
-    manifest = bundle.manifest
-    names = [generator.name for generator in manifest.generators]
-    cut, found = BlockMeans(manifest.evidence, names, manifest.time), list[Block]()
-
-    def watch(tick: Tick, decision: Decision) -> None:
-        del decision
-        block = cut.add(tick.number, tick.mode, tick.residuals)
-        if block is not None:
-            found.append(block)
-
-    monitor = Monitor(manifest, bundle.bank(), bundle.table, "limit", bundle.id, watch)
-    for _ in monitor.log((f.t, f.frame_id, True, f.data) for f in drive):
-        pass
-    return found
+    sent = ((f.t, f.frame_id, True, f.data) for f in drive)
+    return blocks_from(bundle, "limit", lambda monitor: monitor.log(sent))
 
 
 def shift(bundle: Bundle, g: FloatArray, fault: str, size: float) -> FloatArray:

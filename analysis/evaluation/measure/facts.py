@@ -108,7 +108,7 @@ def facts(given: Given, verdict: Verdict, events: list[Event], story: Story) -> 
 
 
 def _limits(story: Story) -> DriveLimits | None:
-    """What the blocks of a fault-free story say of the smallest faults; None where they are too few, or sizes none."""
+    """Return the limits of a fault-free story; None where its blocks are too few, or the bundle assumes no sizes."""
     manifest = story.bundle.manifest
     if not manifest.evidence.hypotheses or len(story.blocks) < FEWEST:
         return None

@@ -1,4 +1,4 @@
-"""What was reached of each fault, beside what any detector could reach (`faultline.analysis.limit`)."""
+"""Delays that were reached, beside the shortest that any detector could reach (`faultline.analysis.limit`)."""
 
 from collections.abc import Sequence
 from math import log
@@ -15,7 +15,7 @@ from faultline.service.core.manifest import Evidence
 
 
 class Reached(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one single fault of one size: the median delay of its recordings, and the limit's.
+    """A case of a single fault: the median delay of its recordings, and the limit's.
 
     `limit_s` is interpolated between the times of the limit; None where the size is below what it finds within the
     last. `smallest` is the smallest size that it finds until then, in the truth's `unit`.
@@ -71,7 +71,7 @@ def _smallest_of(fault: TrueFault, limits: Limits, evidence: Evidence) -> Smalle
 
 
 def _delay_s(size: float, row: Smallest, limits: Limits) -> float | None:
-    """When the smallest size that is found has come down to this one [s], in the median."""
+    """Return the time [s] at which the smallest size that is found has come down to this one, in the median."""
     before: tuple[float, float] | None = None
     for time_s, (_, least, _) in zip(limits.times_s, row.size, strict=True):
         if least is None:

@@ -19,9 +19,9 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import Span
 
 VISITS = 4
-"""Of each mode: the mean of four has half the spread of one."""
+"""Least visits to each mode: the mean of four has half the spread of one."""
 SEEN = Span(settlings=3.0)
-"""Of each mode in all."""
+"""Least time of each mode in all."""
 
 
 class Sums(msgspec.Struct, frozen=True, kw_only=True):

@@ -111,6 +111,9 @@ def test_meanwhile_no_test_can_tell_and_that_is_reported(tmp_path: Path) -> None
     assert isinstance(state, ServiceState)
     [system] = state.systems
     assert len(system.cannot_tell) == 10
+    latest = vehicle.recorder.systems["uds"].recorder.latest
+    assert latest is not None
+    assert not latest.usable.any(), "silence of what cannot tell would heal a remembered fault"
     assert system.baseline is not None
     assert not system.baseline.learnt
     assert "maximum" in system.baseline.wanting
