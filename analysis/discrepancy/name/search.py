@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from faultline.analysis.calibration.likelihood import Likelihood
@@ -63,14 +64,15 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
         J = likelihood.slopes(problem, x)
         H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
         room = problem.bounds - x
-        step = _bounded(H, g, *room)
+        R = np.linalg.qr(J, mode="r")  # not of H: a start far away may have slopes beside which 1 is nothing
+        step = _bounded(R, 1.0, g, *room)
         promised = float(g @ step - 0.5 * step @ H @ step)
         if promised < ENOUGH or number == steps:
             break
         before = _cost(e, x)
         while damping < LAST:
             if damping:
-                step = _bounded(H + damping * np.eye(len(x)), g, *room)
+                step = _bounded(R, 1.0 + damping, g, *room)
             trial = np.clip(x + step, *problem.bounds)
             try:
                 left = likelihood.left(problem, trial)
@@ -90,11 +92,12 @@ def _cost(e: Array, x: Array) -> float:
     return 0.5 * float(e @ e + x @ x)
 
 
-def _bounded(H: Array, g: Array, lower: Array, upper: Array) -> Array:
-    """The step within bounds that lowers g'd - d'Hd/2 most."""
-    free = np.linalg.solve(H, g)
+def _bounded(R: Array, precision: float, g: Array, lower: Array, upper: Array) -> Array:
+    """The step within bounds that raises g'd - d'(R'R + precision I)d / 2 most."""
+    root = np.linalg.qr(np.concatenate([R, np.sqrt(precision) * np.eye(len(g))]), mode="r")
+    half = solve_triangular(root, g, trans="T")
+    free = solve_triangular(root, half)
     if (free >= lower).all() and (free <= upper).all():
         return np.asarray(free)
-    L = np.linalg.cholesky(H)
     room = (np.minimum(lower, 0.0) - 1e-12, np.maximum(upper, 0.0) + 1e-12)  # the solver wants some between them
-    return np.asarray(lsq_linear(L.T, np.linalg.solve(L, g), bounds=room, method="bvls").x)
+    return np.asarray(lsq_linear(root, half, bounds=room, method="bvls").x)

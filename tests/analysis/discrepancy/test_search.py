@@ -104,6 +104,14 @@ def test_it_never_ends_worse_than_it_began(steps: int) -> None:
             assert (end.x == start).all(), seed
 
 
+def test_slopes_beside_which_the_prior_is_nothing_are_no_error() -> None:
+    """Two unknowns that do nearly the same, and are known to 1e-9 of their prior: a matrix of squares has no room."""
+    A = 1e9 * np.array([[1.0, 1.0], [1.0, 1.0 + 1e-12], [2.0, 2.0]])
+    end = found(lambda x: A @ x - A @ np.array([0.7, 0.3]), np.array([[0.0, 0.0], [0.5, np.inf]]), np.zeros(2))
+    assert end.x.sum() == pytest.approx(1.0, abs=1e-6)
+    assert 0.0 <= end.x[0] <= 0.5
+
+
 def test_it_begins_within_the_bounds() -> None:
     end = found(lambda x: 3.0 * x - 9.0, np.array([[0.0], [0.5]]), np.array([7.0]))
     assert end.x == pytest.approx([0.5])
