@@ -64,6 +64,8 @@ DIAGNOSTIC_JITTER = {
 }  # fmt: skip
 SENSOR_BOX = "UDS_SENSORS"
 """The message that only an instrumented vehicle has."""
+EXTENDED = 1 << 31
+"""Marks an identifier of 29 bits in a DBC file."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +120,25 @@ def load_dbc(path: Path | None = None) -> Dbc:
     where = str(path) if path else "uds.dbc"
     try:
         content = path.read_bytes() if path else resources.files("faultline.dbc").joinpath("uds.dbc").read_bytes()
-        database = cantools.database.load_string(content.decode(), database_format="dbc")
     except OSError as error:
         raise RigError(f"{where}: {error.strerror}; give a DBC with --dbc") from error
+    return _read(where, content)
+
+
+def with_periods(dbc: Dbc, periods: Mapping[str, float]) -> Dbc:
+    """The DBC of a vehicle whose messages have other periods [s], by name, as its file says them."""
+    text = dbc.content.decode()
+    for sender in (*dbc.controllers, dbc.sensor_box):
+        if sender.message.name in periods:
+            of = f'BA_ "GenMsgCycleTime" BO_ {sender.message.frame_id | EXTENDED}'
+            milliseconds = round(1000 * periods[sender.message.name])
+            text = text.replace(f"{of} {round(1000 * sender.period)};", f"{of} {milliseconds};")
+    return _read("the vehicle's DBC", text.encode())
+
+
+def _read(where: str, content: bytes) -> Dbc:
+    try:
+        database = cantools.database.load_string(content.decode(), database_format="dbc")
     except (UnicodeDecodeError, CantoolsError) as error:
         raise RigError(f"{where} is not a DBC file: {' '.join(str(error).split())}") from error
     if not isinstance(database, Database):

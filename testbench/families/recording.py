@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from faultline.testbench.bus import Dbc
+from faultline.testbench.bus import SENSOR_BOX, Dbc, with_periods
 from faultline.testbench.can_logger import START_TEXT, candump
 from faultline.testbench.families.circuit import HIDDEN
 from faultline.testbench.families.cycle import asked
@@ -16,6 +16,7 @@ from faultline.writing import write_folder
 
 def record(plant: Plant, name: str, seed: int, duration_s: float, dbc: Dbc, out: Path) -> Path:
     """Runs the plant over a random cycle and writes the recording `name`, whole or not at all; returns its folder."""
+    dbc = dbc_of(plant, dbc)
     today = on_a_day(plant, stream(seed, plant.name, "day"))
     course = run(today, asked(plant.style, duration_s, stream(seed, plant.name, "cycle")), duration_s)
     sent = frames(course, today.seen, dbc, stream(seed, plant.name, "frames"))
@@ -27,6 +28,12 @@ def record(plant: Plant, name: str, seed: int, duration_s: float, dbc: Dbc, out:
     }
     write_folder(folder, files)
     return folder
+
+
+def dbc_of(plant: Plant, dbc: Dbc) -> Dbc:
+    """The DBC that the plant's maker hands over: with the periods of its own frames."""
+    bus = plant.seen.bus
+    return with_periods(dbc, {"UDS_ECU": bus.ecu, SENSOR_BOX: bus.box})
 
 
 def truth(plant: Plant) -> str:

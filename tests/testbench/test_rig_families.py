@@ -168,3 +168,12 @@ def test_the_command_writes_both_recordings_and_the_truth(tmp_path: Path, capsys
     assert "leak = 2e-07" in (tmp_path / "truth" / "relay-2.toml").read_text()
     assert main([*words, "--truth", str(tmp_path / "truth"), "--effect", "rust=1"]) == 2
     assert "there is no 'rust'" in capsys.readouterr().err
+
+
+def test_a_recordings_dbc_says_how_often_its_frames_come(tmp_path: Path) -> None:
+    plant = plant_of("ripple", 1)
+    folder = record(plant, "short", 1, DURATION_S, load_dbc(), tmp_path)
+    dbc = load_dbc(folder / "uds.dbc")
+    periods = {sender.message.name: sender.period for sender in (*dbc.controllers, dbc.sensor_box)}
+    assert (periods["UDS_ECU"], periods["UDS_SENSORS"]) == (plant.seen.bus.ecu, plant.seen.bus.box)
+    assert periods["A1SCRDSI1"] == 0.05
