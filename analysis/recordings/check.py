@@ -1,7 +1,7 @@
 """Check modes, edges, operating ranges and maximum ages of a model against recordings; propose what would fit."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import ceil, floor
+from math import ceil, floor, sqrt
 from typing import NamedTuple
 
 import msgspec
@@ -135,7 +135,7 @@ def _of_edge(model: Model, name: str, seen: Sequence[_Seen]) -> Iterator[Finding
             f"{len(weak)} of {len(steps)} steps of {name}, by {weak.min():.3g} to {weak.max():.3g} {known.unit}, "
             f"hardly exceed the edge's {threshold:g}, or do not; else it moves by less than {clear / CLEAR:.2g}",
             "system.toml, [edges]",
-            _steps(model, name, clear),
+            _steps(model, name, sqrt(float(weak.min()) * clear / CLEAR)),  # between the smallest step and what is usual
         )
     in_edge = float(np.mean(np.concatenate([one.mode[one.inside] == EDGE for one in seen])))
     if in_edge > MOSTLY and float(np.mean(everything > threshold)) > 1.0 - USUAL:
