@@ -50,7 +50,8 @@ def ablations(results: Sequence[Mapping[str, Any]]) -> str:
         false = sum(bool(r["named"][title]) for r in nothing)
         row = [exact_share(there, len(counted)), exact_share(alone, len(counted)), exact_share(false, len(nothing))]
         lines.append(f"| {title} | {' | '.join(row)} |")
-    return "\n".join([HEAD, "", *lines])
+    commits = ", ".join(dict.fromkeys(r["commit"] for r in results))
+    return "\n".join([HEAD, "", *lines, "", f"The variants are those of commit {commits}, older than the rest."])
 
 
 def _right(title: str, effect: str) -> tuple[str, ...]:
