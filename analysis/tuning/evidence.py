@@ -167,11 +167,7 @@ def _standard(s: Seen, spread: Array) -> Array:
 
 def visits(recordings: Sequence[Seen], mode: int, rows: list[int]) -> Iterator[Array]:
     """The residuals (n, rows) of every stay in a mode."""
-    for s in recordings:
-        inside = np.flatnonzero(s.usable.all(axis=1) & (s.mode == mode))
-        for visit in np.split(inside, np.flatnonzero(np.diff(s.ticks[inside]) > 1) + 1):
-            if len(visit):
-                yield s.r[visit][:, rows]
+    return (s.r[visit][:, rows] for s in recordings for visit in s.visits(mode))
 
 
 def _noise(recordings: Sequence[Seen], mode: int, rows: list[int], spread: Array) -> Array:

@@ -6,7 +6,7 @@ a constant bias above nu crosses every threshold in the end. J is then a multipl
 below a minimum. The thresholds of other kinds are set in the same way, from what they compare.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -20,12 +20,22 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Detector
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Quality
 from faultline.service.core.time_scale import TimeScale
 
 Array = npt.NDArray[np.float64]
 
 TOLD_TICKS = 75  # in which a test of a recording can tell
 MINIMUM_TICKS = 50  # of a mode, over all recordings
+WHY: Mapping[Quality, str] = {
+    Quality.MISSING: "has not come yet",
+    Quality.LATE: "is older than its maximum_age_s",
+    Quality.DOUBTED: "is sent by two, or more often than its DBC's cycle time says",
+    Quality.OUT_OF_RANGE: "is out of its range in the DBC",
+    Quality.NOT_AVAILABLE: "is not available, as its sender says",
+    Quality.ERROR: "is at fault, as its sender says",
+}
+"""What hinders, by what a sample is worth."""
 MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
 
 
@@ -67,24 +77,31 @@ class Seen:
         """The ticks (K,) of a mode at which a generator could tell."""
         return np.asarray(self.usable[:, row] & (self.mode == mode))
 
+    def visits(self, mode: int) -> Iterator[npt.NDArray[np.int64]]:
+        """Yield the rows (n,) of every stay in a mode at which all generators could tell."""
+        inside = np.flatnonzero(self.usable.all(axis=1) & (self.mode == mode))
+        for visit in np.split(inside, np.flatnonzero(np.diff(self.ticks[inside]) > 1) + 1):
+            if len(visit):
+                yield visit
+
 
 def more_of(mode: int) -> str:
     """What a drive does to show more of a mode; nothing stays at an edge."""
     return "with more steps of the inputs, or lower those of [edges]" if mode == EDGE else "that stays in it"
 
 
-def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeScale) -> Seen:
-    """What tuning needs of a recording: the ticks with every input usable.
+def seen(name: str, ticks: Sequence[Tick], signals: Sequence[str], modes: tuple[str, ...], time: TimeScale) -> Seen:
+    """What tuning needs of a recording: the ticks with every input (nz,), of `signals`, usable.
 
     Raises:
         InputError: some test could tell for too little of it.
     """
-    ticks = [tick for tick in ticks if tick.usable.all()]
+    every, ticks = ticks, [tick for tick in ticks if tick.usable.all()]
     usable = np.array([tick.residuals.counted for tick in ticks])
     told = int(usable.sum(axis=0).min()) if ticks else 0
     if told < TOLD_TICKS:
         raise InputError(
-            f"{name}: some test could tell for {told} ticks only, {TOLD_TICKS} are needed; "
+            f"{name}: some test could tell for {told} ticks only, {TOLD_TICKS} are needed; {_why(every, signals)}"
             "tune on minutes with all signals, within their operating ranges"
         )
     return Seen(
@@ -98,6 +115,18 @@ def seen(name: str, ticks: Sequence[Tick], modes: tuple[str, ...], time: TimeSca
         sigma=np.array([tick.residuals.sigma for tick in ticks]),
         number=np.array([tick.number for tick in ticks]),
     )
+
+
+def _why(ticks: Sequence[Tick], signals: Sequence[str]) -> str:
+    """What most often hinders the tests: a signal that is not usable for most of the recording, and what it is then."""
+    kinds = list(WHY)
+    counts = np.array(
+        [[np.sum([tick.quality[k] == kind for tick in ticks]) for kind in kinds] for k in range(len(signals))]
+    )
+    if not counts.size or counts.max() <= len(ticks) / 2:
+        return ""
+    signal, kind = np.unravel_index(int(counts.argmax()), counts.shape)
+    return f"for {100 * counts.max() / len(ticks):.0f} % of it {signals[int(signal)]} {WHY[kinds[int(kind)]]}; "
 
 
 def tune_detectors(

@@ -89,7 +89,9 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         tracks.append(tracks_of(signals, units))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
         inputs = limited(runnable.bank.inputs, signals, model.residuals)
-        drives.append(Drive(log.drive, ticks, seen(log.id, ticks, modes_of(model).names, time_of(model)), inputs))
+        drives.append(
+            Drive(log.drive, ticks, seen(log.id, ticks, list(units), modes_of(model).names, time_of(model)), inputs)
+        )
     for each in findings(model, tracks):
         progress.note(f"{model.name}: {each.text}")
     return Vehicle(runnable, drives)

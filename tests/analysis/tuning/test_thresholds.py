@@ -20,6 +20,7 @@ from faultline.service.core.manifest import CusumDetector
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
+from faultline.service.core.signals.values import Quality
 from faultline.service.core.time_scale import TimeScale
 
 IDLE, PARTIAL, MAXIMUM = 1, 2, 3  # indices of the dosing system's modes, behind the edge
@@ -198,6 +199,9 @@ def test_a_mode_may_be_spread_over_recordings() -> None:
     assert len(tune_detectors(NAMES, halves, FLOOR)) == 2
 
 
+SIGNALS = ["p_before", "p_after", "p_end", "speed", "dose"]
+
+
 def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
     """Such as one cut off in its warm-up: what would last 15 s, it cannot show."""
     residuals = Residuals(np.zeros(2), np.zeros(2), np.ones(2), np.ones(2, np.bool_))
@@ -205,14 +209,24 @@ def test_a_recording_of_which_some_test_saw_too_little_is_refused() -> None:
     nothing, good = np.zeros(5), np.zeros(5, np.int8)
     ticks = [Tick(k, 0.2 * k, nothing, good, IDLE, residuals, nothing) for k in range(TOLD_TICKS - 1)]
     with pytest.raises(InputError, match=f"cut-off: some test could tell for {TOLD_TICKS - 1} ticks only"):
-        seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)], MODES, TIME)
-    assert len(seen("whole", [*ticks, ticks[0]], MODES, TIME).r) == TOLD_TICKS
+        seen("cut-off", [*ticks, ticks[0]._replace(residuals=blind)], SIGNALS, MODES, TIME)
+    assert len(seen("whole", [*ticks, ticks[0]], SIGNALS, MODES, TIME).r) == TOLD_TICKS
 
 
 def test_a_recording_without_a_usable_tick_is_refused() -> None:
     """Such as a log without the added sensors."""
     with pytest.raises(InputError, match="production: some test could tell for 0 ticks only"):
-        seen("production", [], MODES, TIME)
+        seen("production", [], SIGNALS, MODES, TIME)
+
+
+def test_what_hinders_most_of_a_recording_is_reported() -> None:
+    """Such as a message that comes twice as often as its DBC says."""
+    residuals = Residuals(np.zeros(2), np.zeros(2), np.ones(2), np.ones(2, np.bool_))
+    quality = np.zeros(5, np.int8)
+    quality[2] = Quality.DOUBTED
+    ticks = [Tick(k, 0.2 * k, np.zeros(5), quality, IDLE, residuals, np.zeros(5)) for k in range(TOLD_TICKS)]
+    with pytest.raises(InputError, match=f"for 100 % of it {SIGNALS[2]} is sent by two, or more often than its DBC's"):
+        seen("fast", ticks, SIGNALS, MODES, TIME)
 
 
 def test_ticks_on_both_sides_of_a_gap_are_no_neighbours() -> None:
