@@ -4,6 +4,7 @@ Of the three families that were written for verification, after calibration had 
 """
 
 import dataclasses
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,6 +42,16 @@ def sheet(number: int, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(dump_model(dataclasses.replace(model, parameters=parameters)))
     return path
+
+
+def with_edges(sheet: Path, told: str) -> bool:
+    """Whether a command proposed other [edges] for the plant; they are put into the sheet, as an engineer would."""
+    proposed = re.search(r"\[edges\]: steps = \{(.+)\}", told)
+    if proposed is None:
+        return False
+    before = sheet.read_text()
+    sheet.write_text(re.sub(r"(?<=\nsteps = )\{.+\}", f"{{{proposed[1]}}}", before, count=1))
+    return sheet.read_text() != before
 
 
 def frames_of(case: Case) -> Iterator[Frame]:

@@ -18,6 +18,7 @@ from faultline.analysis.export import main as export
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.load import Bundle, load_bundle
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.residuals.observer import Tick
@@ -63,7 +64,15 @@ class Workshop:
         if not out.exists():
             model, training = self.calibrated()
             drives = [self.made("drive", k, TUNING_S) for k in TUNING]
-            tuned = tuning(model, drives, self.folder / "tuning.json", self.base)
+            tuned = self.folder / "tuning.json"
+            code, told = tuning(model, drives, tuned, self.base)
+            if self.number in PLANTS and diagnosis_plants.with_edges(self.folder / "sheet.toml", told):
+                for old in (model, tuned):
+                    old.unlink(missing_ok=True)
+                model, training = self.calibrated()
+                code, told = tuning(model, drives, tuned, self.base)
+            if code:
+                raise InputError(told.splitlines()[-1])
             dbc = str(training / "uds.dbc")
             must(export, [str(model), "--tuning", str(tuned), "--dbc", dbc, "--out", str(out)])
             for folder in ("logs", "truth"):
@@ -76,9 +85,13 @@ class Workshop:
         model = self.folder / "model.toml"
         given = "uds"
         if self.number in PLANTS:
-            given = str(diagnosis_plants.sheet(self.number, self.folder / "sheet.toml"))
+            sheet = self.folder / "sheet.toml"
+            given = str(sheet if sheet.exists() else diagnosis_plants.sheet(self.number, sheet))
         words = [given, str(training), "--out", str(model)]
         code, told = quietly(calibrate, words)
+        if self.number in PLANTS and diagnosis_plants.with_edges(Path(given), told):
+            model.unlink(missing_ok=True)
+            code, told = quietly(calibrate, words)
         if code:  # it doubts that the model describes the vehicle: hidden effects and days do that, and it must run
             self._doubts.write_text("\n".join(line for line in told.splitlines() if line.startswith(DOUBT)))
             must(calibrate, [*words, "--force"])
@@ -100,11 +113,10 @@ class Workshop:
         return self.folder / "doubts.txt"
 
 
-def tuning(model: Path, drives: Sequence[Path], out: Path, base: Path | None) -> Path:
-    """The vehicle's thresholds, as its workshop sets them: the one place that says how."""
+def tuning(model: Path, drives: Sequence[Path], out: Path, base: Path | None) -> tuple[int, str]:
+    """The vehicle's thresholds, as its workshop sets them: the one place that says how. Code and what was said."""
     adapted = [] if base is None else ["--adapt", str(base)]
-    must(tune, [str(model), *map(str, drives), *adapted, "--out", str(out)])
-    return out
+    return quietly(tune, [str(model), *map(str, drives), *adapted, "--out", str(out)])
 
 
 def must(command: Any, words: list[str]) -> None:
