@@ -64,7 +64,9 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
         J = likelihood.slopes(problem, x)
         H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
         room = problem.bounds - x
-        R = np.linalg.qr(J, mode="r")  # not of H: a start far away may have slopes beside which 1 is nothing
+        R = np.asarray(
+            np.linalg.qr(J, mode="r")
+        )  # not of H: a start far away may have slopes beside which 1 is nothing
         step = _bounded(R, 1.0, g, *room)
         promised = float(g @ step - 0.5 * step @ H @ step)
         if promised < ENOUGH or number == steps:
@@ -94,7 +96,7 @@ def _cost(e: Array, x: Array) -> float:
 
 def _bounded(R: Array, precision: float, g: Array, lower: Array, upper: Array) -> Array:
     """The step within bounds that raises g'd - d'(R'R + precision I)d / 2 most."""
-    root = np.linalg.qr(np.concatenate([R, np.sqrt(precision) * np.eye(len(g))]), mode="r")
+    root = np.asarray(np.linalg.qr(np.concatenate([R, np.sqrt(precision) * np.eye(len(g))]), mode="r"))
     half = solve_triangular(root, g, trans="T")
     free = solve_triangular(root, half)
     if (free >= lower).all() and (free <= upper).all():
