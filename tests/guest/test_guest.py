@@ -21,6 +21,7 @@ def guest(tmp_path: Path) -> Guest:
         pytest.skip(str(error))
 
 
+@pytest.mark.alone  # a frame that a busy machine sends 0.1 s late or early may be another sender's, and is doubted
 def test_installed_started_and_hurt(guest: Guest) -> None:
     failed = guest.run(HERE / "on_the_vehicle.py", "everything")
     print(guest.said)
