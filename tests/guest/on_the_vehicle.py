@@ -38,7 +38,7 @@ def property_of(name: str) -> str:
     return run("systemctl", "show", "faultline", "--property", name, "--value").strip()
 
 
-def until(what: str, check: Callable[[], object], seconds: float = 30.0) -> float:
+def until(what: str, check: Callable[[], object], seconds: float = 120.0) -> float:
     """Waits for something to be so; how long that took [s]."""
     begin = time.monotonic()
     while not check():
@@ -82,7 +82,7 @@ def last() -> int:
     return int(json.loads(seen[-1])["seq"]) if seen else 0
 
 
-def hears(after: int, seconds: float = 30.0) -> None:
+def hears(after: int, seconds: float = 120.0) -> None:
     """Frames reach the service: with nothing wrong with its bus, by its own word after this number."""
     for said in subscribed(seconds, after):
         if said["schema"] == "faultline.health/1":
@@ -169,7 +169,7 @@ def bus_made() -> str:
 
 def alarm_from_a_recording() -> str:
     process = play("/vm/can.log")
-    for said in subscribed(90.0):
+    for said in subscribed(180.0):
         if said.get("transition") == "occurred":
             named = {fault for each in said["diagnoses"] for fault in each["faults"]}  # type: ignore[attr-defined]
             assert "fA_du" in named, said
