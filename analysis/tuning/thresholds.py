@@ -35,7 +35,7 @@ WHY: Mapping[Quality, str] = {
     Quality.NOT_AVAILABLE: "is not available, as its sender says",
     Quality.ERROR: "is at fault, as its sender says",
 }
-"""What hinders, by what a sample is worth."""
+"""Reasons why a test cannot tell, by the quality of a sample."""
 MARGIN = 1.5  # J over the largest sum seen: a detector is to suspect, a window confirms
 
 
@@ -91,7 +91,7 @@ def more_of(mode: int) -> str:
 
 
 def seen(name: str, ticks: Sequence[Tick], signals: Sequence[str], modes: tuple[str, ...], time: TimeScale) -> Seen:
-    """What tuning needs of a recording: the ticks with every input (nz,), of `signals`, usable.
+    """Return what tuning needs of a recording: the ticks at which all inputs (nz,), the `signals`, are usable.
 
     Raises:
         InputError: some test could tell for too little of it.
@@ -118,7 +118,7 @@ def seen(name: str, ticks: Sequence[Tick], signals: Sequence[str], modes: tuple[
 
 
 def _why(ticks: Sequence[Tick], signals: Sequence[str]) -> str:
-    """What most often hinders the tests: a signal that is not usable for most of the recording, and what it is then."""
+    """Return the most frequent hindrance: a signal not usable for more than half of the recording, and its quality."""
     kinds = list(WHY)
     counts = np.array(
         [[np.sum([tick.quality[k] == kind for tick in ticks]) for kind in kinds] for k in range(len(signals))]

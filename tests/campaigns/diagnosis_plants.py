@@ -45,7 +45,7 @@ def sheet(number: int, path: Path) -> Path:
 
 
 def with_edges(sheet: Path, told: str) -> bool:
-    """Whether a command proposed other [edges] for the plant; they are put into the sheet, as an engineer would."""
+    """Put the [edges] that a command proposed into the sheet, as an engineer would; return whether that changed it."""
     proposed = re.search(r"\[edges\]: steps = \{(.+)\}", told)
     if proposed is None:
         return False

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import diagnosis_plants
 import pytest
 from diagnosis import Record, is_made, kept_in, main, vehicle
 from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidden, request
@@ -41,6 +42,16 @@ def told(shop: Workshop) -> Record:
     free = [case for case in cases(NUMBER, "none") if case.kind == "free"][:1]
     wanted = [*free, *(case for case in large if {*dict(case.faults)} <= FAULTS)]
     return vehicle(shop, [replace(case, seconds=450.0) for case in wanted])
+
+
+def test_a_workshop_takes_the_edges_that_are_proposed_once(tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.toml"
+    sheet.write_text("[edges]\nsettle_s = 8.0\nsteps = {dc_dose = 0.03, n_p = 4.0}\n")
+    told = "uds: n_p moves; system.toml, [edges]: steps = { dc_dose = 0.03, n_p = 1.1 }\nwrote model.toml"
+    assert not diagnosis_plants.with_edges(sheet, "wrote model.toml")
+    assert diagnosis_plants.with_edges(sheet, told)
+    assert sheet.read_text().endswith("steps = { dc_dose = 0.03, n_p = 1.1 }\n")
+    assert not diagnosis_plants.with_edges(sheet, told)
 
 
 def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_one(told: Record) -> None:

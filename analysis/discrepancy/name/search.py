@@ -64,9 +64,8 @@ def descend(likelihood: Likelihood, problem: Problem, x: Array, steps: int = STE
         J = likelihood.slopes(problem, x)
         H, g = J.T @ J + np.eye(len(x)), -(J.T @ e + x)
         room = problem.bounds - x
-        R = np.asarray(
-            np.linalg.qr(J, mode="r")
-        )  # not of H: a start far away may have slopes beside which 1 is nothing
+        # J's own factor, not that of H: a start far away may have slopes beside whose squares the prior's 1 is lost
+        R = np.asarray(np.linalg.qr(J, mode="r"))
         step = _bounded(R, 1.0, g, *room)
         promised = float(g @ step - 0.5 * step @ H @ step)
         if promised < ENOUGH or number == steps:
