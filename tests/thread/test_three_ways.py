@@ -106,7 +106,7 @@ def test_a_subscriber_that_comes_late_hears_what_it_missed(tmp_path: Path) -> No
             client.sendall(b'{"after": 2}\n')
             with client.makefile("rb") as stream:
                 line = stream.readline()
-    assert decode(line).seq == 3
+    assert json.loads(line)["seq"] == 3  # an event, or a health record where the busy machine sends the log late
 
 
 def test_the_daemon_outlives_a_closed_standard_output(tmp_path: Path) -> None:
