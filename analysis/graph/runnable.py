@@ -80,18 +80,18 @@ class Runnable:
             return {}
         names = [generator.name for generator in self.bank.generators]
         model = self.bank.model
-        trials = [_trial(h, model) for h in evidence.hypotheses]
+        trials = [trial_of(h, model) for h in evidence.hypotheses]
         return {evidence.graph: self.bank.only([names.index(name) for name in evidence.generators]).graph_of(trials)}
 
 
-def _trial(h: Hypothesis, model: Model) -> Trial:
+def trial_of(h: Hypothesis, model: Model) -> Trial:
     """The value of the fault variable, or of the parameter that loses a share."""
     if h.brought is not None:
         consequence = model.faults[h.fault].consequence
         assert consequence is not None
         of = consequence.fault
         brought = Hypothesis(fault=of, size=h.brought, share_of=model.faults[of].share_of)
-        return {**_trial(Hypothesis(fault=h.fault, size=h.size), model), **_trial(brought, model)}
+        return {**trial_of(Hypothesis(fault=h.fault, size=h.size), model), **trial_of(brought, model)}
     if h.share_of is None:
         return {h.fault: model.assumable[h.fault].absolute(h.size, model)}
     return {h.share_of: model.parameters[h.share_of].value * (1.0 + h.size)}

@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -86,7 +87,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("MODEL", "RECORDING"),
         help="another vehicle of the kind: its own calibrated model file and its fault-free recordings (repeatable)",
     )
-    parser.add_argument("--target", type=float, metavar="RATE", help="suspicions per hour of all detectors together")
+    parser.add_argument(
+        "--target", type=float, metavar="RATE", help="suspicions per hour without a fault (default: 0.1, by changes)"
+    )
     parser.add_argument("--detector", choices=LEVEL_KINDS, default="cusum", help="what tests a level (default: cusum)")
     parser.add_argument("--spread", action="store_true", help="test the variance besides: it raises suspicion only")
     parser.add_argument(
@@ -158,7 +161,9 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     """The same of drives that have been read."""
     runnable = vehicles[0].runnable
     described = stand_ins(runnable.bank.model)
-    rule = Rule([g.name for g in runnable.generators], runnable.sigma, described, given.kinds, _evidence)
+    rule = Rule(
+        [g.name for g in runnable.generators], runnable.sigma, described, given.kinds, partial(_evidence, given)
+    )
     to = offsets(vehicles[0].drives, described)
     left_out = folds(vehicles, described) if given.claim or given.target is not None else []
     if given.claim and not left_out:
@@ -199,12 +204,15 @@ def _vehicles(
     return vehicles
 
 
-def _evidence(vehicles: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
+def _evidence(given: Given, vehicles: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
     """Evidence and sizes of drifts, by the model of the first vehicle; of the equations' generators alone."""
     bank = vehicles[0].runnable.bank
     described, own = stand_ins(bank.model), len(bank.generators)
     seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
-    return gather(bank, to[:own], seen, described, apart)
+    evidence, sizes = gather(bank, to[:own], seen, described, apart)
+    if given.target is not None:
+        evidence = msgspec.structs.replace(evidence, run_length_h=1.0 / given.target)
+    return evidence, sizes
 
 
 def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:

@@ -14,11 +14,12 @@ from scipy.special import chdtri
 
 from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
+from faultline.analysis.graph.runnable import trial_of
 from faultline.analysis.tuning.assumed import consequences_of, hypotheses_of, sizes_of
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.blocks import BLOCK
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import Evidence, Follower
+from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.time_scale import Span
 
@@ -71,6 +72,7 @@ def gather(
     sizes = np.ones(len(drifts))
     if len(recordings) >= ENOUGH:
         own, drifts, sizes = as_seen(_strays(apart or recordings, order, around)[:, described], everywhere, drifts, K)
+    hypotheses = with_usual(hypotheses_of(bank.model), bank.only(rows), recordings, described)
     evidence = Evidence(
         generators=[bank.generators[row].name for row in rows],
         offset=offset.tolist(),
@@ -89,12 +91,30 @@ def gather(
             )
             for column, row in enumerate(order[K:], start=K)
         ],
-        graph=FAULTS if (hypotheses := hypotheses_of(bank.model)) else None,
+        graph=FAULTS if hypotheses else None,
         hypotheses=hypotheses,
         consequences=consequences_of(bank.model) if hypotheses else [],
         sizes=sizes_of(bank.model) if hypotheses else [],
     )
     return evidence, sizes.tolist()
+
+
+def with_usual(
+    hypotheses: Sequence[Hypothesis], bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]
+) -> list[Hypothesis]:
+    """Return the hypotheses, the smallest of each form of a fault with its mean shifts in these recordings."""
+    smallest: dict[tuple[str, str | None], Hypothesis] = {}
+    for h in hypotheses:
+        if h.brought is None and abs(h.size) < abs(smallest.setdefault((h.fault, h.share_of), h).size):
+            smallest[h.fault, h.share_of] = h
+    if not smallest:
+        return []
+    found = [*smallest.values()]
+    trials = [trial_of(h, bank.model) for h in found]
+    steps = np.zeros((len(trials), len(bank.model.known)))
+    shifts = -_shifts(bank, recordings, trials, stand_ins, steps)  # under the fault it is the measured that moves
+    usual = {id(h): shift.tolist() for h, shift in zip(found, shifts, strict=True)}
+    return [msgspec.structs.replace(h, usual=usual.get(id(h))) for h in hypotheses]
 
 
 def with_drifts(
@@ -113,7 +133,8 @@ def with_drifts(
         for column, f in enumerate(evidence.followers, start=K)
     ]
     drifts = [*own[..., :K].tolist(), *evidence.drifts[len(own) :]]
-    return msgspec.structs.replace(evidence, drifts=drifts, followers=followers)
+    hypotheses = with_usual(evidence.hypotheses, bank.only(order[:K]), recordings, stand_ins)
+    return msgspec.structs.replace(evidence, drifts=drifts, followers=followers, hypotheses=hypotheses)
 
 
 def no_surer(evidence: Evidence, bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]) -> Evidence:

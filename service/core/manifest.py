@@ -236,13 +236,16 @@ class Hypothesis(_Part, frozen=True):
     """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none.
 
     In a second form of the fault its size is the fraction by which a parameter changes, `share_of`. With a consequence,
-    `brought` is the size of the fault that is brought, as its second form says it, if it has one.
+    `brought` is the size of the fault that is brought, as its second form says it, if it has one. The smallest size of
+    each form has its `usual` shift of the residuals (mode, generator) [Pa], a mean over fault-free drives: a drive
+    without a fault may look as if it had a little of it (`core.decision.baseline`).
     """
 
     fault: Name
     size: float
     share_of: Name | None = None
     brought: float | None = None
+    usual: PerMode[list[float]] | None = None
 
 
 class SizeUnit(_Part, frozen=True, omit_defaults=True):
@@ -284,7 +287,8 @@ class Evidence(_Part, frozen=True):
     From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
     mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too.
     `operation` (mode, generator) is the usual mean of the signals that are predicted. Faults have `consequences`, at
-    most one each; hypotheses with one are behind the others. `sizes` say how people read those of a fault.
+    most one each; hypotheses with one are behind the others. `sizes` say how people read those of a fault. Without a
+    fault a change of the baseline is suspected every `run_length_h` [h] on average (`core.decision.drive_change`).
     """
 
     generators: NotEmpty[Name]
@@ -300,6 +304,7 @@ class Evidence(_Part, frozen=True):
     hypotheses: list[Hypothesis]
     consequences: list[Consequence] = []
     sizes: list[SizeUnit] = []
+    run_length_h: Positive = 10.0
 
     @property
     def simple(self) -> int:

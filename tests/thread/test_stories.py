@@ -70,8 +70,8 @@ def test_a_valve_that_passes_more_when_held_open(tmp_path: Path) -> None:
     assert [verdict["contained"] for verdict in orifice + pump] == [True] * 4
     assert [verdict["isolated"] for verdict in orifice] == [["fA_ori"], ["fA_ori"]]
     assert [verdict["first"] for verdict in pump] == [["fA_p", "fq_pump"], ["fq_pump"]]
-    assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([227.2, 17.2], abs=1.0)
-    assert [verdict["delay_s"] for verdict in pump] == pytest.approx([38.1, 35.1], abs=1.0)
+    assert [verdict["delay_s"] for verdict in orifice] == pytest.approx([98.2, 14.2], abs=1.0)
+    assert [verdict["delay_s"] for verdict in pump] == pytest.approx([35.1, 11.1], abs=1.0)
 
 
 @pytest.mark.long

@@ -2,18 +2,25 @@
 
 The mean of a block of n ticks in mode m, of the K generators of the evidence, is
 
-    y = offset_m + D_m a + b_m + v + e,      e ~ N(0, V_m / n)
+    y = offset_m + D_m a + b_m + G l + v + e,      e ~ N(0, V_m / n)
 
 with the vehicle's offset, the drive's baseline along the model's own drifts a (viscosity, zeros of the sensors, level
 in the tank; standard normal) and of each mean by itself b ~ N(0, allowance^2), and the visit's effect v ~ N(0, U_m),
-drawn anew at every visit. a and b move as Ornstein-Uhlenbeck processes with the correlation time `DRIVE`, v with
+drawn anew at every visit. a, b and l move as Ornstein-Uhlenbeck processes with the correlation time `DRIVE`, v with
 `VISIT`:
 
-    x_k = F x_{k-1} + w,   F = exp(-dt / tau),   w ~ N(0, P_m - F P_m F),   P_m = diag(1, allowance^2, U_m)
+    x_k = F x_{k-1} + w,   F = exp(-dt / tau),   w ~ N(0, P_m - F P_m F),   P_m = diag(1, allowance^2, 1, U_m)
+
+What a model lacks changes with the operation, as the effect of a fault does: without l, an hour of it is taken for
+a small fault since the drive's start, and the surer the longer it lasts. So a fault-free drive looks as if it had
+apparent faults l, standard normal. G are the shifts g_h by the smallest size of each fault in the operation of the
+block, in such parts that in usual operation they are as far from zero as the baseline's own standard deviation:
+g_h' P_0^-1 g_h = 1 with P_0 the covariance of all modes' means by a and b; the smallest size is the largest part.
 
 All arrays have the logs first: B of them are filtered side by side, the vehicle's is B = 1.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +35,10 @@ VISIT = Span(settlings=0.75, periods=75)
 
 DRIVE = Span(settlings=6000, seconds=120_000)
 """Correlation time of the drive's baseline: in 600 s it moves by a tenth of how far drives differ."""
+
+
+ROUNDING = 1e-12
+"""Of the largest variance of a baseline."""
 
 
 class GaussianState(NamedTuple):
@@ -65,20 +76,30 @@ class BaselineModel:
         self.noise = np.array(evidence.noise)  # (1 + C, K, K), of a tick
         modes, K = self.offset.shape
         drifts = np.array(evidence.drifts).reshape(-1, modes, K)
-        R, own = len(drifts), (modes - 1) * K
-        self.states = R + own + K
+        allowance = np.array(evidence.allowance)
+        usual = {k: np.array(h.usual) for k, h in enumerate(evidence.hypotheses) if h.usual is not None}
+        self.apparent_rows = np.array([*usual], dtype=np.intp)  # of the hypotheses (L,)
+        self.apparent_part = _parts(usual.values(), drifts[:, 1:], allowance[1:])  # (L,)
+        R, L, own = len(drifts), len(usual), (modes - 1) * K
+        self.states = R + own + L + K
+        self.apparent, self.visit = slice(R + own, R + own + L), slice(R + own + L, self.states)
         self.tau = np.full(self.states, time.seconds(DRIVE))
-        self.tau[R + own :] = time.seconds(VISIT)
+        self.tau[self.visit] = time.seconds(VISIT)
         self.observe = np.zeros((modes, K, self.states))
         self.stationary = np.zeros((modes, self.states, self.states))
-        variances = [np.ones(R), np.array(evidence.allowance)[1:].ravel() ** 2, np.zeros(K)]
+        variances = [np.ones(R), allowance[1:].ravel() ** 2, np.ones(L), np.zeros(K)]
         self.stationary[:] = np.diag(np.concatenate(variances))
-        self.stationary[:, R + own :, R + own :] = np.array(evidence.visit)
+        self.stationary[:, self.visit, self.visit] = np.array(evidence.visit)
         for mode in range(1, modes):
             self.observe[mode, :, :R] = drifts[:, mode].T
             self.observe[mode, :, R + (mode - 1) * K : R + mode * K] = np.eye(K)
-            self.observe[mode, :, R + own :] = np.eye(K)
-        self.visit = slice(R + own, self.states)
+            for column, (shift, part) in enumerate(zip(usual.values(), self.apparent_part, strict=True), R + own):
+                self.observe[mode, :, column] = part * shift[mode]
+            self.observe[mode, :, self.visit] = np.eye(K)
+
+        steady = self.observe[1:].copy()
+        steady[..., self.visit] = 0.0
+        self.usual = steady.reshape(-1, self.states)  # (D, S), of all modes in usual operation, without visits
 
     def prior(self, logs: int) -> GaussianState:
         """Return the state before a drive has begun."""
@@ -86,12 +107,26 @@ class BaselineModel:
         covariance[:, self.visit, self.visit] = 0.0
         return GaussianState(np.zeros((logs, self.states)), covariance)
 
+    def observed(self, block: Block) -> FloatArray:
+        """Return how the state shows in the means of a block (B, K, S), in its operation."""
+        H = self.observe[block.mode]
+        H[..., self.apparent] = (block.shift[:, self.apparent_rows] * self.apparent_part[:, None]).swapaxes(1, 2)
+        return H
+
     def levels(self, state: GaussianState) -> tuple[FloatArray, FloatArray]:
-        """Return where the drive puts the means (B, D), all modes stacked, and their covariance (B, D, D)."""
-        H = self.observe[1:].copy()
-        H[..., self.visit] = 0.0
-        H = H.reshape(-1, self.states)
-        return state.mean @ H.T, H @ state.covariance @ H.T
+        """Return where the drive puts the means (B, D) in usual operation, modes stacked, and their covariance."""
+        return state.mean @ self.usual.T, self.usual @ state.covariance @ self.usual.T
+
+
+def _parts(usual: Iterable[FloatArray], drifts: FloatArray, allowance: FloatArray) -> FloatArray:
+    """Parts (L,) of shifts (modes, K) that are as large as one standard deviation of the baseline, 1 at most."""
+    D = drifts.reshape(len(drifts), allowance.size)
+    P0 = np.diag(allowance.ravel() ** 2) + D.T @ D
+    least = max(ROUNDING * P0.diagonal().max(), 1e-30)  # where nothing strays parts are 0
+    P0 += least * np.eye(len(P0))
+    g = np.array([shift[1:].ravel() for shift in usual]).reshape(-1, len(P0))
+    squares = (g * np.linalg.solve(P0, g.T).T).sum(axis=1)
+    return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))
 
 
 class BaselineFilter:
@@ -112,7 +147,7 @@ class BaselineFilter:
         mean = F * self.state.mean
         P = FF * self.state.covariance + (1.0 - FF) * model.stationary[mode]
         seen = block.ticks > 0
-        H = model.observe[mode] * seen[..., None]
+        H = model.observed(block) * seen[..., None]
         parts = 1.0 / np.sqrt(np.maximum(block.ticks, 1.0))
         noise = model.noise[mode] * (parts[:, :, None] * parts[:, None, :])
         R = np.where(seen[:, :, None] & seen[:, None, :], noise, np.eye(seen.shape[1]))

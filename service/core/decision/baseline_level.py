@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.decision.baseline import BaselineModel, GaussianState
-from faultline.service.core.decision.straying import Level, Straying
+from faultline.service.core.decision.straying import Apparent, Level, Straying
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.values import FloatArray
 
@@ -30,9 +30,22 @@ class BaselineLevel:
         """Take the baseline of this state of one log."""
         self.state = state
         mean, covariance = self._model.levels(state)
-        self.level = Level(mean[0].reshape(self._straying.offset.shape), covariance[0])
+        self.level = Level(mean[0].reshape(self._straying.offset.shape), covariance[0], self._apparent())
         mean, variance = (np.vstack([each.mean(axis=0), each]) for each in self._straying.everywhere(self.level))
         self._mean, self._wider = mean, np.sqrt(1.0 + WIDENED**2 * variance / self._spread**2)
+
+    def _apparent(self) -> Apparent:
+        """What is known of the apparent faults of the log."""
+        model, P = self._model, self.state.covariance[0]
+        columns, H = model.apparent, model.usual
+        return Apparent(
+            mean=self.state.mean[0, columns],
+            covariance=P[columns, columns],
+            cross=H @ P[:, columns],
+            usual=H[:, columns].T,
+            rows=model.apparent_rows,
+            part=model.apparent_part,
+        )
 
     def taken_off(self, mode: int, residuals: FloatArray) -> FloatArray:
         """Return the residuals (T,) of a tick without the baseline; those of networks as they are.

@@ -56,6 +56,7 @@ class ChangeDetector:
         self._along = np.zeros((logs, 0, len(segments.faults)))  # g'g of the two ends of a segment
         self._free = np.zeros((logs, 0, K, K))
         self._explained = np.zeros((logs, 0))  # by odd visits before the onset
+        self._table = np.zeros((logs, 0, len(self.faults) + 1))  # the ratios of the last block
 
     def step(self, block: Block) -> Change:
         """Take a block; return the likeliest change."""
@@ -86,6 +87,11 @@ class ChangeDetector:
         square = (1 - part) ** 2 * A[..., begin] + 2 * part * (1 - part) * X + part**2 * A[..., end]
         return np.asarray(mean - square / 2.0)
 
+    def since(self, t_s: float) -> float:
+        """Return the largest ratio of the first log that a fault since the last onset until this time has [nats]."""
+        last = max(int(np.searchsorted(self.onset_s[0], t_s, side="right")) - 1, 0)
+        return float(self._table[0, last].max())
+
     def forget_onsets(self, state: GaussianState) -> None:
         """Look for changes from now on only, from this state of the filter."""
         self.filter.state = state
@@ -96,7 +102,8 @@ class ChangeDetector:
         ratios = self.ratios
         of_faults = [ratios[..., own].max(axis=-1) for own in self._own]
         table = np.stack([*of_faults, self._undeclared()], axis=-1)
-        table = (table - (self._odd.explained[:, None] - self._explained)[..., None]).reshape(B, -1)
+        self._table = table - (self._odd.explained[:, None] - self._explained)[..., None]
+        table = self._table.reshape(B, -1)
         best = table.argmax(axis=1)
         onset, fault = np.divmod(best, table.shape[1] // T)
         return Change(np.take_along_axis(table, best[:, None], 1)[:, 0], fault, onset)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Container, Iterable, Iterator, Sequence, Sized
-from itertools import groupby
+from itertools import chain, groupby
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from faultline.service.core.manifest import (
     Detector,
     Evidence,
     Manifest,
+    PerMode,
     SpreadDetector,
 )
 from faultline.service.core.signals.values import FloatArray
@@ -136,6 +137,8 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     yield from _repeated([each.fault for each in evidence.consequences], "evidence.consequences", ".fault")
     if any(hypothesis.brought is not None for hypothesis in evidence.hypotheses[: evidence.simple]):
         yield "evidence.hypotheses: one with a consequence is before one without"
+    if any(hypothesis.usual is not None for hypothesis in evidence.hypotheses[evidence.simple :]):
+        yield "evidence.hypotheses: one with a consequence has a usual shift"
     brings = {each.fault for each in evidence.consequences}
     brought = [each.fault for each in evidence.hypotheses if each.brought is not None]
     yield from _unknown(brought, brings, "evidence.hypotheses", "consequence of")
@@ -194,6 +197,7 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
         name: getattr(evidence, name) for name in ("offset", "spread", "noise", "visit", "allowance", "operation")
     }
     lists |= {f"drifts[{index}]": drift for index, drift in enumerate(evidence.drifts)}
+    lists |= (usual := _usual(evidence))
     for index, each in enumerate(evidence.followers):
         lists |= {f"followers[{index}].{name}": getattr(each, name) for name in ("offset", "spread")}
         lists |= {f"followers[{index}].drifts[{k}]": drift for k, drift in enumerate(each.drifts)}
@@ -209,6 +213,7 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     for index, drift in enumerate(evidence.drifts):
         yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
     yield from uneven(evidence.visit, K, "evidence.visit", what)
+    yield from chain.from_iterable(uneven(shift, K, f"evidence.{name}", what) for name, shift in usual.items())
     followers = [follower.generator for follower in evidence.followers]
     yield from _repeated([*evidence.generators, *followers], "evidence.generators and followers")
     for index, follower in enumerate(evidence.followers):
@@ -220,6 +225,11 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     if (evidence.graph is None) != (not evidence.hypotheses):
         yield f"evidence.graph: {evidence.graph!r} for {len(evidence.hypotheses)} hypotheses"
     yield from _sizes(evidence, modes)
+
+
+def _usual(evidence: Evidence) -> dict[str, PerMode[list[float]]]:
+    """The usual shifts of the hypotheses that have one, by their names."""
+    return {f"hypotheses[{k}].usual": h.usual for k, h in enumerate(evidence.hypotheses) if h.usual is not None}
 
 
 def _sizes(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
@@ -239,6 +249,7 @@ def _sizes(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     }
     for index, follower in enumerate(evidence.followers):
         parts |= {f"followers[{index}].{name}": getattr(follower, name) for name in ("offset", "spread", "drifts")}
+    parts |= _usual(evidence)
     for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"

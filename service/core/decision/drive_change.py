@@ -1,8 +1,8 @@
 """The change detection of one drive: suspicion, the baseline before the change, and whether it is still there.
 
-While nothing is suspected, the filter follows the baseline. A change is suspected where a ratio exceeds `SUSPECTED`,
-and sure where one exceeds `SURE`. From then on the baseline is that before the onset, and is held: a filter that went
-on would take the fault for the baseline's in time. Evidence that could not tell for long begins anew.
+While nothing is suspected, the filter follows the baseline. A change is suspected where a ratio exceeds a threshold
+(`nats`), and sure where it exceeds a higher one. From then on the baseline is that before the onset, and is held: a
+filter that went on would take the fault for the baseline's in time. Evidence that could not tell for long begins anew.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from faultline.service.core.decision.baseline import BaselineModel, GaussianState
 from faultline.service.core.decision.baseline_level import BaselineLevel
-from faultline.service.core.decision.blocks import BlockMeans
+from faultline.service.core.decision.blocks import BLOCK, BlockMeans
 from faultline.service.core.decision.change_detector import ChangeDetector
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.straying import Level
@@ -22,12 +22,13 @@ from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import TimeScale
 
-SUSPECTED, SURE = 18.0, 25.0
-"""Log-likelihood ratios [nats]. Chosen on fault-free drives of three simulated trucks (404, 407, 601; six hours, each
-tuned on half an hour of its own, one with a sensor's backlash), which had up to 18; not shown on others yet."""
+SURE_H = 5000.0
+"""The average run length of the higher threshold [h]: ten times what one false diagnosis in 500 h would need, as the
+model of a fault-free drive is not exact."""
 
 SAME = 5.0
-"""A fault is there as long as it fits what was seen of late by so much [nats] better than none does."""
+"""A fault is there as long as it fits what was seen of late by so much [nats] better than none does, or its ratio has
+not fallen by more from its peak."""
 
 
 class DriveChange:
@@ -43,7 +44,12 @@ class DriveChange:
         self._recent = Recent(evidence, generators, time)
         self._detector = self._fresh()
         self._blind = 0  # ticks since any of the evidence could tell
-        self._held = False
+        self._suspected, self._sure = (
+            nats(hours, len(self._detector.faults), time)
+            for hours in (evidence.run_length_h, max(SURE_H, evidence.run_length_h))
+        )
+        self._peak = 0.0  # the largest ratio of what is held
+        self._held = self._lasts = False
         self.blind = False  # some of the evidence cannot tell now
         self._since_s = np.inf  # the earliest of the likeliest onsets of what alarms: those of severe faults wander
         self.alarm = self.sure = False
@@ -68,12 +74,17 @@ class DriveChange:
             self.rest()
         self._recent.add(mode, residuals)
         block = self._blocks.add(tick, mode, residuals)
-        if block is None or self._held:
+        if block is None:
             return
         change = self._detector.step(block)
         ratio = float(change.log_ratio[0])
-        self.alarm = ratio > SUSPECTED or (self.alarm and ratio > SAME)
-        self.sure = ratio > SURE
+        if self._held:
+            since = self._detector.since(self._since_s)
+            self._peak = max(self._peak, since)
+            self._lasts = self._peak > self._suspected and since > self._peak - SAME
+            return
+        self.alarm = ratio > self._suspected or (self.alarm and ratio > SAME)
+        self.sure = ratio > self._sure
         if self.alarm:
             self._since_s = min(self._since_s, float(self._detector.onset_s[0, change.onset[0]]))
             self._baseline.follow(self._before(self._since_s))
@@ -83,10 +94,13 @@ class DriveChange:
             self._baseline.follow(self._of_filter())
 
     def look(self) -> None:
-        """Look whether a change that is held is still there; asked now and then."""
+        """Look whether a change that is held is still there; asked now and then.
+
+        The last seconds show a large one. A small one lasts as long as its ratio does not fall.
+        """
         if self._held:
             seen = self._hypotheses.look(self._recent.means, self._baseline.level)
-            self.alarm = seen is not None and seen.gain > 2.0 * SAME
+            self.alarm = self._lasts or (seen is not None and seen.gain > 2.0 * SAME)
 
     def suspect(self, tick: int) -> None:
         """Keep the baseline as it was before this tick: something is suspected from then on."""
@@ -95,7 +109,8 @@ class DriveChange:
 
     def hold(self) -> None:
         """Hold the baseline: the fault is sure."""
-        self._held = True
+        if not self._held:
+            self._held, self._peak = True, 0.0
 
     def accept(self) -> None:
         """Go on from what the filter has followed: what was suspected is the baseline's."""
@@ -106,7 +121,8 @@ class DriveChange:
     def rest(self) -> None:
         """Begin to look for changes anew, from the baseline that is known: what was suspected is over."""
         self._detector.forget_onsets(self._baseline.state)
-        self._held = self.alarm = self.sure = False
+        self._held = self._lasts = self.alarm = self.sure = False
+        self._peak = 0.0
         self._since_s = np.inf
         self._recent.clear()
 
@@ -123,3 +139,17 @@ class DriveChange:
             return self._of_filter()
         before = self._detector.before
         return GaussianState(before.mean[:, earlier[-1]], before.covariance[:, earlier[-1]])
+
+
+def nats(run_length_h: float, faults: int, time: TimeScale) -> float:
+    """Return the threshold of the log-likelihood ratio [nats] for an average run length without a fault [h].
+
+    A ratio of one fault exceeds h in a block with a probability of exp(-h) at most, and one of F + 1 does, with the
+    undeclared one, with (F + 1) exp(-h) (Lorden, Annals of Mathematical Statistics 42, 1971; Bonferroni). It is `SAME`
+    at least.
+
+    >>> scale = TimeScale(period_s=0.2, settling_s=20.0)
+    >>> round(nats(10.0, 10, scale), 1), round(nats(5000.0, 10, scale), 1)
+    (11.8, 18.0)
+    """
+    return max(SAME, float(np.log((faults + 1) * run_length_h * 3600.0 / time.seconds(BLOCK))))

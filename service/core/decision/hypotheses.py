@@ -394,7 +394,7 @@ class Hypotheses:
         seen = means.seen  # (C, K)
         if not seen.any():
             return None
-        level = level or self._straying.unknown
+        level = (level or self._straying.unknown).in_operation(means)
         rows = np.flatnonzero(seen)
         d = (self._straying.deviation(means) - level.mean)[seen]
         S = (level.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]

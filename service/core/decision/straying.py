@@ -22,7 +22,7 @@ import numpy as np
 
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 MINIMUM_TICKS = 10
 """A mode counts once this many ticks were seen in it."""
@@ -63,11 +63,41 @@ class History(NamedTuple):
     shift: FloatArray
 
 
-class Level(NamedTuple):
-    """Where the baseline puts the means, as far as it is known: expected value (C, K) and covariance (D, D)."""
+class Apparent(NamedTuple):
+    """What is known of L apparent faults (`core.decision.baseline`): expected value (L,) and covariance (L, L).
+
+    `cross` (D, L) is their covariance with the means; `usual` (L, D) is what they do to the means in usual operation:
+    `part` (L,) of the shifts by the hypotheses `rows` (L,).
+    """
 
     mean: FloatArray
     covariance: FloatArray
+    cross: FloatArray
+    usual: FloatArray
+    rows: Indices
+    part: FloatArray
+
+
+class Level(NamedTuple):
+    """Where the baseline puts the means, as far as it is known: expected value (C, K) and covariance (D, D).
+
+    This is in usual operation, and with the `apparent` faults in any.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    apparent: Apparent | None = None
+
+    def in_operation(self, means: Means) -> "Level":
+        """The level of means that were seen in an operation of their own."""
+        if self.apparent is None:
+            return self
+        known = self.apparent
+        shift = means.shift[known.rows] / np.maximum(means.ticks, 1.0) * known.part[:, None, None]
+        more = np.where(means.ticks > 0, shift - known.usual.reshape(shift.shape), 0.0).reshape(known.usual.shape)
+        across = known.cross @ more
+        mean = self.mean + (known.mean @ more).reshape(self.mean.shape)
+        return Level(mean, self.covariance + across + across.T + more.T @ known.covariance @ more)
 
     @property
     def variance(self) -> FloatArray:

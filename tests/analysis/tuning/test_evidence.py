@@ -127,6 +127,19 @@ def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> Non
     assert np.shape(made.evidence.offset) == np.shape(made.evidence.allowance) == shape
 
 
+def test_the_smallest_of_each_form_of_a_fault_has_its_shift_in_usual_operation(made: Made) -> None:
+    simple = made.evidence.hypotheses[: made.evidence.simple]
+    assert {(h.fault, h.share_of) for h in simple if h.usual} == {(h.fault, h.share_of) for h in simple}
+    assert all(abs(h.size) <= abs(other.size) for h in simple if h.usual for other in simple if other.fault == h.fault
+               and other.share_of == h.share_of)  # fmt: skip
+    shifts = np.concatenate([made.shifts(one) for one in made.recordings])
+    steady = np.concatenate([np.where(one.usable.all(axis=1), one.mode, -1) for one in made.recordings])
+    for row, h in enumerate(simple):
+        for mode in STEADY if h.usual else ():
+            expected = shifts[steady == mode, row].mean(axis=0)
+            np.testing.assert_allclose(np.array(h.usual)[mode], expected, rtol=1e-6, atol=1e-3)
+
+
 def test_a_clogged_filter_leaves_less_pressure_behind_it_the_more_the_worse(made: Made) -> None:
     """y_p_du of t02, computed from y_p_ap through the filter: measured below predicted."""
     column = made.column("t02")

@@ -136,6 +136,18 @@ TOGETHER: list[tuple[Change, str]] = [
         rf"evidence\.allowance\[2\]: has length {K + 1}, but there are {K}",
     ),
     (
+        lambda m: m["evidence"]["hypotheses"][0].update(usual=[[0.0]] * 4),
+        rf"evidence\.hypotheses\[0\]\.usual\[0\]: has length 1, but there are {K}",
+    ),
+    (
+        lambda m: m["evidence"]["hypotheses"][0].update(usual=[[1e60] * K] * 4),
+        r"evidence\.hypotheses\[0\]\.usual: a value beyond 1e\+50",
+    ),
+    (
+        lambda m: m["evidence"]["hypotheses"][-1].update(usual=[[0.0] * K] * 4),
+        r"evidence\.hypotheses: one with a consequence has a usual shift",
+    ),
+    (
         lambda m: m["evidence"]["operation"][2].pop(),
         rf"evidence\.operation\[2\]: has length {K - 1}, but there are {K}",
     ),

@@ -11,8 +11,9 @@ from faultline.service.core.decision.baseline import BaselineFilter, BaselineMod
 from faultline.service.core.decision.baseline_level import BaselineLevel
 from faultline.service.core.decision.blocks import Block, BlockMeans, side_by_side
 from faultline.service.core.decision.change_detector import ONSETS, ChangeDetector
-from faultline.service.core.decision.drive_change import SUSPECTED, DriveChange
+from faultline.service.core.decision.drive_change import DriveChange, nats
 from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.straying import Means
 from faultline.service.core.manifest import Evidence, Follower, Hypothesis
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
@@ -23,6 +24,8 @@ STRAY, OWN, NOISE, VISIT = 100.0, 5.0, 10.0, 3.0
 NAMES = ["ta", "tb"]
 FAULT = np.array([60.0, -60.0])  # no drift moves one up and the other down
 TICKS = 15
+SUSPECTED = nats(10.0, 1, TIME)
+SMALL = 0.1
 
 
 def evidence(**changed: Any) -> Evidence:
@@ -122,6 +125,78 @@ def test_a_shift_that_no_hypothesis_makes_is_the_undeclared_fault() -> None:
     assert change.fault[0] == len(detector.faults)
 
 
+APPARENT = Hypothesis(fault="fA", size=1.0, usual=[FAULT.tolist()] * 4)
+
+
+def in_changing_operation(apparent: float, onset: int, size: float) -> list[Block]:
+    """Blocks in which the fault's shift goes up and down with the operation; `apparent` of it is there throughout."""
+    found = []
+    for k, block in enumerate(drawn(np.random.default_rng(5), 600)):
+        shift = block.shift * (1.0 + 0.5 * np.sin(0.7 * k))
+        there = apparent + (size if k >= onset else 0.0)
+        found.append(block._replace(shift=shift, mean=block.mean + there * shift[:, 0]))
+    return found
+
+
+def test_what_the_model_lacks_is_no_fault_from_the_start_however_long_it_lasts() -> None:
+    largest = {}
+    for name, hypothesis in (("without", Hypothesis(fault="fA", size=1.0)), ("with", APPARENT)):
+        model = BaselineModel(evidence(hypotheses=[hypothesis]), TIME)
+        detector = ChangeDetector(model, SEGMENTS, 1)
+        ratios = [float(detector.step(block).log_ratio[0]) for block in in_changing_operation(0.1, 600, 0.0)]
+        largest[name] = max(ratios)
+    assert largest["without"] > 2.0 * SUSPECTED
+    assert largest["with"] < SUSPECTED / 2.0
+
+
+def test_a_fault_that_begins_in_such_a_drive_is_found() -> None:
+    detector = ChangeDetector(BaselineModel(evidence(hypotheses=[APPARENT]), TIME), SEGMENTS, 1)
+    found = []
+    for block in in_changing_operation(0.1, 300, 0.3):
+        change = detector.step(block)
+        if change.log_ratio[0] > SUSPECTED:
+            found.append((float(block.end_s[0]), float(detector.onset_s[0, change.onset[0]])))
+    at, onset = found[0]
+    began = 300 * TICKS * TIME.period_s
+    assert began < at < began + 60.0
+    assert onset == pytest.approx(began, abs=30.0)
+
+
+def test_an_apparent_fault_moves_usual_means_as_far_as_the_baseline_does() -> None:
+    model = BaselineModel(evidence(hypotheses=[APPARENT]), TIME)
+    only = model.prior(1).covariance[0].copy()
+    only[model.apparent] = only[:, model.apparent] = 0.0
+    none = model.levels(model.prior(1)._replace(covariance=only[None]))[1][0]
+    shift = np.tile(FAULT, 3) * model.apparent_part[0]
+    assert shift @ np.linalg.solve(none, shift) == pytest.approx(1.0)
+    both = model.levels(model.prior(1))[1][0]
+    np.testing.assert_allclose(both - none, np.outer(shift, shift), atol=1e-9)
+    tiny = Hypothesis(fault="fA", size=1.0, usual=[[1e-3, 0.0]] * 4)
+    assert BaselineModel(evidence(hypotheses=[tiny]), TIME).apparent_part.tolist() == [1.0], "the size itself at most"
+    still = evidence(hypotheses=[APPARENT], allowance=[[0.0, 0.0]] * 4, drifts=[])
+    assert BaselineModel(still, TIME).apparent_part == pytest.approx([0.0], abs=1e-9), "nothing strays"
+
+
+def test_a_window_has_the_level_of_its_own_operation() -> None:
+    given = evidence(hypotheses=[APPARENT])
+    model = BaselineModel(given, TIME)
+    known = BaselineFilter(model)
+    for block in in_changing_operation(0.1, 600, 0.0)[:100]:
+        known.step(block)
+    baseline = BaselineLevel(given, NAMES, model)
+    baseline.follow(known.state)
+    ticks = np.full((3, 2), 30.0)
+    ticks[2] = 0.0  # a mode that was not visited is as usual
+    shift = np.array([2.0, 0.5, 7.0])[:, None] * FAULT
+    nothing = np.zeros((3, 2))
+    means = Means(ticks, nothing, nothing, nothing, ticks * shift[None], np.zeros((0, 3, 2)))
+    found = baseline.level.in_operation(means)
+    H = model.usual.copy()
+    H[:4, model.apparent] = model.apparent_part * shift[:2].reshape(4, 1)
+    np.testing.assert_allclose(found.mean.ravel(), H @ known.state.mean[0], atol=1e-9)
+    np.testing.assert_allclose(found.covariance, H @ known.state.covariance[0] @ H.T, atol=1e-9)
+
+
 def test_onsets_grow_sparser_with_their_age_and_the_start_of_the_drive_stays() -> None:
     detector = ChangeDetector(MODEL, SEGMENTS, 1)
     for block in drawn(np.random.default_rng(2), 600):
@@ -209,6 +284,16 @@ def test_the_baseline_is_held_at_what_it_was_before_the_fault() -> None:
         assert driven.drive(60.0, 80.0, fault=0.6)
     assert driven.change.level.mean[IDLE - 1] == pytest.approx([80.0, 80.0], abs=6.0)
     assert not driven.drive(120.0, 80.0), "it is over"
+
+
+def test_a_small_fault_that_is_held_lasts_until_it_is_gone() -> None:
+    """The last 30 s alone do not show it."""
+    driven = Driven()
+    driven.drive(240.0, 0.0)
+    assert driven.drive(600.0, 0.0, fault=SMALL)
+    driven.change.hold()
+    assert all(driven.drive(60.0, 0.0, fault=SMALL) for _ in range(5))
+    assert not driven.drive(900.0, 0.0)
 
 
 def test_a_fault_from_the_start_that_no_drive_could_have_is_suspected() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from uds_time import (
     FROZEN_TICKS,
     HEALED_TICKS,
@@ -21,6 +22,7 @@ from uds_time import (
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.explaining import SUREST
+from faultline.service.core.manifest import Hypothesis
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
@@ -65,11 +67,25 @@ def usual(mode: int) -> FloatArray:
 NOTHING_BROUGHT = np.zeros(len(EVIDENCE.consequences), dtype=np.bool_)
 
 
+LARGEST = {h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h.fault) for h in EVIDENCE.hypotheses}
+
+
+def made(h: Hypothesis) -> Hypothesis:
+    """With the shifts of the patterns as its usual ones."""
+    shifts = [moved(h.fault, abs(h.size) / LARGEST[h.fault], mode).tolist() for mode in range(len(SPREAD))]
+    return h if h.usual is None else structs.replace(h, usual=shifts)
+
+
+OF_PATTERNS = structs.replace(
+    MANIFEST, evidence=structs.replace(EVIDENCE, hypotheses=[made(h) for h in EVIDENCE.hypotheses])
+)
+
+
 class Vehicle:
     """A decision, fed with residuals whose shifts are known. State: the tick."""
 
     def __init__(self) -> None:
-        self.decision = Decision(MANIFEST)
+        self.decision = Decision(OF_PATTERNS)
         self.tick = 0
 
     def drive(
@@ -92,10 +108,7 @@ class Vehicle:
             r[ROWS] += day[mode]
         for fault, size in (faults or {}).items():
             r[ROWS] += moved(fault, size, mode) if mode != EDGE else 0.0
-        largest = {
-            h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h.fault) for h in EVIDENCE.hypotheses
-        }
-        sizes = [(h.fault, abs(h.size) / largest[h.fault]) for h in EVIDENCE.hypotheses]
+        sizes = [(h.fault, abs(h.size) / LARGEST[h.fault]) for h in EVIDENCE.hypotheses]
         shift = np.array([moved(fault, size, mode if mode != EDGE else MAXIMUM) for fault, size in sizes])
         usable = np.array([name not in mute for name in NAMES])
         for _ in range(ticks):
