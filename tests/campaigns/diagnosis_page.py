@@ -100,13 +100,16 @@ def fault_free(told: Sequence[Judged], hours: Sequence[Record], claim: str) -> H
 
 
 def by_vehicle(hours: Sequence[Record]) -> list[str]:
-    """The hours driven besides, by vehicle."""
-    rows = ["| vehicle | diagnoses told | alarms of single tests |", "|---|---|---|"]
-    for number in sorted({hour["vehicle"] for hour in hours}):
-        own = [hour for hour in hours if hour["vehicle"] == number]
+    """The hours driven besides, by vehicle, and all of them; older ones did not count suspicions."""
+    rows = ["| vehicle | diagnoses told | suspicions | alarms of single tests |", "|---|---|---|---|"]
+    numbers = sorted({hour["vehicle"] for hour in hours})
+    groups = {f"truck-{number}": [hour for hour in hours if hour["vehicle"] == number] for number in numbers}
+    for name, own in (groups | {"all": [*hours]}).items():
         driven = sum(hour["seconds"] for hour in own) / 3600
         told, single = sum(len(hour["false"]) for hour in own), sum(sum(hour["alarms"].values()) for hour in own)
-        rows.append(f"| truck-{number} | {exact_rate(told, driven)} | {exact_rate(single, driven)} |")
+        counted = all("suspected" in hour for hour in own)
+        suspected = exact_rate(sum(len(hour["suspected"]) for hour in own), driven) if counted else "-"
+        rows.append(f"| {name} | {exact_rate(told, driven)} | {suspected} | {exact_rate(single, driven)} |")
     return rows
 
 

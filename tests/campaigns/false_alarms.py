@@ -32,7 +32,7 @@ SEEDS = 10_000_000
 
 
 def hour(shop: Workshop, number: int, seconds: float = DRIVE_S) -> Record:
-    """The `number`-th fault-free drive of a vehicle: diagnoses told, and how often each test alarmed."""
+    """The `number`-th fault-free drive of a vehicle: diagnoses told, suspicions, and how often each test alarmed."""
     busy = time.process_time()
     bundle = shop.bundle()
     seed = SEEDS + 1000 * shop.number + number
@@ -45,6 +45,7 @@ def hour(shop: Workshop, number: int, seconds: float = DRIVE_S) -> Record:
         "hour": number,
         "seconds": seconds,
         "false": [[round(t, 1), [said(d)[0] for d in event.diagnoses if d.rank == 1]] for t, event in occurred],
+        "suspected": [round(t, 1) for t, event in seen.events if event.transition == "suspected"],
         "alarms": dict(Counter(test for _, test in seen.alarms)),
         "cannot_tell": round(float(seen.blind.mean()), 4),
         "cpu_s": round(time.process_time() - busy, 1),

@@ -16,7 +16,7 @@ from diagnosis_cases import HIDDEN, PAIRS, REFERENCE, VEHICLES, Set, cases, hidd
 from diagnosis_judged import Judged, all_of, judged
 from diagnosis_limits import beside_the_limit
 from diagnosis_mates import excused, in_words, narrow
-from diagnosis_page import PAGE, latest, of_same_code, page, write_page
+from diagnosis_page import PAGE, by_vehicle, latest, of_same_code, page, write_page
 from diagnosis_shop import Workshop, run_of
 from diagnosis_tables import smallest
 from diagnosis_visible import changes
@@ -71,7 +71,8 @@ def test_large_faults_are_named_among_their_mates_and_nothing_is_told_without_on
 
 def test_an_hour_is_driven_and_counted(shop: Workshop, told: Record) -> None:
     driven = hour(shop, 0, 300.0)
-    assert driven["false"] == []
+    assert driven["false"] == driven["suspected"] == []
+    assert by_vehicle([driven, driven])[-1].startswith("| all | 0 in 0.2 h")
     assert driven["seconds"] == 300.0
     stamp = {"commit": "abc", "code": "def"}
     said = page([{**told, **stamp}], [{**driven, **stamp}, {**driven, **stamp}])
