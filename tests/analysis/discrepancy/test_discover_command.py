@@ -156,7 +156,8 @@ def test_what_no_entry_describes_gets_a_formula_and_is_added_once_it_is_given_ba
     assert told["verdict"]["kind"] == "unnamed"
     proposal = told["proposal"]
     assert proposal["terms"][0]["equation"] == "e04"
-    assert "_step_dc_dose" in proposal["terms"][0]["name"]
+    # more where it is held open, or less elsewhere: one statement, as the nozzle's area is free; rounding chooses
+    assert any(form in proposal["terms"][0]["name"] for form in ("_step_dc_dose", "_between_dc_dose_0_1"))
     assert proposal["remainder"] == 0.0
     strength = proposal["strengths"][0]
     assert strength["value"] == pytest.approx(GAIN, abs=0.04)
