@@ -85,7 +85,7 @@ class Runnable:
 
 
 def trial_of(h: Hypothesis, model: Model) -> Trial:
-    """The value of the fault variable, or of the parameter that loses a share."""
+    """Return the value of the fault variable, or of the parameter that loses a share."""
     if h.brought is not None:
         consequence = model.faults[h.fault].consequence
         assert consequence is not None

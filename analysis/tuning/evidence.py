@@ -103,18 +103,17 @@ def with_usual(
     hypotheses: Sequence[Hypothesis], bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int]
 ) -> list[Hypothesis]:
     """Return the hypotheses, the smallest of each form of a fault with its mean shifts in these recordings."""
-    smallest: dict[tuple[str, str | None], Hypothesis] = {}
-    for h in hypotheses:
-        if h.brought is None and abs(h.size) < abs(smallest.setdefault((h.fault, h.share_of), h).size):
-            smallest[h.fault, h.share_of] = h
+    smallest: dict[tuple[str, str | None], int] = {}
+    for row, h in enumerate(hypotheses):
+        if h.brought is None and abs(h.size) < abs(hypotheses[smallest.setdefault((h.fault, h.share_of), row)].size):
+            smallest[h.fault, h.share_of] = row
     if not smallest:
         return []
-    found = [*smallest.values()]
-    trials = [trial_of(h, bank.model) for h in found]
+    trials = [trial_of(hypotheses[row], bank.model) for row in smallest.values()]
     steps = np.zeros((len(trials), len(bank.model.known)))
     shifts = -_shifts(bank, recordings, trials, stand_ins, steps)  # under the fault it is the measured that moves
-    usual = {id(h): shift.tolist() for h, shift in zip(found, shifts, strict=True)}
-    return [msgspec.structs.replace(h, usual=usual.get(id(h))) for h in hypotheses]
+    usual = dict(zip(smallest.values(), shifts.tolist(), strict=True))
+    return [msgspec.structs.replace(h, usual=usual.get(row)) for row, h in enumerate(hypotheses)]
 
 
 def with_drifts(

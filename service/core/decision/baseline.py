@@ -38,7 +38,7 @@ DRIVE = Span(settlings=6000, seconds=120_000)
 
 
 ROUNDING = 1e-12
-"""Of the largest variance of a baseline."""
+"""The variance in parts of a baseline's largest one that stands for none, so that there is something to divide by."""
 
 
 class GaussianState(NamedTuple):
@@ -119,7 +119,7 @@ class BaselineModel:
 
 
 def _parts(usual: Iterable[FloatArray], drifts: FloatArray, allowance: FloatArray) -> FloatArray:
-    """Parts (L,) of shifts (modes, K) that are as large as one standard deviation of the baseline, 1 at most."""
+    """Return the parts (L,) of shifts (modes, K) that are one standard deviation of the baseline, 1 at most."""
     D = drifts.reshape(len(drifts), allowance.size)
     P0 = np.diag(allowance.ravel() ** 2) + D.T @ D
     least = max(ROUNDING * P0.diagonal().max(), 1e-30)  # where nothing strays parts are 0

@@ -35,7 +35,7 @@ class BaselineLevel:
         self._mean, self._wider = mean, np.sqrt(1.0 + WIDENED**2 * variance / self._spread**2)
 
     def _apparent(self) -> Apparent:
-        """What is known of the apparent faults of the log."""
+        """Return the distribution of the log's apparent faults."""
         model, P = self._model, self.state.covariance[0]
         columns, H = model.apparent, model.usual
         return Apparent(

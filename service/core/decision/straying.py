@@ -64,7 +64,7 @@ class History(NamedTuple):
 
 
 class Apparent(NamedTuple):
-    """What is known of L apparent faults (`core.decision.baseline`): expected value (L,) and covariance (L, L).
+    """The distribution of L apparent faults (`core.decision.baseline`): expected value (L,) and covariance (L, L).
 
     `cross` (D, L) is their covariance with the means; `usual` (L, D) is what they do to the means in usual operation:
     `part` (L,) of the shifts by the hypotheses `rows` (L,).
@@ -79,9 +79,9 @@ class Apparent(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Where the baseline puts the means, as far as it is known: expected value (C, K) and covariance (D, D).
+    """The distribution of the means by the baseline: expected value (C, K) and covariance (D, D).
 
-    This is in usual operation, and with the `apparent` faults in any.
+    Both hold in usual operation; the `apparent` faults give them in any other.
     """
 
     mean: FloatArray
@@ -89,7 +89,7 @@ class Level(NamedTuple):
     apparent: Apparent | None = None
 
     def in_operation(self, means: Means) -> "Level":
-        """The level of means that were seen in an operation of their own."""
+        """Return the level in the operation in which these means were seen."""
         if self.apparent is None:
             return self
         known = self.apparent

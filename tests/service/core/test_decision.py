@@ -71,7 +71,7 @@ LARGEST = {h.fault: max(abs(o.size) for o in EVIDENCE.hypotheses if o.fault == h
 
 
 def made(h: Hypothesis) -> Hypothesis:
-    """With the shifts of the patterns as its usual ones."""
+    """Return the hypothesis, with the shifts of the patterns as its usual ones."""
     shifts = [moved(h.fault, abs(h.size) / LARGEST[h.fault], mode).tolist() for mode in range(len(SPREAD))]
     return h if h.usual is None else structs.replace(h, usual=shifts)
 
