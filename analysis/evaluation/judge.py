@@ -69,7 +69,9 @@ def judge(
     first = [name for d in last.diagnoses if d.rank == 1 for name in d.faults or [UNNAMED]] if last else []
     true = [fault.name for fault in truth.fault]
     right = true_explanation(true, true if known is None else known)
-    told = {frozenset(d.faults): d.rank for d in last.diagnoses} if last else {}
+    told: dict[frozenset[str], int] = {}
+    for diagnosis in last.diagnoses if last else []:  # best first; what is unknown may be near several places
+        told.setdefault(frozenset(diagnosis.faults), diagnosis.rank)
     shares = _shares(dated, tests, origin_s, end_s)
     return Verdict(
         recording=truth.recording,

@@ -159,7 +159,8 @@ def _candidate(diagnosis: Diagnosis, faults: Mapping[str, Fault], equations: Map
     if not diagnosis.faults:
         known = (f"{name} ({equations[name].description})" if name in equations else name for name in diagnosis.near)
         where = f", near {', '.join(known)}" if diagnosis.near else ""
-        why = "no fault of the model explains what is seen" if diagnosis.p is None else "no fault of a component"
+        why = "no fault of a component" if diagnosis.near else "none that the model knows"
+        why = "no fault of the model explains what is seen" if diagnosis.p is None else why
         return f"{diagnosis.rank}. unknown: {why}{where}{_sizes(diagnosis)}{likelihood}"
     names = " and ".join(f"{name}{_meaning(faults.get(name))}" for name in diagnosis.faults)
     return f"{diagnosis.rank}. {names}{_sizes(diagnosis)}{likelihood}"

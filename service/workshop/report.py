@@ -74,8 +74,7 @@ def _candidates(result: Result) -> Table:
 
 def _described(candidate: Candidate) -> str:
     if not candidate.faults:
-        near = f", near {', '.join(candidate.near)}" if candidate.near else ""
-        return f"no fault of a component{near}"
+        return f"no fault of a component, near {', '.join(candidate.near)}" if candidate.near else "none that is known"
     return " and ".join(
         f"{name.name}: {name.description or 'not described'}{f' ({name.place})' if name.place else ''}"
         for name in candidate.faults

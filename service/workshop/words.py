@@ -93,9 +93,11 @@ def candidate_line(candidate: Candidate) -> str:
         + (f" FMI {each.fmi}" if each.fmi is not None else "")
         for each in candidate.faults
     )
-    near = f" near {', '.join(candidate.near)}" if candidate.near else ""
+    near = (
+        f"no fault of a component near {', '.join(candidate.near)}" if candidate.near else "none that the model knows"
+    )
     likelihood = "" if candidate.p is None else f", p = {candidate.p:.3f}"
-    return f"{candidate.rank}. {names or f'unknown: no fault of a component{near}'}{likelihood}"
+    return f"{candidate.rank}. {names or f'unknown: {near}'}{likelihood}"
 
 
 def separation_line(separation: Separation) -> str:

@@ -1,14 +1,15 @@
 """Who it is: from the conflicts, and from a look at the window, to ranked explanations.
 
 Where residuals have not settled, conflicts alone name candidates (`core.decision.isolation`). Later a fault has to fit
-what is seen as well: a single one, else the best two at once, and behind them that the fault is unknown: what nobody
-has declared is as likely as two faults at once. It is unknown too where a disturbance fits, which is no component's
-fault, and near the equation that this enters.
+what is seen as well: a single one, else the best two at once. Behind them is always that the fault is unknown, as a
+vehicle may have one that nobody has declared; it comes first where that is likelier, or nothing fits. It is unknown too
+where a disturbance fits, which is no component's fault, and near the equation that this enters.
 
 A bundle of a single test tells no faults apart: what it shows is one of those that it is sensitive to.
 """
 
 from collections.abc import Mapping, Sequence
+from math import e, log
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from faultline.service.core.decision.size_intervals import SizeIntervals
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis
 
-SUREST = 0.999
-"""No fault is more probable than this: the model may lack what it is."""
+UNDECLARED = 0.05
+"""The prior probability that a fault is none that the model declares: an engineer's, as no statistics are known."""
 
 TIE_PART = 0.25
 """Hypotheses whose misfits differ by less than `TIE`, or than this part of the larger one, are not told apart: the data
@@ -46,7 +47,7 @@ class Explainer:
 
     def by_conflicts(self, rows: Sequence[int], look: Look | None) -> list[Diagnosis]:
         """The explanations that these generators allow, all of one rank."""
-        return self._ranked(diagnoses([self._moving(row, look) for row in rows] or [self._faults]), {}, rows, None)
+        return self._ranked(diagnoses([self._moving(row, look) for row in rows] or [self._faults]), {}, {}, rows, None)
 
     def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
         """Those of them that fit what is seen."""
@@ -55,8 +56,12 @@ class Explainer:
         conflicts = [self._moving(row, look) | self._disturbing(row) for row in rows]
         misfits = fitting(conflicts, look)
         if any(len(faults) == 1 for faults in misfits):
-            return self._ranked([*misfits], misfits, rows, look)
-        told = self._ranked([*misfits, *nearest(conflicts, look)], {}, rows, look)
+            none = undeclared(max(look.chance(faults, q) for faults, q in misfits.items()))
+            p = {faults: round(each * (1.0 - none), 3) for faults, each in probabilities(misfits).items()}
+            rank = 1 if none >= max(p.values(), default=0.0) else 1 + len(misfits)
+            unknown = Diagnosis(faults=[*UNKNOWN], rank=rank, p=round(none, 3))
+            return in_order([*self._ranked([*misfits], misfits, p, rows, look), unknown])
+        told = self._ranked([*misfits, *nearest(conflicts, look)], {}, {}, rows, look)
         unknown = self._told(UNKNOWN, 1 + len(misfits), None, rows, look)  # behind two that explain all of it
         return [*told, unknown] if misfits else [unknown, *told]
 
@@ -74,10 +79,10 @@ class Explainer:
         self,
         found: Sequence[tuple[str, ...]],
         misfits: Mapping[tuple[str, ...], float],
+        p: Mapping[tuple[str, ...], float],
         rows: Sequence[int],
         look: Look | None,
     ) -> list[Diagnosis]:
-        p = probabilities(misfits)
         return [self._told(faults, rank, p.get(faults), rows, look) for faults, rank in ranked(found, misfits)]
 
     def _told(
@@ -119,7 +124,8 @@ def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, .
 
     Of two faults at once none is given: there such figures were too sure.
 
-    >>> probabilities({("fA",): 2.0, ("fB",): 2.0, ("fC",): 10.0})
+    >>> p = probabilities({("fA",): 2.0, ("fB",): 2.0, ("fC",): 10.0})
+    >>> {faults: round(each, 3) for faults, each in p.items()}
     {('fA',): 0.495, ('fB',): 0.495, ('fC',): 0.009}
     >>> probabilities({("fA", "fB"): 2.0})
     {}
@@ -128,7 +134,25 @@ def probabilities(misfits: Mapping[tuple[str, ...], float]) -> dict[tuple[str, .
         return {}
     q = np.array(list(misfits.values()))
     weight = np.exp((q.min() - q) / 2)
-    return dict(zip(misfits, np.minimum(np.round(weight / weight.sum(), 3), SUREST).tolist(), strict=True))
+    return dict(zip(misfits, (weight / weight.sum()).tolist(), strict=True))
+
+
+def undeclared(chance: float) -> float:
+    """Return the probability that a fault is none of those that fit, by the p-value of the one that fits best.
+
+    A p-value below 1/e makes the declared ones -e p ln(p) times as likely as the others, at the least (Sellke, Bayarri
+    and Berger, The American Statistician 55, 2001); a larger one says nothing, and the prior probability remains.
+
+    >>> [round(undeclared(p), 3) for p in (0.5, 0.1, 0.01, 1e-4, 0.0)]
+    [0.05, 0.078, 0.296, 0.955, 1.0]
+    """
+    ratio = 0.0 if chance <= 0.0 else -e * chance * log(chance) if chance < 1.0 / e else 1.0
+    return UNDECLARED / (UNDECLARED + (1.0 - UNDECLARED) * ratio)
+
+
+def in_order(diagnoses: Sequence[Diagnosis]) -> list[Diagnosis]:
+    """Return diagnoses by their ranks; of one rank as they are."""
+    return sorted(diagnoses, key=lambda each: each.rank)
 
 
 def ranked(

@@ -25,6 +25,7 @@ Q = q_0 - q_rest. The second term is the price of a free shift; it is no part of
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
+from math import erfc, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -175,6 +176,13 @@ class Look:
     def fits(self, faults: tuple[str, ...], misfit: float) -> bool:
         """Return True if an explanation of this misfit fits the means, apart from the price of a free shift."""
         return misfit - self.prices.get(faults, 0.0) <= self.limit
+
+    def chance(self, faults: tuple[str, ...], misfit: float) -> float:
+        """Return the probability that chance leaves more of an explanation that is right: of chi-square, as `limit`."""
+        degrees = len(self._d)
+        part = max(misfit - self.prices.get(faults, 0.0), 0.0) / degrees
+        z = (np.cbrt(part) - 1 + 2 / (9 * degrees)) / np.sqrt(2 / (9 * degrees))
+        return erfc(float(z) / sqrt(2.0)) / 2.0
 
     @cached_property
     def fitted(self) -> dict[str, Fitted]:

@@ -37,16 +37,16 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
         list[str],
         Meta(
             description="all of these together explain what is seen; empty: it is no fault of a component that the "
-            "model knows, nor two"
+            "model knows, nor two (*unknown*)"
         ),
     ]
     rank: Annotated[int, Meta(description="from 1; explanations that the data cannot separate share a rank")]
     p: Annotated[
         float | None,
         Meta(
-            description="probability, with three digits, that it is this one if it is one of these ([how well that "
+            description="probability, with three digits, that it is this one ([how well that "
             "holds](results/diagnosis.md)); null in the first 20 s, of two faults at once, of what comes "
-            "and goes, and of an unknown that nothing explains. It is of the moment of telling: a change "
+            "and goes, and of an unknown where nothing fits. It is of the moment of telling: a change "
             "of `p` alone makes no event"
         ),
     ]
@@ -55,7 +55,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
         Meta(
             description="of what is unknown: with a `p`, the equation that explains it when something enters it that "
             "is no component's fault, as a leak enters a balance; without, those that all tests which "
-            "deviate have in common (`faultline bundle show`)"
+            "deviate have in common (`faultline bundle show`). Empty, with a `p`: that the fault is none that the "
+            "model knows, which is never out of the question"
         ),
     ] = []
     sizes: Annotated[

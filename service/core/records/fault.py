@@ -136,6 +136,7 @@ def check(fault: Fault, name: str) -> None:
 
 
 def names(diagnoses: Sequence[Diagnosis]) -> frozenset[str]:
-    """Return the names by which diagnoses are of the same fault: faults, and places of what is unknown."""
-    unknown = (f"unknown near {place}" for one in diagnoses if not one.faults for place in one.near or ["nothing"])
-    return frozenset(name for one in diagnoses for name in one.faults).union(unknown)
+    """Return the names by which diagnoses are of the same fault: faults, places of what is unknown, else only that."""
+    unknown = (f"unknown near {place}" for one in diagnoses if not one.faults for place in one.near)
+    known = frozenset(name for one in diagnoses for name in one.faults).union(unknown)
+    return known or frozenset("unknown" for _ in diagnoses)

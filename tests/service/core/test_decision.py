@@ -21,7 +21,7 @@ from uds_time import (
 
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.decision.decision import Decision
-from faultline.service.core.decision.explaining import SUREST
+from faultline.service.core.decision.explaining import UNDECLARED
 from faultline.service.core.manifest import Hypothesis
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
@@ -140,8 +140,8 @@ def test_a_fault_is_suspected_then_confirmed_then_told_alone_with_its_probabilit
     assert list(dict.fromkeys(seen)) == [(False, False), (True, False), (False, True)]
     for mode in (MAXIMUM, IDLE, PARTIAL):
         vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
-    assert vehicle.named == [("fA_du", 1)]
-    assert vehicle.decision.diagnoses[0].p == SUREST
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)]
+    assert vehicle.decision.diagnoses[0].p == 1.0 - UNDECLARED
 
 
 def test_one_mode_leaves_a_filter_and_a_sensor_with_a_probability_each() -> None:
@@ -192,7 +192,7 @@ def test_a_second_fault_hours_after_the_first_is_seen() -> None:
     vehicle = Vehicle()
     for mode in (PARTIAL, MAXIMUM, IDLE) * 10:
         vehicle.drive(SETTLED, mode, {"fA_t": 0.7})
-    assert vehicle.named == [("fA_t", 1)]
+    assert vehicle.named == [("fA_t", 1), ("unknown", 2)]
     for mode in (PARTIAL, MAXIMUM, IDLE) * 20:
         vehicle.drive(SETTLED, mode, {"fA_t": 0.7, "fA_du": 0.6})
     assert [name for name, rank in vehicle.named if rank == 1] == ["fA_du+fA_t"]
@@ -222,7 +222,7 @@ def test_a_fault_whose_samples_come_to_be_doubted_is_withdrawn_and_an_older_one_
     assert vehicle.named == []
     for mode in (PARTIAL, MAXIMUM, IDLE):
         vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
-    assert vehicle.named == [("fA_du", 1)], "a true fault is found after that"
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)], "a true fault is found after that"
     assert not vehicle.decision.withdrawn
 
 
@@ -276,11 +276,11 @@ def test_blindness_that_comes_later_does_not_undo_what_the_window_has_told() -> 
     vehicle = Vehicle()
     for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL):
         vehicle.drive(SETTLED, mode, {"fA_du": 0.6})
-    assert vehicle.named == [("fA_du", 1)]
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)]
     vehicle.drive(2 * UNSEEN_TICKS, PARTIAL, {"fA_du": 0.6}, mute=("t08.ode",))
-    assert vehicle.named == [("fA_du", 1)]
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)]
     vehicle.drive(SETTLED, MAXIMUM, {"fA_du": 0.6})
-    assert vehicle.named == [("fA_du", 1)]
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)]
 
 
 def calm(ticks: int = 3 * SETTLED) -> Vehicle:
@@ -358,8 +358,9 @@ def test_a_disturbance_is_told_as_unknown_near_its_equation_with_a_probability()
     vehicle = Vehicle()
     for mode in (PARTIAL, MAXIMUM, IDLE, PARTIAL, MAXIMUM):
         vehicle.drive(SETTLED, mode, {"fq_leak": 0.6})
-    [told] = vehicle.decision.diagnoses
-    assert (told.faults, told.near, told.p) == ([], ["e10"], SUREST)
+    told, unknown = vehicle.decision.diagnoses
+    assert (told.faults, told.near, told.p) == ([], ["e10"], 1.0 - UNDECLARED)
+    assert (unknown.faults, unknown.near, unknown.p) == ([], [], UNDECLARED)
 
 
 def test_a_disturbance_is_not_one_of_two_faults() -> None:
@@ -401,7 +402,7 @@ def test_a_fault_from_the_start_that_is_repaired_is_over_in_minutes() -> None:
     vehicle = Vehicle()
     for mode in (IDLE, PARTIAL, MAXIMUM):
         vehicle.drive(600, mode, {"fA_du": 0.9})
-    assert vehicle.named == [("fA_du", 1)]
+    assert vehicle.named == [("fA_du", 1), ("unknown", 2)]
     gone = []
     for _ in range(4):
         for mode in (PARTIAL, MAXIMUM, IDLE):
