@@ -6,7 +6,7 @@ from itertools import pairwise
 import msgspec
 
 from faultline.analysis.evaluation.truth import Truth
-from faultline.analysis.evaluation.weights import UNNAMED, true_explanation
+from faultline.analysis.evaluation.weights import UNNAMED, suggested, true_explanation
 from faultline.service.core.records.event import Event
 
 
@@ -14,8 +14,9 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     """The judgement of one recording.
 
     `delay_s` runs from the onset to the first event that explains something new. `isolated` are the faults of the
-    diagnoses that stand at the end (of single faults, in rank order) and `first` those of rank 1 alone: what has been
-    healed while the fault was there is not isolated. `contained`: the true faults together are one of the diagnoses;
+    diagnoses that stand at the end and that something speaks for (`weights.suggested`), in rank order, and `first`
+    those of rank 1 alone: what has been healed while the fault was there is not isolated. `contained`: the true faults
+    together are one of the diagnoses;
     `named`: the only one of rank 1. `false_alarms` counts the episodes that began before the onset, or all of them in a
     fault-free recording; like every event, one that lasts less than two seconds is not told. `could_tell` is the share
     of the recording in which each test could tell; one in which one never could (`blind`) proves nothing of it.
@@ -65,12 +66,13 @@ def judge(
     standing = before[-1].diagnoses if before else []
     news = next((t for t, event in after if event.diagnoses and event.diagnoses != standing), None)
     last = after[-1][1] if after and news is not None else None
-    isolated = [name for d in last.diagnoses for name in d.faults or [UNNAMED]] if last else []
-    first = [name for d in last.diagnoses if d.rank == 1 for name in d.faults or [UNNAMED]] if last else []
+    stood = suggested(last.diagnoses) if last else []
+    isolated = [name for d in stood for name in d.faults or [UNNAMED]]
+    first = [name for d in stood if d.rank == 1 for name in d.faults or [UNNAMED]]
     true = [fault.name for fault in truth.fault]
     right = true_explanation(true, true if known is None else known)
     told: dict[frozenset[str], int] = {}
-    for diagnosis in last.diagnoses if last else []:  # best first; what is unknown may be near several places
+    for diagnosis in stood:  # best first; what is unknown may be near several places
         told.setdefault(frozenset(diagnosis.faults), diagnosis.rank)
     shares = _shares(dated, tests, origin_s, end_s)
     return Verdict(

@@ -31,6 +31,18 @@ def weights(diagnoses: Sequence[Diagnosis]) -> dict[Explanation, float]:
     return found
 
 
+def suggested(diagnoses: Sequence[Diagnosis]) -> list[Diagnosis]:
+    """Return the explanations that something speaks for.
+
+    Left out is an unknown behind faults that fit, near nothing: what is said of every fault is no answer.
+
+    >>> told = [Diagnosis(faults=["fA"], rank=1, p=0.95), Diagnosis(faults=[], rank=2, p=0.05)]
+    >>> [one.faults for one in suggested(told)]
+    [['fA']]
+    """
+    return [one for one in diagnoses if one.faults or one.near or one.rank == 1 or one.p is None]
+
+
 def true_explanation(faults: Collection[str], known: Collection[str]) -> Explanation:
     """What should be told of these faults: their names, or *unknown* where one of them is not among the `known`."""
     return frozenset(faults) if set(faults) <= set(known) else UNKNOWN

@@ -27,7 +27,7 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from faultline.analysis.evaluation.weights import UNNAMED, Explanation, true_explanation, weights
+from faultline.analysis.evaluation.weights import UNNAMED, Explanation, suggested, true_explanation, weights
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.signals.values import Mask
 
@@ -91,7 +91,8 @@ def told(
         alone[span] = first == [true]
         without[span] = bool(first) and true not in first
     last = within[-1].diagnoses if within and onset < ticks else []
-    own = next((d for d in last if frozenset(d.faults) == true), None)
+    stood = suggested(last)
+    own = next((d for d in stood if frozenset(d.faults) == true), None)
     return Told(
         free_ticks=int(telling[:onset].sum()),
         false_ticks=int((detected & telling)[:onset].sum()),
@@ -107,7 +108,7 @@ def told(
         rank=own.rank if own else None,
         p=own.p if own else None,
         alone=_first(last) == [true],
-        size=len(last),
+        size=len(stood),
     )
 
 
