@@ -22,7 +22,7 @@ from faultline.analysis.recordings.observe import start_within_s
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.adapt import adapt, check_alike, golden
 from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds, why_no_folds
-from faultline.analysis.tuning.evidence import gather
+from faultline.analysis.tuning.evidence import gather, with_networks
 from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
 from faultline.analysis.tuning.kinds import LEVEL_KINDS, Kind
 from faultline.analysis.tuning.manifest import manifest_of
@@ -205,11 +205,13 @@ def _vehicles(
 
 
 def _evidence(given: Given, vehicles: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
-    """Evidence and sizes of drifts, by the model of the first vehicle; of the equations' generators alone."""
-    bank = vehicles[0].runnable.bank
+    """Evidence and sizes of drifts, by the equations of the first vehicle; its networks move with these."""
+    runnable, bank = vehicles[0].runnable, vehicles[0].runnable.bank
     described, own = stand_ins(bank.model), len(bank.generators)
-    seen, apart = ([s.only(own) for s in together(vehicles, to, described)] for together in (pooled, pooled_left_out))
+    everything, others = (together(vehicles, to, described) for together in (pooled, pooled_left_out))
+    seen, apart = ([s.only(own) for s in each] for each in (everything, others))
     evidence, sizes = gather(bank, to[:own], seen, described, apart)
+    evidence = with_networks(evidence, runnable.generators, everything, to, runnable.sigma, described)
     if given.target is not None:
         evidence = msgspec.structs.replace(evidence, run_length_h=1.0 / given.target)
     return evidence, sizes

@@ -19,7 +19,7 @@ from faultline.analysis.tuning.assumed import consequences_of, hypotheses_of, si
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.blocks import BLOCK
 from faultline.service.core.decision.straying import MINIMUM_TICKS
-from faultline.service.core.manifest import Evidence, Follower, Hypothesis
+from faultline.service.core.manifest import Evidence, Follower, Generator, Hypothesis, Twin
 from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.time_scale import Span
 
@@ -114,6 +114,46 @@ def with_usual(
     shifts = -_shifts(bank, recordings, trials, stand_ins, steps)  # under the fault it is the measured that moves
     usual = dict(zip(smallest.values(), shifts.tolist(), strict=True))
     return [msgspec.structs.replace(h, usual=usual.get(row)) for row, h in enumerate(hypotheses)]
+
+
+def with_networks(
+    evidence: Evidence,
+    generators: Sequence[Generator],
+    recordings: Sequence[Seen],
+    offset: Array,
+    floor: Array,
+    stand_ins: Sequence[int],
+) -> Evidence:
+    """Return the evidence with those networks whose test has a generator of the equations, its twin.
+
+    How far the two stray apart is bounded as a mean's own straying is, by the largest that the recordings show.
+    `offset` (T, modes) and `floor` (T,) are of all generators.
+    """
+    described, names = list(stand_ins), [each.name for each in generators]
+    twins = {generators[names.index(name)].test: name for name in _of_equations(evidence)}
+    spread = np.maximum(_spread([_centred(s, offset) for s in recordings], described), floor / 2)  # (modes, T)
+    networks = []
+    for row, each in enumerate(generators):
+        twin = twins.get(each.test, each.name)
+        if twin == each.name:
+            continue
+        strays = _strays(recordings, [row, names.index(twin)], offset[[row, names.index(twin)]].T)  # (R, modes, 2)
+        apart = np.abs(strays[..., 0] - strays[..., 1]).max(axis=0)[described]
+        networks.append(
+            Twin(
+                generator=each.name,
+                twin=twin,
+                offset=offset[row].tolist(),
+                spread=spread[:, row].tolist(),
+                allowance=np.hypot(apart, ALLOWANCE * spread[:, row]).tolist(),
+            )
+        )
+    return msgspec.structs.replace(evidence, networks=networks)
+
+
+def _of_equations(evidence: Evidence) -> list[str]:
+    """Return the names of the generators whose baseline is followed."""
+    return [*evidence.generators, *(each.generator for each in evidence.followers)]
 
 
 def with_drifts(

@@ -277,6 +277,19 @@ class Follower(_Part, frozen=True):
     drifts: list[PerMode[float]]
 
 
+class Twin(_Part, frozen=True):
+    """Generator, a network, of the test of `twin`, one of the equations' generators: its baseline is that one's.
+
+    Of every mode `offset`, `spread` as in `Evidence`, and `allowance`: how far the two stray apart from drive to drive.
+    """
+
+    generator: Name
+    twin: Name
+    offset: PerMode[float]
+    spread: PerMode[Positive]
+    allowance: PerMode[NotNegative]
+
+
 class Evidence(_Part, frozen=True):
     """Evidence that confirms and ranks faults: the hypotheses, and the spread of a fault-free mean.
 
@@ -285,7 +298,8 @@ class Evidence(_Part, frozen=True):
     covariance). Of each in every mode: `offset` [Pa] is the fault-free mean, `spread` that of a tick within a drive,
     `noise` (mode, generator, generator) [Pa^2] the covariance of ticks, `visit` that of visits to the mode besides.
     From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
-    mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too.
+    mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too,
+    and all of that the `networks`.
     `operation` (mode, generator) is the usual mean of the signals that are predicted. Faults have `consequences`, at
     most one each; hypotheses with one are behind the others. `sizes` say how people read those of a fault. Without a
     fault a change of the baseline is suspected every `run_length_h` [h] on average (`core.decision.drive_change`).
@@ -305,6 +319,7 @@ class Evidence(_Part, frozen=True):
     consequences: list[Consequence] = []
     sizes: list[SizeUnit] = []
     run_length_h: Positive = 10.0
+    networks: list[Twin] = []
 
     @property
     def simple(self) -> int:

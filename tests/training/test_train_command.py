@@ -61,6 +61,10 @@ def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> N
     assert [graph.file for graph in manifest.graphs] == ["ode.onnx", "rnn.onnx"]
     names = [generator.name for generator in manifest.generators]
     assert names[len(names) // 2 :] == [generator.name for generator in networks.generators]
+    twins = {each.generator: each.twin for each in manifest.evidence.networks}
+    assert twins == {name: name.replace(".rnn", ".ode") for name in names if name.endswith(".rnn")}, (
+        "one level for both"
+    )
     assert manifest.origin.train == networks.recordings
     assert not {*manifest.origin.train} & {*manifest.origin.tune}
     assert (made.networks / "training.png").read_bytes().startswith(b"\x89PNG")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Container, Iterable, Iterator, Sequence, Sized
 from itertools import chain, groupby
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")  # no path, nothing 
 ROUNDING = 1e-9  # of a correlation
 LARGEST = 1e50  # of evidence: its squares and products must be numbers
 WIDEST = 1e5  # of what strays, in spreads: a sum of covariances must stay one that can be divided by
+MODES_OF = ("offset", "spread")  # of each generator that is no evidence, by mode
 MOST_HYPOTHESES = 500  # two at a time are tried, so memory grows with the square
 
 
@@ -131,6 +133,7 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     yield from _unknown(evidence.generators, names, "evidence.generators", "generator")
     followers = [follower.generator for follower in evidence.followers]
     yield from _unknown(followers, names, "evidence.followers", "generator")
+    yield from _unknown([each.generator for each in evidence.networks], names, "evidence.networks", "generator")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
     assumed = {hypothesis.fault for hypothesis in evidence.hypotheses}
@@ -198,8 +201,8 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     }
     lists |= {f"drifts[{index}]": drift for index, drift in enumerate(evidence.drifts)}
     lists |= (usual := _usual(evidence))
+    lists |= _beside(evidence)
     for index, each in enumerate(evidence.followers):
-        lists |= {f"followers[{index}].{name}": getattr(each, name) for name in ("offset", "spread")}
         lists |= {f"followers[{index}].drifts[{k}]": drift for k, drift in enumerate(each.drifts)}
     for name, by_mode in lists.items():
         if len(by_mode) != C:
@@ -214,17 +217,36 @@ def of_evidence(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
         yield from uneven(drift, K, f"evidence.drifts[{index}]", what)
     yield from uneven(evidence.visit, K, "evidence.visit", what)
     yield from chain.from_iterable(uneven(shift, K, f"evidence.{name}", what) for name, shift in usual.items())
-    followers = [follower.generator for follower in evidence.followers]
-    yield from _repeated([*evidence.generators, *followers], "evidence.generators and followers")
-    for index, follower in enumerate(evidence.followers):
-        if len(follower.drifts) != len(evidence.drifts):
-            yield f"evidence.followers[{index}].drifts: {len(follower.drifts)}, but evidence has {len(evidence.drifts)}"
+    yield from _levels(evidence)
     for name, matrices in (("noise", evidence.noise), ("visit", evidence.visit)):
         for mode, rows in enumerate(matrices):
             yield from uneven(rows, K, f"evidence.{name}[{mode}]", what)
     if (evidence.graph is None) != (not evidence.hypotheses):
         yield f"evidence.graph: {evidence.graph!r} for {len(evidence.hypotheses)} hypotheses"
     yield from _sizes(evidence, modes)
+
+
+def _levels(evidence: Evidence) -> Iterator[str]:
+    """The contradictions between generators whose baseline is followed, and those that it says something of."""
+    followers = [follower.generator for follower in evidence.followers]
+    networks = [each.generator for each in evidence.networks]
+    yield from _repeated([*evidence.generators, *followers, *networks], "evidence.generators, followers and networks")
+    for index, follower in enumerate(evidence.followers):
+        if len(follower.drifts) != len(evidence.drifts):
+            yield f"evidence.followers[{index}].drifts: {len(follower.drifts)}, but evidence has {len(evidence.drifts)}"
+    for index, twin in enumerate(evidence.networks):
+        known = [*evidence.generators, *followers]
+        yield from _unknown([twin.twin], known, f"evidence.networks[{index}].twin", "generator of the equations")
+
+
+def _beside(evidence: Evidence) -> dict[str, PerMode[float]]:
+    """Return what followers and networks have by mode."""
+    lists = {f"followers[{k}].{name}": getattr(f, name) for k, f in enumerate(evidence.followers) for name in MODES_OF}
+    return lists | {
+        f"networks[{k}].{name}": getattr(twin, name)
+        for k, twin in enumerate(evidence.networks)
+        for name in (*MODES_OF, "allowance")
+    }
 
 
 def _usual(evidence: Evidence) -> dict[str, PerMode[list[float]]]:
@@ -243,13 +265,12 @@ def _sizes(evidence: Evidence, modes: Sequence[str]) -> Iterator[str]:
     if len(evidence.hypotheses) > MOST_HYPOTHESES:
         yield f"evidence.hypotheses: {len(evidence.hypotheses)}, more than {MOST_HYPOTHESES}"
     yield from _widths(evidence)
-    parts = {
+    parts: dict[str, Any] = {
         name: getattr(evidence, name)
         for name in ("offset", "spread", "noise", "visit", "allowance", "operation", "drifts")
     }
-    for index, follower in enumerate(evidence.followers):
-        parts |= {f"followers[{index}].{name}": getattr(follower, name) for name in ("offset", "spread", "drifts")}
-    parts |= _usual(evidence)
+    parts |= {f"followers[{index}].drifts": follower.drifts for index, follower in enumerate(evidence.followers)}
+    parts |= _beside(evidence) | _usual(evidence)
     for name, values in parts.items():
         if np.abs(np.array(values)).max(initial=0.0) > LARGEST:
             yield f"evidence.{name}: a value beyond {LARGEST:g}"

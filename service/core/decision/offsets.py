@@ -1,12 +1,15 @@
 """The offsets of a vehicle's residuals without a fault, moved: those of its detectors and of its evidence."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import msgspec
 import numpy as np
 
-from faultline.service.core.manifest import Detector, Evidence, Manifest
+from faultline.service.core.manifest import Detector, Evidence, Follower, Manifest, Twin
 from faultline.service.core.signals.values import FloatArray
+
+_Beside = TypeVar("_Beside", Follower, Twin)
 
 
 def shifted(manifest: Manifest, by: FloatArray) -> Manifest:
@@ -25,13 +28,15 @@ def shifted_detector(detector: Detector, by: FloatArray) -> Detector:
 
 
 def shifted_evidence(evidence: Evidence, names: Sequence[str], by: FloatArray) -> Evidence:
-    """The evidence with its offsets, and those of its followers, moved by (T, modes) of the generators `names`."""
+    """The evidence with all its offsets moved by (T, modes) of the generators `names`."""
+
+    def moved(each: _Beside) -> _Beside:
+        return msgspec.structs.replace(each, offset=(np.array(each.offset) + by[names.index(each.generator)]).tolist())
+
     own = by[[names.index(name) for name in evidence.generators]]
     return msgspec.structs.replace(
         evidence,
         offset=(np.array(evidence.offset) + own.T).tolist(),
-        followers=[
-            msgspec.structs.replace(f, offset=(np.array(f.offset) + by[names.index(f.generator)]).tolist())
-            for f in evidence.followers
-        ],
+        followers=[moved(each) for each in evidence.followers],
+        networks=[moved(each) for each in evidence.networks],
     )

@@ -196,13 +196,28 @@ TOGETHER: list[tuple[Change, str]] = [
     ),
     (
         lambda m: m["evidence"]["followers"][1].update(generator="t02.ode"),
-        rf"evidence\.generators and followers\[{K + 1}\]: 't02\.ode' is there twice",
+        rf"evidence\.generators, followers and networks\[{K + 1}\]: 't02\.ode' is there twice",
     ),
     (
         lambda m: m["evidence"]["followers"][2]["drifts"].pop(),
         r"evidence\.followers\[2\]\.drifts: \d, but evidence has",
     ),
+    (
+        lambda m: m["evidence"].update(networks=[network_of(m, twin="t99.ode")]),
+        r"evidence\.networks\[0\]\.twin: unknown generator of the equations 't99\.ode'",
+    ),
+    (
+        lambda m: m["evidence"].update(networks=[network_of(m, allowance=[0.0] * 3)]),
+        r"evidence\.networks\[0\]\.allowance: has length 3, but there are 4 modes",
+    ),
 ]
+
+
+def network_of(m: dict[str, Any], **other: Any) -> dict[str, Any]:
+    """One of the followers as a network."""
+    follower = m["evidence"]["followers"].pop()
+    given = {name: follower[name] for name in ("generator", "offset", "spread")}
+    return {**given, "twin": m["evidence"]["generators"][0], "allowance": [1.0] * 4, **other}
 
 
 def of_first_two(a: float, b: float, c: float, d: float) -> list[list[float]]:

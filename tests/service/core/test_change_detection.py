@@ -14,7 +14,7 @@ from faultline.service.core.decision.change_detector import ONSETS, ChangeDetect
 from faultline.service.core.decision.drive_change import DriveChange, nats
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.straying import Means
-from faultline.service.core.manifest import Evidence, Follower, Hypothesis
+from faultline.service.core.manifest import Evidence, Follower, Hypothesis, Twin
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
 
@@ -253,6 +253,22 @@ def test_detectors_see_what_is_unknown_of_the_baseline_as_their_own_spread_and_f
         assert np.abs(baseline.taken_off(mode, away) - [1000.0, 2000.0, 500.0]).max() < 0.6 * NOISE
     faulty = away + np.array([0.0, 0.0, 300.0])
     assert 5.0 * NOISE < baseline.taken_off(PARTIAL, faulty)[2] - baseline.taken_off(PARTIAL, away)[2] <= 300.0
+
+
+def test_a_network_goes_with_its_twin_but_for_how_far_the_two_stray_apart() -> None:
+    twin = Twin(generator="na", twin=NAMES[0], offset=[50.0] * 4, spread=[NOISE] * 4, allowance=[0.0, 0.0, 0.0, 200.0])
+    given = evidence(networks=[twin])
+    baseline = BaselineLevel(given, [*NAMES, "na"], MODEL)
+    known = BaselineFilter(MODEL)
+    for k in range(40):
+        y = np.array([[1080.0, 2080.0]])
+        begins, ticks = np.array([k == 0]), np.full((1, 2), 15.0)
+        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None]))
+    baseline.follow(known.state)
+    level = baseline.taken_off(IDLE, np.array([1080.0, 2080.0, 130.0]))
+    assert level[2] - 50.0 == pytest.approx(level[0] - 1000.0, abs=1e-6)
+    idle, maximum = (baseline.taken_off(mode, np.array([1080.0, 2080.0, 430.0]))[2] - 50.0 for mode in (IDLE, MAXIMUM))
+    assert 0.0 < 5.0 * maximum < idle, "where the two stray apart little is known of its level"
 
 
 class Driven:
