@@ -35,8 +35,9 @@ HEAD = """# Faults that nobody declared
 
 All data are **simulated** by the rig. Made by `make campaign-undeclared`; vehicles, faults, sizes and what counts are
 declared in `tests/campaigns/undeclared.py`, frozen before it was run. Two minutes after the first diagnosis, *unknown*
-is right: alone, or as one of the explanations, whatever its rank. *One wrong component*: a single explanation of rank
-1, which is no unknown one. Three faults do to all that is measured what a declared one does: air in the suction pipe
+is right: alone, or as one of the explanations, whatever its rank; behind every single fault it has at least its prior
+probability, so that *of rank 1* is what the evidence says. *One wrong component*: a single explanation of rank 1, which
+is no unknown one. Three faults do to all that is measured what a declared one does: air in the suction pipe
 (a worn pump), a kinked return (its clogged orifice), and a sticking inlet valve (the sensor before it). They are
 counted, and left out in rows of their own. Intervals of 95 % are exact (Clopper and Pearson).
 """
@@ -78,6 +79,11 @@ def is_unknown(one: Judged) -> bool:
     return any(name == "unknown" for name, *_ in one.standing[120.0])
 
 
+def is_first(one: Judged) -> bool:
+    """Whether an unknown fault is of rank 1."""
+    return "unknown" in one.first()
+
+
 def is_wrong(one: Judged) -> bool:
     """Whether one component alone is of rank 1."""
     said = one.first()
@@ -97,6 +103,7 @@ def page(records: Sequence[Record]) -> str:
     lines.append(f"| detected | - | {exact_share(sum(one.detected for one in judged), len(judged))} |")
     for which, of in (("", looked), (", without these three", telling)):
         lines.append(f"| unknown is among the explanations{which} | >= 90 % | {_share(is_unknown, of)} |")
+        lines.append(f"| unknown is of rank 1{which} | - | {_share(is_first, of)} |")
         lines.append(f"| one wrong component{which} | <= 2 % | {_share(is_wrong, of)} |")
     lines += [
         "",
