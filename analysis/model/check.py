@@ -136,7 +136,7 @@ def _check_states(model: Model, where: str) -> None:
     states = {d.state for d in model.differentials}
     signals = {sp.Symbol(name) for name in model.known}
     for name, unknown in model.unknown.items():
-        if name in states and not unknown.initial:
+        if name in states and not unknown.initial and not model.without_formula:
             raise ModelError(
                 f"{where}: unknown.{name}.initial: is missing; a state needs one, a parameter alone will do"
             )

@@ -70,5 +70,7 @@ def _display(unit: str, wanted: str, place: str) -> Display:
     return Display(unit=wanted, size=float(size / own))
 
 
-def _digits(noise: float) -> int:
+def _digits(noise: float) -> int | None:
+    if noise <= 0.0:
+        return None
     return min(max(floor(-log10(noise) + 1e-9) + 1, 0), MOST_DIGITS)

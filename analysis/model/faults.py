@@ -59,6 +59,15 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
     return fault
 
 
+def structural_fault(table: Table, names: Sequence[str]) -> Fault:
+    """A fault of an equation without formula."""
+    name = table.text("name")
+    check_name(name, f"{table.at('name')}: {name!r}")
+    if name in names:
+        raise table.fail("name", f"{name} is declared already; give the fault variable a name of its own")
+    return _without_formula(table, name)
+
+
 def _consequence(table: Table | None) -> Consequence | None:
     if table is None:
         return None
@@ -76,11 +85,30 @@ def listed_fault(table: Table, names: Sequence[str]) -> Fault:
     check_name(name, f"{table.place}: {name!r}")
     if name in names:
         raise ModelError(f"{table.place}: {name} is declared already; give the fault a name of its own")
+    return _without_formula(table, name)
+
+
+def _without_formula(table: Table, name: str) -> Fault:
+    """A fault of which nothing is said but what it is."""
     spn, fmi = code_of(table)
-    fault = Fault(
+    fault = fault_named(name, table.text("component"), table.text("description", ""), spn, fmi, table.text("place", ""))
+    table.done()
+    return fault
+
+
+def fault_named(
+    name: str,
+    component: str = "",
+    description: str = "",
+    spn: int | None = None,
+    fmi: int | None = None,
+    place: str = "",
+) -> Fault:
+    """A fault of which it is not known how it enters, and how large it may be; its component by default its name."""
+    return Fault(
         name=name,
-        component=table.text("component"),
-        description=table.text("description", ""),
+        component=component or name,
+        description=description,
         enters="",
         replacement=sp.S.Zero,
         enters_text="",
@@ -88,10 +116,8 @@ def listed_fault(table: Table, names: Sequence[str]) -> Fault:
         relative_to=None,
         spn=spn,
         fmi=fmi,
-        place=table.text("place", ""),
+        place=place,
     )
-    table.done()
-    return fault
 
 
 def residual_of(table: Table, known: Collection[str], listed: Collection[str]) -> tuple[str, ...]:

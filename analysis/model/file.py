@@ -7,7 +7,8 @@
     [unknown.p_tp]           unit, description, initial = ["y_p_tp", "p_tank"]  (states only)
     [parameter.A_t]          unit, description, value, min, max, prior or spread, drift, source  (only value is a must)
     [curve.k_valve]          description, source, x = [...], y = [...]; a map has z = [[...], ...], a row for each x
-    [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent)
+    [[equation]]             name, description, expr = "q - A*sgsqrt(d)"  (= 0), fault, disturbance  (may be absent);
+                             where no formula is known, variables = ["q", "d"] and fault = {name, component, ...}
       fault = {name, component, description, enters = "A -> A + fA", sizes = [...], relative_to = "A",
                share_of = "k", shares = [...]}: a second form, in which parameter k changes by these fractions
                consequence = {fault = "fB", where = {y = {below = 2.0}}}: at such signals it brings that fault's effect
@@ -38,7 +39,7 @@ from faultline.analysis.model.curves import Curve, Curves, trouble
 from faultline.analysis.model.display import units_of
 from faultline.analysis.model.errors import ModelError
 from faultline.analysis.model.expression import parse_expression
-from faultline.analysis.model.faults import code_of, fault_of, listed_fault, residual_of
+from faultline.analysis.model.faults import code_of, fault_of, listed_fault, residual_of, structural_fault
 from faultline.analysis.model.model import (
     PERIODS,
     WARM_UP_S,
@@ -50,12 +51,15 @@ from faultline.analysis.model.model import (
     Unknown,
     check_bounds,
 )
+from faultline.analysis.model.names import entering, unformulated
 from faultline.analysis.model.older import as_written_today
 from faultline.analysis.model.system import SYSTEM, modes_of, with_system
 from faultline.analysis.model.tables import Table
 from faultline.fill_in import unfilled
 
 SCHEMA = 1
+ANY = 1e12
+"""The bounds of a signal of which no range is known."""
 LISTED = 6
 """Places to fill in that a message lists."""
 SHORTEST_S, LONGEST_S = 1e-3, 60.0
@@ -150,10 +154,11 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
     schema = top.number("schema")
     if schema != SCHEMA:
         raise top.fail("schema", f"this is {schema:g}, readable is {SCHEMA}; use the faultline that wrote the file")
-    known = {name: _known(table) for name, table in top.named_tables("known").items()}
+    equations = top.tables("equation")
+    formulas = not any(table.has("variables") for table in equations)
+    known = {name: _known(table, formulas) for name, table in top.named_tables("known").items()}
     unknown = top.named_tables("unknown")
     parameters = {name: _parameter(table) for name, table in top.named_tables("parameter").items()}
-    equations = top.tables("equation")
     curves = {name: _curve(table) for name, table in top.named_tables("curve").items()}
     names = check_names([*known], [*unknown], [*parameters], [*curves], where)
     listed = {name: listed_fault(table, names) for name, table in top.named_tables("fault").items()}
@@ -164,7 +169,7 @@ def parse_model(text: str, where: str, system: Path | None = None, *, whole: boo
         description=top.text("description", ""),
         source=top.text("source", ""),
         known=known,
-        unknown={name: _unknown(table, [*known, *parameters], curves) for name, table in unknown.items()},
+        unknown={name: _unknown(table, [*known, *parameters], curves, formulas) for name, table in unknown.items()},
         parameters=parameters,
         curves=curves,
         equations={equation.name: equation for equation in read},
@@ -205,13 +210,18 @@ def _display(top: Table) -> dict[str, tuple[str, ...]]:
     return {unit: wanted.text_or_texts(unit) for unit in written}
 
 
-def _known(table: Table) -> Known:
+def _known(table: Table, formulas: bool) -> Known:
+    """A signal; without formulas it may have any unit, range and noise."""
+
+    def number(key: str, otherwise: float) -> float:
+        return table.number(key) if formulas or table.has(key) else otherwise
+
     known = Known(
-        unit=table.text("unit"),
+        unit=table.text("unit", None if formulas else ""),
         description=table.text("description", ""),
-        min=table.number("min"),
-        max=table.number("max"),
-        noise=table.number("noise"),
+        min=number("min", -ANY),
+        max=number("max", ANY),
+        noise=number("noise", 0.0),
         zero=table.optional_number("zero") or 0.0,
         drift=table.optional_number("drift") or 0.0,
         added=table.flag("added"),
@@ -234,7 +244,7 @@ def _known(table: Table) -> Known:
         raise table.fail(
             "sensor_min", f"{known.sensor_min:g} is within the operating range; give less than {known.min:g}"
         )
-    if known.noise <= 0:
+    if known.noise <= 0 and (formulas or table.has("noise")):
         raise table.fail("noise", "must be positive: it is the scale of the sensor's residuals")
     for name in ("zero", "drift"):
         _check_deviation(table, name, getattr(known, name))
@@ -246,10 +256,10 @@ def _check_deviation(table: Table, name: str, value: float) -> None:
         raise table.fail(name, f"{value:g} is no standard deviation; give a positive one, or none")
 
 
-def _unknown(table: Table, names: Sequence[str], curves: Curves) -> Unknown:
+def _unknown(table: Table, names: Sequence[str], curves: Curves, formulas: bool) -> Unknown:
     texts = table.texts("initial")
     unknown = Unknown(
-        unit=table.text("unit"),
+        unit=table.text("unit", None if formulas else ""),
         description=table.text("description", ""),
         initial=tuple(parse_expression(t, names, table.at(f"initial[{k}]"), curves) for k, t in enumerate(texts)),
         initial_text=texts,
@@ -295,6 +305,8 @@ def _curve(table: Table) -> Curve:
 
 
 def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
+    if table.has("variables"):
+        return _structural(table, names)
     text = table.text("expr")
     fault, disturbance = table.table("fault"), table.table("disturbance")
     equation = Equation(
@@ -306,11 +318,25 @@ def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
         disturbance=None if disturbance is None else fault_of(disturbance, names, ""),
     )
     table.done()
-    for what, entering in (("fault", equation.fault), ("disturbance", equation.disturbance)):
-        if entering is not None and sp.Symbol(entering.enters) not in equation.expression.free_symbols:
-            raise table.fail(
-                f"{what}.enters", f"{entering.enters} is not in `{text}`; a {what} must change its equation"
-            )
+    for what, each in (("fault", equation.fault), ("disturbance", equation.disturbance)):
+        if each is not None and sp.Symbol(each.enters) not in equation.expression.free_symbols:
+            raise table.fail(f"{what}.enters", f"{each.enters} is not in `{text}`; a {what} must change its equation")
+    return equation
+
+
+def _structural(table: Table, names: Sequence[str]) -> Equation:
+    """An equation of which only the variables are known."""
+    name, text = table.text("name"), table.text("description", "")
+    variables, fault = table.texts("variables"), table.table("fault")
+    if not variables:
+        raise table.fail("variables", "is empty; name the variables of the equation")
+    entered = None if fault is None else entering(structural_fault(fault, names), variables)
+    equation = unformulated(name, text, variables, entered)
+    table.done()
+    for name in variables:
+        if name not in names or variables.count(name) > 1:
+            problem = "is declared nowhere; declare it" if name not in names else "is there twice; name it once"
+            raise table.fail("variables", f"{name} {problem}")
     return equation
 
 

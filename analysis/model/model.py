@@ -141,6 +141,7 @@ class Fault:
 class Equation:
     """`expression` = 0, without fault; `text` is how the file writes it.
 
+    Where no formula is known there are the `variables` in it, and the expression is an unknown function of these.
     A `disturbance` is what may enter as a fault does and is none of a component: a leak of the hose, for example. It
     takes no part in structure; where it explains what is seen, the fault is unknown and near this equation.
     """
@@ -151,6 +152,7 @@ class Equation:
     expression: sp.Expr
     fault: Fault | None
     disturbance: Fault | None = None
+    variables: tuple[str, ...] = ()
 
 
 EDGE = "edge"
@@ -290,6 +292,11 @@ class Model:
     def assumable(self) -> dict[str, Fault]:
         """All that may be assumed to be wrong: the faults, then the disturbances."""
         return self.faults | self.disturbances
+
+    @property
+    def without_formula(self) -> list[str]:
+        """The equations of which only the variables are known."""
+        return [name for name, equation in self.equations.items() if equation.variables]
 
     @property
     def settling_s(self) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from faultline.analysis.model.bounds import Bounds
 from faultline.analysis.model.errors import ModelError
-from faultline.analysis.model.file import SCHEMA
+from faultline.analysis.model.file import ANY, SCHEMA
 from faultline.analysis.model.model import Consequence, Equation, Mode, Model
 
 WORDS = ("description", "instruction")
@@ -25,14 +25,16 @@ def dump_model(model: Model) -> str:
     head["period_s"] = model.period_s
     blocks = [pairs(head)]
     for name, k in model.known.items():
-        fields = {"unit": k.unit, "description": k.description, "min": k.min, "max": k.max, "noise": k.noise}
+        fields: dict[str, object] = {"unit": k.unit or None, "description": k.description}
+        fields |= {"min": None if k.min <= -ANY else k.min, "max": None if k.max >= ANY else k.max}
+        fields |= {"noise": k.noise or None}
         fields |= {name: value for name, value in (("zero", k.zero), ("drift", k.drift), ("added", k.added)) if value}
         fields |= {"maximum_age_s": k.maximum_age_s, "lag_s": k.lag_s, "outlier": k.outlier}
         fields |= {"sensor_min": k.sensor_min}
         fields |= {"label": k.label or None, "display": k.display or None}
         blocks.append(f"[known.{name}]\n" + pairs(fields))
     for name, u in model.unknown.items():
-        fields = {"unit": u.unit, "description": u.description, "min": u.min}
+        fields = {"unit": u.unit or None, "description": u.description, "min": u.min}
         blocks.append(f"[unknown.{name}]\n" + pairs({**fields, **({"initial": u.initial_text} if u.initial else {})}))
     for name, p in model.parameters.items():
         fields = {"unit": p.unit, "description": p.description, "value": p.value, "min": p.min, "max": p.max}
@@ -76,7 +78,8 @@ def _where(bounds: Bounds) -> dict[str, dict[str, float]]:
 
 
 def _equation(equation: Equation) -> dict[str, object]:
-    table: dict[str, object] = {"name": equation.name, "description": equation.description, "expr": equation.text}
+    table: dict[str, object] = {"name": equation.name, "description": equation.description}
+    table |= {"variables": equation.variables} if equation.variables else {"expr": equation.text}
     for what, each in (("fault", equation.fault), ("disturbance", equation.disturbance)):
         if each is not None:
             brings = each.consequence
@@ -86,8 +89,7 @@ def _equation(equation: Equation) -> dict[str, object]:
                 "description": each.description,
                 **({} if each.spn is None else {"spn": each.spn, "fmi": each.fmi}),
                 **({"place": each.place} if each.place else {}),
-                "enters": each.enters_text,
-                "sizes": each.sizes,
+                **({"enters": each.enters_text, "sizes": each.sizes} if each.enters_text else {}),
                 **({} if each.relative_to is None else {"relative_to": each.relative_to}),
                 **({} if each.share_of is None else {"share_of": each.share_of, "shares": each.shares}),
                 **({} if brings is None else {"consequence": _consequence(brings)}),

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import get_args
 
 from faultline.analysis.model import Model, dump_model, load_model
+from faultline.analysis.model.names import without_formulas
 from faultline.analysis.progress import Progress
 from faultline.analysis.structure.diagnosability import Interpretation
 from faultline.analysis.structure.document import document
 from faultline.analysis.structure.explain import why
 from faultline.analysis.structure.lint import lint
-from faultline.analysis.structure.matrix import read_structure
+from faultline.analysis.structure.matrix import load_structure
 from faultline.analysis.structure.report import report
 from faultline.analysis.structure.sensors import add_sensors, check_unknowns, drop_sensors, with_other_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
@@ -58,12 +59,15 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--model", dest="written", type=Path, metavar="FILE", help="write the model without the sensors"
     )
+    parser.add_argument("--without-formulas", action="store_true", help="in that file only the names of variables")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the pictures into this folder")
     options = parser.parse_args(argv)
     if options.written and options.sensors:
         parser.error(
             "--model: of sensors that are not there yet neither range nor noise is known; leave --sensors away"
         )
+    if options.without_formulas and not options.written:
+        parser.error("--without-formulas: is about the file of --model; give that too")
     model = _changed(open_model(options.model), options.without, options.sensors)
     if options.why and (options.json or options.figures or options.tests or options.positions):
         parser.error("--why answers one question; leave --json, --figures, --tests and --positions away")
@@ -118,7 +122,8 @@ def _files(options: argparse.Namespace, model: Model | Structure, data: str) -> 
     if options.written:
         if not isinstance(model, Model):
             raise InputError(f"{options.model}: a structural model has no formulas to write; give a model file")
-        files[options.written] = dump_model(model).encode()
+        kept = without_formulas(model) if options.without_formulas else model
+        files[options.written] = dump_model(kept).encode()
     return files
 
 
@@ -137,13 +142,7 @@ def open_model(path: str) -> Model | Structure:
     """
     if not path.endswith(".json"):
         return load_model(path)
-    try:
-        text = Path(path).read_bytes().decode()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; give a model file") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
-    return read_structure(text, path)
+    return load_structure(path)
 
 
 def _changed(model: Model | Structure, without: list[str], sensors: list[str]) -> Model | Structure:

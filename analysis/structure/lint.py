@@ -17,6 +17,7 @@ from faultline.analysis.model.model import Model
 from faultline.analysis.model.units import SECOND, Dimension, Dimensions, MismatchError, parse_unit
 from faultline.analysis.structure.decomposition import dulmage_mendelsohn
 from faultline.analysis.structure.matching import Matching
+from faultline.analysis.structure.matrix import as_model, load_structure
 from faultline.analysis.structure.placement import MANY_POSITIONS, place_sensors
 from faultline.analysis.structure.structure import Structure, structure_of
 from faultline.analysis.structure.supports import Support, Test, find_tests
@@ -59,13 +60,22 @@ def lint(model: Model, tests: Sequence[Support] | None = None) -> list[Finding]:
     return sorted(found, key=lambda finding: finding.severity)
 
 
-def sound_model(path: str | Path) -> Model:
-    """The model in a file, or the shipped one of that name, for commands whose numbers depend on its formulas.
+def sound_model(path: str | Path, *, formulas: bool = True) -> Model:
+    """The model in a file, or the shipped one of that name, for commands that compute with it.
+
+    A structural model (.json) is a model without formulas.
 
     Raises:
-        ModelError: there is none, it is not valid, or it has a finding that is an error.
+        ModelError: there is none, it is not valid, or it has a finding that is an error; it needs `formulas`, and an
+            equation has none.
     """
-    model = load_model(path)
+    file = Path(path)
+    model = as_model(load_structure(str(path)), file.stem) if file.suffix == ".json" else load_model(path)
+    if formulas and model.without_formula:
+        raise ModelError(
+            f"{path}: equation.{model.without_formula[0]}: has no formula, which this needs; write `expr` "
+            "(`structure`, `train`, and with networks `tune` and `export` do without)"
+        )
     for finding in lint(model, tests=()):  # which tests there are makes no error
         if finding.severity == "error":
             raise ModelError(f"{path}: {finding.place}: {finding.message}")
@@ -231,6 +241,8 @@ def unit_findings(model: Model) -> Iterator[Finding]:
     dimensions: dict[str, Dimension] = {}
     written: dict[Dimension, str] = {}  # the model's own words for a dimension
     for kind, name, unit in units:
+        if not unit:  # of a model without formulas
+            continue
         try:
             size, dimensions[name] = parse_unit(unit)
         except ValueError as error:
@@ -251,6 +263,8 @@ def unit_findings(model: Model) -> Iterator[Finding]:
 def _balances(model: Model) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
     """Everything that must have equal units, with its place."""
     for name, equation in model.equations.items():
+        if equation.variables:  # what is in it has any unit
+            continue
         yield f"equation.{name}", equation.expression, sp.S.Zero
         if equation.fault is not None:
             yield f"equation.{name}.fault.enters", sp.Symbol(equation.fault.enters), equation.fault.replacement

@@ -13,11 +13,17 @@ The matrix form is JSON, with the equations in rows, in the order that numbers t
 import json
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from faultline.analysis.model import Differential, ModelError
+from faultline.analysis.model import Differential, Known, Model, ModelError, Unknown
+from faultline.analysis.model.check import check_name
+from faultline.analysis.model.faults import fault_named
+from faultline.analysis.model.file import ANY
+from faultline.analysis.model.names import entering, unformulated
 from faultline.analysis.model.tables import Table, first_repeated
 from faultline.analysis.structure.matching import mask_of
 from faultline.analysis.structure.structure import Structure
+from faultline.service.core.errors import InputError
 
 _NAME = re.compile(r"[^\s,]+")
 _MATRICES = {"X": 3, "F": 1, "Z": 1}  # the largest entry
@@ -61,6 +67,50 @@ def read_structure(text: str, where: str) -> Structure:
         if max(x[i], default=0) > 1
     ]
     return structural_model(contents, differentials, faults, known, unknowns=unknowns, where=where)
+
+
+def load_structure(path: str) -> Structure:
+    """The structural model in a JSON file.
+
+    Raises:
+        InputError: it cannot be read, or is none.
+    """
+    try:
+        text = Path(path).read_bytes().decode()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give a model file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
+    return read_structure(text, path)
+
+
+def as_model(structure: Structure, name: str) -> Model:
+    """A structural model as a model without formulas, with signals of any unit and range.
+
+    Raises:
+        ModelError: a name cannot stand in a formula.
+    """
+    for each in (*structure.known, *structure.unknowns, *structure.faults):
+        check_name(each, f"{name}: {each!r}")
+    of_row = {row: fault for fault, row in structure.fault_rows.items()}
+    equations = {}
+    for row, equation in enumerate(structure.equations):
+        if equation not in structure.differentials:
+            variables = (*structure.known_in([equation]), *structure.unknowns_in([equation]))
+            fault = None if row not in of_row else entering(fault_named(of_row[row]), variables)
+            equations[equation] = unformulated(equation, "", variables, fault)
+    signal = Known(unit="", description="", min=-ANY, max=ANY, noise=0.0)
+    return Model(
+        name=name,
+        description="",
+        source="",
+        known=dict.fromkeys(structure.known, signal),
+        unknown={each: Unknown(unit="", description="", initial=(), initial_text=()) for each in structure.unknowns},
+        parameters={},
+        equations=equations,
+        differentials=tuple(structure.differentials.values()),
+        provenance=(),
+    )
 
 
 def structural_model(

@@ -218,7 +218,7 @@ class _Supports:
 
     def _has_one_solution(self, equation: str, variable: str) -> bool:
         """Whether the equation is linear in the variable: it has one solution then, and may have more otherwise."""
-        if isinstance(self._model, Structure):
+        if isinstance(self._model, Structure) or self._model.equations[equation].variables:
             return True
         slope = sp.diff(self._model.expression(equation, with_fault=True), sp.Symbol(variable))
         return bool(slope != 0 and not slope.has(sp.Symbol(variable)))
@@ -231,7 +231,7 @@ class _Supports:
         signals, unknowns = self._structure.known_in([equation]), self._structure.unknowns_in([equation])
         if len(signals) != 1 and unknowns:
             return None
-        if isinstance(self._model, Structure):
+        if isinstance(self._model, Structure) or self._model.equations[equation].variables:
             return signals[0] if signals and len(unknowns) <= 1 else None
         for signal in signals:
             slope = sp.diff(self._model.expression(equation, with_fault=False), sp.Symbol(signal))

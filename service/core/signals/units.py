@@ -80,10 +80,12 @@ def plain_unit(text: str) -> str:
 def conversion(given: str, wanted: str) -> Conversion | None:
     """Return how a value in the unit `given` becomes one in `wanted`; None where that is not known.
 
-    >>> conversion("°C", "K"), conversion("Pa", "Pa"), conversion("kPa", "K")
+    Where no unit is wanted it stays as it is.
+
+    >>> conversion("°C", "K"), conversion("Pa", ""), conversion("kPa", "K")
     (Conversion(factor=1.0, offset=273.15), Conversion(factor=1.0, offset=0.0), None)
     """
-    if given == wanted or plain_unit(given) == plain_unit(wanted):
+    if not wanted or given == wanted or plain_unit(given) == plain_unit(wanted):
         return Conversion(1.0)
     target, how = UNITS.get(plain_unit(given), ("", None))
     return how if target == wanted else None

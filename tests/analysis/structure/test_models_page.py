@@ -21,8 +21,9 @@ def test_the_commands_of_the_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    [toml], [json] = blocks("toml"), blocks("json")
+    [toml, names], [json] = blocks("toml"), blocks("json")
     Path("tank.toml").write_text(toml)
+    Path("names.toml").write_text(names)
     Path("tank.json").write_text(json)
     commands = [line for block in blocks("sh") for line in block.splitlines()]
     codes = {}
