@@ -8,10 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from faultline.analysis.graph.bank import FAULTS, GRAPH, Bank, build_bank
+from faultline.analysis.graph.bank import FAULTS, GRAPH, Bank
 from faultline.analysis.graph.networks import GRAPH as NETWORKS
-from faultline.analysis.graph.networks import load_networks
-from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.graph.runnable import Runnable, runnable_of
 from faultline.analysis.graph.writer import with_metadata
 from faultline.analysis.model import dump_model
 from faultline.analysis.structure.lint import sound_model
@@ -62,9 +61,9 @@ def main(argv: list[str]) -> int:
         raise InputError(f"--version {options.version}: counts up from 0")
     _check_room(options.out, options.force)
     check_folder(options.out.parent)
-    bank = build_bank(sound_model(options.model))
     tuning = load_tuning(options.tuning)
-    runnable = Runnable(bank, load_networks(options.networks, bank.model) if options.networks else None)
+    runnable = runnable_of(sound_model(options.model, formulas=options.networks is None), options.networks)
+    bank = runnable.bank
     if tuning.model_sha256 != model_digest(dump_model(bank.model)):
         raise InputError(
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"

@@ -38,7 +38,10 @@ def main(argv: list[str]) -> int:
     parser = Parser(
         "faultline train", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("model", help="a model file, or the name of one that comes with faultline; its equations only")
+    parser.add_argument(
+        "model",
+        help="a model file, with formulas or of names only, a structural model (.json), or a shipped model's name",
+    )
     parser.add_argument("recording", type=Path, nargs="+", help="instrumented and fault-free")
     parser.add_argument("--recipe", choices=[*RECIPES], help="how to train (default: default)")
     parser.add_argument("--members", type=int, help="networks of an ensemble (default: the recipe's)")
@@ -63,7 +66,7 @@ def main(argv: list[str]) -> int:
         if value is not None and options.begin:
             raise InputError(f"--{name}: networks that are adapted have their own; leave it out")
     check_folder(options.out)
-    model = sound_model(options.model)
+    model = sound_model(options.model, formulas=False)
     networks = _trained(options, model)
     described = msgspec.json.encode(networks.description).decode()
     print(described if options.json else _table(networks, model, options.out))

@@ -16,7 +16,7 @@ import sympy as sp
 
 from faultline.analysis.graph.bank import state_of
 from faultline.analysis.model import Model
-from faultline.analysis.structure import Test, find_tests
+from faultline.analysis.structure import Structure, Test, find_tests, structure_of
 from faultline.analysis.structure.arguments import Arguments, arguments
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import State
@@ -130,9 +130,32 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
         rates=_padded(rates, padding),
         outputs=_padded(outputs, padding),
         predicts=np.array([signals.index(test.predicts) for test in tests], dtype=np.intp),
-        starts=tuple(state_of(model, tests[t], name) for t, name in place),
+        starts=tuple(_start(model, tests[t], name) for t, name in place),
         sensed=tuple(_sensed(model, name) for _, name in place),
     )
+
+
+def _start(model: Model, test: Test, name: str) -> State:
+    """A state by its initial values, or by the signal that is nearest in the test where no formulas are known."""
+    if not model.without_formula:
+        return state_of(model, test, name)
+    return State(name=name, offset=0.0, gain={nearest_signal(structure_of(model), test, name): 1.0})
+
+
+def nearest_signal(structure: Structure, test: Test, name: str) -> str:
+    """Return the signal that the fewest equations of a test part from one of its unknowns.
+
+    Of several the first that some test may predict: an equation that has no signal besides is a sensor's.
+    """
+    reached, unknowns = set[str](), {name}
+    while True:
+        inside = [each for each in test.equations if unknowns & {*structure.unknowns_in([each])}]
+        signals = {signal: len(structure.known_in([each])) for each in inside for signal in structure.known_in([each])}
+        if signals:
+            return min(signals, key=lambda each: signals[each])
+        reached, unknowns = unknowns, unknowns.union(*(structure.unknowns_in([each]) for each in inside))
+        if unknowns == reached:
+            return test.predicts
 
 
 def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
@@ -141,9 +164,14 @@ def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
 
 
 def _sensed(model: Model, name: str) -> str | None:
-    """The signal that is the state, by an equation that says that their difference is zero."""
+    """The signal that is the state, by an equation that says that their difference is zero, or has these two only."""
     state = sp.Symbol(name)
     for equation in model.equations:
+        if model.equations[equation].variables:
+            pair = {*model.equations[equation].variables} - {name}
+            if len(model.equations[equation].variables) == 2 and len(pair) == 1 and pair <= model.known.keys():
+                return pair.pop()
+            continue
         expression = model.expression(equation, with_fault=False)
         others = expression.free_symbols - {state}
         if len(others) == 1 and state in expression.free_symbols:

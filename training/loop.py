@@ -85,7 +85,7 @@ class Training:
         torch.manual_seed(seed)
         if not recipe.moved:
             samples = replace(samples, stretches=tuple(s for s in samples.stretches if s.natural))
-        equations = Equations(layout)
+        equations = None if layout.model.without_formula else Equations(layout)
         examples = reckoned(layout, samples, equations)
         others = varied(layout, examples, equations, recipe.varied, recipe.copies, seed)
         self.scaling = scaling = begin.scaling if begin else scaling_of(examples, recipe.scale)

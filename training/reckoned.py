@@ -1,7 +1,8 @@
 """The states over the recordings, as well as can be known before anything is learnt.
 
 What a sensor measures is that sensor's. All others the model's own equations compute, with the parameters of the model
-file: a datasheet's will do, as a training only begins there.
+file: a datasheet's will do, as a training only begins there. Where no formulas are known they are the signal that is
+nearest in the test's structure.
 """
 
 from collections.abc import Sequence
@@ -58,16 +59,17 @@ class Equations:
         return [(states[: len(z), b], predictions[: len(z), b]) for b, z in enumerate(over)]
 
 
-def reckoned(layout: Layout, samples: Samples, equations: Equations) -> list[Example]:
-    """Every stretch.
+def reckoned(layout: Layout, samples: Samples, equations: Equations | None) -> list[Example]:
+    """Every stretch; `equations` where formulas are known.
 
     Raises:
         InputError: the model's equations cannot be solved, or run away.
     """
     column = [None if name is None else layout.signals.index(name) for name in layout.sensed]
     found = []
-    courses = equations.courses([stretch.z for stretch in samples.stretches])
-    for stretch, (states, _) in zip(samples.stretches, courses, strict=True):
+    over = [stretch.z for stretch in samples.stretches]
+    courses = map(layout.started, over) if equations is None else (x for x, _ in equations.courses(over))
+    for stretch, states in zip(samples.stretches, courses, strict=True):
         for f, measured in enumerate(column):
             if measured is not None:
                 states[:, f] = stretch.z[:, measured]

@@ -23,12 +23,14 @@ how signals are delayed."""
 
 
 def varied(
-    layout: Layout, examples: Sequence[Example], equations: Equations, amplitude: float, copies: int, seed: int
+    layout: Layout, examples: Sequence[Example], equations: Equations | None, amplitude: float, copies: int, seed: int
 ) -> list[Example]:
-    """So many copies of every example, varied by `amplitude` of the spread of every signal.
+    """So many copies of every example, varied by `amplitude` of the spread of every signal; none without equations.
 
     Copies over which the equations run away are left out.
     """
+    if equations is None:
+        return []
     rng = np.random.default_rng([seed, copies])
     z = np.concatenate([example.z for example in examples])
     spread = z.std(axis=0)

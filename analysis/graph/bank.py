@@ -142,8 +142,17 @@ class Bank:
             r[k], _, _, _, x = self._parametric(z=np.ascontiguousarray(sample), x=x, **matrices)
         return r
 
+    @property
+    def has_equations(self) -> bool:
+        """Whether its graph is that of the model's equations."""
+        return True
+
     def start(self, z: Array) -> Array:
         """The states (nx,) that the samples `z` (nz,) of a tick give."""
+        return self.started(z)
+
+    def started(self, z: Array) -> Array:
+        """The states of these generators, by their `State.gain`."""
         value = dict(zip((channel.signal for channel in self.inputs), z, strict=True))
         states = [state for generator in self.generators for state in generator.states]
         return np.array([s.offset + sum(gain * value[name] for name, gain in s.gain.items()) for s in states])
@@ -201,10 +210,10 @@ def _part(model: Model, test: Test) -> _Part:
 def _bank(model: Model, parts: Sequence[_Part], left_out: Mapping[str, str]) -> Bank:
     tests, generators, networks = zip(*parts, strict=True)
     sigma = np.array([model.known[test.predicts].noise for test in tests])
-    return Bank(model, tests, _gated(model, tests), generators, networks, sigma, left_out)
+    return Bank(model, tests, gated(model, tests), generators, networks, sigma, left_out)
 
 
-def _gated(model: Model, tests: Sequence[Test]) -> tuple[Input, ...]:
+def gated(model: Model, tests: Sequence[Test]) -> tuple[Input, ...]:
     """The inputs down to where their sensors end, with the outlier distances of the model.
 
     A signal that a test predicts by equations has one by its noise where none is stated, unless its steps are edges

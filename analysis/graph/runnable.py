@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.graph import networks as trained
-from faultline.analysis.graph.bank import GRAPH, Bank, Trial
-from faultline.analysis.graph.networks import Networks
+from faultline.analysis.graph.bank import GRAPH, Bank, Trial, build_bank
+from faultline.analysis.graph.network_bank import network_bank
+from faultline.analysis.graph.networks import Networks, load_networks
 from faultline.analysis.model import Model
 from faultline.service.core.manifest import Evidence, Generator, GraphFile, Hypothesis
 from faultline.service.core.residuals.generators import GeneratorBank
@@ -19,7 +21,7 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Runnable:
-    """A bank, and `networks` that are of the same model."""
+    """A bank, and `networks` that are of the same model; where this has no formulas they are all that there is."""
 
     bank: Bank
     networks: Networks | None = None
@@ -27,7 +29,8 @@ class Runnable:
     @property
     def generators(self) -> tuple[Generator, ...]:
         """Of both, in the order of the manifest: those of the equations first."""
-        return (*self.bank.generators, *(self.networks.description.generators if self.networks else ()))
+        beside = self.networks.description.generators if self.networks and self.bank.has_equations else ()
+        return (*self.bank.generators, *beside)
 
     @cached_property
     def graphs(self) -> dict[str, bytes]:
@@ -37,7 +40,7 @@ class Runnable:
             InputError: the model divides by parameters that are zero.
         """
         of_networks = {trained.GRAPH: self.networks.graph} if self.networks else {}
-        return {GRAPH: self.bank.graph(), **of_networks}
+        return {GRAPH: self.bank.graph(), **of_networks} if self.bank.has_equations else of_networks
 
     @property
     def files(self) -> list[GraphFile]:
@@ -82,6 +85,18 @@ class Runnable:
         model = self.bank.model
         trials = [trial_of(h, model) for h in evidence.hypotheses]
         return {evidence.graph: self.bank.only([names.index(name) for name in evidence.generators]).graph_of(trials)}
+
+
+def runnable_of(model: Model, folder: Path | None) -> Runnable:
+    """The generators of a model's equations, and of the networks in a folder: of these alone where it has no formulas.
+
+    Raises:
+        InputError: no test of the model can be run; the folder has no networks, or those of another model.
+    """
+    networks = load_networks(folder, model) if folder else None
+    if networks is not None and model.without_formula:
+        return Runnable(network_bank(model, networks), networks)
+    return Runnable(build_bank(model), networks)
 
 
 def trial_of(h: Hypothesis, model: Model) -> Trial:

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from faultline.analysis.calibration.provenance import is_fitted, recordings_of, vehicle_of
-from faultline.analysis.graph.bank import build_bank
-from faultline.analysis.graph.networks import load_networks
-from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.graph.runnable import Runnable, runnable_of
 from faultline.analysis.model import dump_model
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.modes import modes_of, stand_ins
@@ -53,7 +51,7 @@ def main(argv: list[str]) -> int:
     also = [(_runnable(model, None), [Path(path) for path in paths]) for model, *paths in options.also]
     with Progress(f"tuning {runnable.bank.model.name}") as progress:
         for path in (options.model, *(path for path, *_ in options.also)):
-            if (model := sound_model(path)).parameters and not is_fitted(model):
+            if (model := sound_model(path, formulas=False)).parameters and not is_fitted(model):
                 progress.note(
                     f"{path}: calibrated on no recording: its residuals are off by as much as its parameters; give "
                     "the model that `faultline calibrate` wrote"
@@ -127,8 +125,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _runnable(model: str, networks: Path | None) -> Runnable:
-    bank = build_bank(sound_model(model))
-    return Runnable(bank, load_networks(networks, bank.model) if networks else None)
+    return runnable_of(sound_model(model, formulas=networks is None), networks)
 
 
 @dataclass(frozen=True)
