@@ -68,6 +68,7 @@ _VALIDATION = (
     (14, 0.0), (16, 0.85), (13, 0.08), (15, 1.0), (16, 0.0), (18, 0.25), (14, 0.65), (16, 1.0), (15, 0.0),
 )  # fmt: skip
 _LADDER = (8.0, 6.0, 7.0, 9.0, 11.0, 12.0, 10.0)  # bar absolute
+_EXCITING = (7.5, 12.0)  # bar absolute
 _LADDER_SHARE = 0.3  # of the time after the start: seven rungs of 19 s in 480 s, each several time constants
 
 
@@ -102,8 +103,27 @@ def _drive(duration: float, rng: np.random.Generator) -> Iterator[Segment]:
     """Doses as a road might ask for: a quarter idle, some at maximum, the rest anything between."""
     del duration
     while True:
-        length, kind, duty = rng.uniform(4, 25), rng.random(), rng.uniform(0.05, 0.95)
-        yield Segment(length, SYSTEM, 0.0 if kind < 0.25 else 1.0 if kind > 0.85 else float(duty))
+        length = rng.uniform(4, 25)
+        yield Segment(length, SYSTEM, _asked(rng))
+
+
+def _excite(duration: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Random pressures and doses, which change one without the other or both at once; other ones for every seed."""
+    del duration
+    setpoint, dose = SYSTEM, 0.0
+    while True:
+        changes = rng.random()
+        if changes < 0.7:
+            setpoint = rng.uniform(*_EXCITING) * BAR
+        if changes > 0.3:
+            dose = _asked(rng)
+        yield Segment(rng.uniform(4, 16), setpoint, dose)
+
+
+def _asked(rng: np.random.Generator) -> float:
+    """A dose as a road might ask for it."""
+    kind, duty = rng.random(), rng.uniform(0.05, 0.95)
+    return 0.0 if kind < 0.25 else 1.0 if kind > 0.85 else float(duty)
 
 
 CYCLES = {
@@ -113,6 +133,9 @@ CYCLES = {
     ),
     "maximum": Cycle("maximum", "long sections of maximum dose", _maximum),
     "drive": Cycle("drive", "random doses, other ones for every seed", _drive),
+    "excite": Cycle(
+        "excite", "random pressures and doses, apart and together: networks learn the plant, not the loop", _excite
+    ),
 }
 
 

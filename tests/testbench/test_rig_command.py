@@ -33,7 +33,7 @@ def test_list_names_everything(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert set(listed["faults"]) == set(FAULTS)
-    assert set(listed["cycles"]) == {"training", "validation", "maximum", "drive"}
+    assert set(listed["cycles"]) == {"training", "validation", "maximum", "drive", "excite"}
     for name in (*listed["faults"], *listed["cycles"], *listed["vehicles"]):
         assert name in text
 
@@ -41,7 +41,7 @@ def test_list_names_everything(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--cycle", "nowhere"], "training, validation, maximum, drive"),
+        (["--cycle", "nowhere"], "training, validation, maximum, drive, excite"),
         (["--vehicle", "bicycle"], "bench"),
         (["--fault", "fA_du"], "belong together"),
         (["--size", "0.5"], "belong together"),
