@@ -1,6 +1,7 @@
 """Train grey-box RNN residual generators on fault-free recordings."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from faultline.service.core.manifest import Generator
 from faultline.training.bank import HELD, networks_of
 from faultline.training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
 from faultline.training.device import device_of
-from faultline.training.layout import layout_of
+from faultline.training.excitation import Unexcited, unexcited
+from faultline.training.layout import Layout, layout_of
 from faultline.training.loop import Training
 from faultline.training.picture import picture
 from faultline.training.progress import Progress
@@ -95,11 +97,34 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
                 "the best weights until then are kept"
             )
         networks = networks_of(training, samples, options.seed)
+        if model.without_formula:  # else equations have said what a loop hides
+            for line in _lacking(unexcited(layout, samples, networks), layout):
+                progress.note(line)
     files = {WEIGHTS: weights_of(training, networks.description), "training.png": picture(training)}
     files |= files_of(networks)
     write_files({options.out / name: content for name, content in files.items()})
     drop_checkpoint(options.out)
     return networks
+
+
+def _lacking(found: Sequence[Unexcited], layout: Layout) -> list[str]:
+    """Lines on what the recordings do not excite, and which would."""
+    predicts = {test.name: test.predicts for test in layout.tests}
+    lines = []
+    for signal in dict.fromkeys(each.signal for each in found):
+        of_signal = [each for each in found if each.signal == signal]
+        tests = ", ".join(f"{each.test} ({each.times:.1f})" for each in of_signal)
+        outputs = " and ".join(dict.fromkeys(predicts[each.test] for each in of_signal))
+        lines.append(
+            f"{signal} never moves alone: what it does to {outputs} by itself is not seen, and under another "
+            f"controller these err: {tests} (times as unsure there)"
+        )
+    if lines:
+        lines.append(
+            "record with set points that move at random, as the inputs do (`faultline rig record --cycle excite`), or "
+            "the same cycle under a second controller"
+        )
+    return lines
 
 
 def _recipe(options: argparse.Namespace) -> Recipe:

@@ -35,13 +35,9 @@ def varied(
     z = np.concatenate([example.z for example in examples])
     spread = z.std(axis=0)
     lower, upper = (np.array([getattr(layout.model.known[s], name) for s in layout.signals]) for name in ("min", "max"))
+    size, nz = amplitude * spread, len(spread)
     moved = [
-        (
-            example,
-            np.clip(
-                example.z + amplitude * spread * _noise(len(example.z), len(spread), layout.model, rng), lower, upper
-            ),
-        )
+        (example, np.clip(example.z + size * slow_noise(len(example.z), nz, layout.model, rng), lower, upper))
         for example in examples
         for _ in range(copies)
     ]
@@ -57,7 +53,7 @@ def varied(
     return found
 
 
-def _noise(ticks: int, signals: int, model: Model, rng: np.random.Generator) -> Array:
+def slow_noise(ticks: int, signals: int, model: Model, rng: np.random.Generator) -> Array:
     """Independent noises (K, nz) of the band, of spread one."""
     low, high = (bound / model.settling_s for bound in BAND)  # Hz
     frequency = np.fft.rfftfreq(ticks, model.period_s)

@@ -18,6 +18,11 @@ from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
 from faultline.service.diagnose.command import main as diagnose
 from faultline.testbench import tanks
+from faultline.testbench.bus import load_dbc
+from faultline.testbench.cycles import CYCLES
+from faultline.testbench.recording import record
+from faultline.testbench.request import Request
+from faultline.testbench.vehicles import VEHICLES
 from faultline.training.command import main as train
 from faultline.training.layout import layout_of, nearest_signal
 from faultline.training.recipe import DEFAULT, Phase
@@ -178,3 +183,20 @@ def test_a_model_of_names_needs_neither_units_nor_ranges_and_may_be_a_matrix(tmp
 def test_what_names_cannot_say_is_refused(old: str, new: str, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         parse_model(NAMES.replace(old, new, 1), "tank.toml")
+
+
+@pytest.mark.parametrize(("cycle", "excites"), [("training", False), ("excite", True)])
+def test_training_says_what_a_loop_hides(
+    cycle: str, excites: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the controller alone moves speed and pressure, nothing shows what the speed does by itself."""
+    asked = Request("made", VEHICLES["bench"], CYCLES[cycle], (), seed=1, duration=480.0, kind="instrumented")
+    record(asked, load_dbc(), tmp_path / "logs", tmp_path / "truth", force=False, progress=lambda _: None)
+    model = tmp_path / "names.toml"
+    model.write_text(dump_model(without_formulas(load_model("uds"))))
+    with patch.dict("faultline.training.command.RECIPES", {"default": QUICK}):
+        given = [str(model), str(tmp_path / "logs" / "made"), "--tests", "t12", "--members", "3"]
+        assert train([*given, "--out", str(tmp_path / "networks")]) == 0
+    said = capsys.readouterr().err
+    assert ("never moves alone: what it does to y_p_ap by itself is not seen" in said) is not excites
+    assert ("--cycle excite" in said) is not excites
