@@ -61,9 +61,9 @@ def main(argv: list[str]) -> int:
         raise InputError(f"--version {options.version}: counts up from 0")
     _check_room(options.out, options.force)
     check_folder(options.out.parent)
-    tuning = load_tuning(options.tuning)
     runnable = runnable_of(sound_model(options.model, formulas=options.networks is None), options.networks)
     bank = runnable.bank
+    tuning = load_tuning(options.tuning)
     if tuning.model_sha256 != model_digest(dump_model(bank.model)):
         raise InputError(
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"

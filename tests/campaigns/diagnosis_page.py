@@ -27,7 +27,7 @@ All data are **simulated** by the rig. Sets A and B: profile `everyday`, every r
 (viscosity, zeros of the sensors, tank level), every vehicle one or two hidden effects of modest size. None: profile
 `realistic`, days do not differ and nothing is hidden; against that the frozen sizes are small and large. Set C: the
 effects of A and B on other trucks, every fifth with a sensor's backlash, and six plants of families of another
-structure; run once. Made by
+structure; frozen, then run once. Sets that older code has made are not here. Made by
 `make campaign-diagnosis` and `make campaign-false-alarms`; vehicles, effects, faults, sizes and pairs are declared in
 `tests/campaigns/diagnosis_cases.py`. Each vehicle is calibrated on a training recording of its own and tuned as its
 workshop would, then judged on other drives, by what it tells. Small and large are sizes by effect, frozen before any
