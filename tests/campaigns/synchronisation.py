@@ -40,6 +40,9 @@ HEAVY = {
 }  # fmt: skip
 """Beside the small and large faults of the frozen list: severe ones, and sensors that are off now and then."""
 
+OF_TURNS = ("training", "validation", "maximum", "drive")
+"""The cycles, one after the other."""
+
 
 SET_A = [name for name, effect in EFFECTS.items() if effect.set == "A" and name != "suction_pulsation"]
 """As the list was when the page was made: cases are drawn by number, and a longer list makes other ones."""
@@ -72,7 +75,7 @@ def request(seed: int, number: int) -> Request:
     return Request(
         name=f"sync-{number}",
         vehicle=vehicle(["bench", "truck", f"truck-{rng.integers(1, 100)}"][rng.integers(3)]),
-        cycle=CYCLES[list(CYCLES)[number % len(CYCLES)]],
+        cycle=CYCLES[OF_TURNS[number % len(OF_TURNS)]],
         faults=_faults(rng, duration) if rng.random() < 0.5 else (),
         seed=int(rng.integers(2**31)),
         duration=duration,
