@@ -1,4 +1,4 @@
-"""What a recording does not excite: inputs of which it does not show what they do alone.
+"""A recording does not excite an input where it does not show what that does alone.
 
 Where a controller drives the plant, its inputs move with its outputs, and a network cannot learn which of them does
 what (Forssell and Ljung, Closed-loop identification revisited, Automatica 35, 1999). It shows where one input is moved
@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from faultline.analysis.graph.bank import started
 from faultline.analysis.graph.networks import Networks
-from faultline.service.core.manifest import State
 from faultline.service.core.residuals.generators import Graph
 from faultline.training.layout import Layout
 from faultline.training.samples import Samples
 from faultline.training.varied import slow_noise
 
 MOVED = 0.3
-"""Of a signal's spread, by which it is moved alone."""
+"""A signal is moved alone by this part of its spread."""
 
 GROWN = 1.2
 """Times by which sigma grows where a signal is not excited: 1.2 to 1.7 in recordings of a loop, at most 1.12 in those
-of random set points (simulated, one vehicle)."""
+of random set points (simulated; chosen on these recordings of one bench)."""
 
 
 class Unexcited(NamedTuple):
@@ -56,13 +56,8 @@ def _sigma(
 ) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
     """The networks' sigma (K, B, T) over samples (K, B, nz)."""
     graph = Graph(networks.graph)
-    states = [state for generator in networks.description.generators for state in generator.states]
-    x = np.stack([_start(states, dict(zip(signals, first, strict=True))) for first in z[0]])
+    x = np.stack([started(networks.description.generators, signals, first) for first in z[0]])
     sigma = np.empty((*z.shape[:2], len(networks.description.generators)))
     for k, sample in enumerate(z):
         _, _, sigma[k], _, x = graph(z=np.ascontiguousarray(sample), x=x)
     return sigma
-
-
-def _start(states: Sequence[State], value: dict[str, float]) -> list[float]:
-    return [state.offset + sum(gain * value[name] for name, gain in state.gain.items()) for state in states]

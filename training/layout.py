@@ -136,26 +136,25 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
 
 
 def _start(model: Model, test: Test, name: str) -> State:
-    """A state by its initial values, or by the signal that is nearest in the test where no formulas are known."""
+    """A state by its initial values, or by the sensor that is nearest in the test where no formulas are known."""
     if not model.without_formula:
         return state_of(model, test, name)
-    return State(name=name, offset=0.0, gain={nearest_signal(structure_of(model), test, name): 1.0})
+    return State(name=name, offset=0.0, gain={nearest_sensor(structure_of(model), test, name): 1.0})
 
 
-def nearest_signal(structure: Structure, test: Test, name: str) -> str:
-    """Return the signal that the fewest equations of a test part from one of its unknowns.
+def nearest_sensor(structure: Structure, test: Test, name: str) -> str:
+    """Return the sensor's signal that the fewest equations of a test part from one of its unknowns.
 
-    Of several the first that some test may predict: an equation that has no signal besides is a sensor's.
+    An equation of a single unknown is a sensor's; a command says little of where a state is.
     """
     reached, unknowns = set[str](), {name}
-    while True:
+    while unknowns != reached:
         inside = [each for each in test.equations if unknowns & {*structure.unknowns_in([each])}]
-        signals = {signal: len(structure.known_in([each])) for each in inside for signal in structure.known_in([each])}
-        if signals:
-            return min(signals, key=lambda each: signals[each])
+        sensors = [each for each in inside if len(structure.unknowns_in([each])) == 1 and structure.known_in([each])]
+        if sensors:
+            return structure.known_in(sensors)[0]
         reached, unknowns = unknowns, unknowns.union(*(structure.unknowns_in([each]) for each in inside))
-        if unknowns == reached:
-            return test.predicts
+    return test.predicts
 
 
 def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:

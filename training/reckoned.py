@@ -1,7 +1,7 @@
 """The states over the recordings, as well as can be known before anything is learnt.
 
 What a sensor measures is that sensor's. All others the model's own equations compute, with the parameters of the model
-file: a datasheet's will do, as a training only begins there. Where no formulas are known they are the signal that is
+file: a datasheet's will do, as a training only begins there. Where no formulas are known they are the sensor that is
 nearest in the test's structure.
 """
 

@@ -144,18 +144,19 @@ class Bank:
 
     @property
     def has_equations(self) -> bool:
-        """Whether its graph is that of the model's equations."""
+        """Return True: its graph is that of the model's equations."""
         return True
 
     def start(self, z: Array) -> Array:
         """The states (nx,) that the samples `z` (nz,) of a tick give."""
-        return self.started(z)
+        return started(self.generators, [channel.signal for channel in self.inputs], z)
 
-    def started(self, z: Array) -> Array:
-        """The states of these generators, by their `State.gain`."""
-        value = dict(zip((channel.signal for channel in self.inputs), z, strict=True))
-        states = [state for generator in self.generators for state in generator.states]
-        return np.array([s.offset + sum(gain * value[name] for name, gain in s.gain.items()) for s in states])
+
+def started(generators: Sequence[Generator], signals: Sequence[str], z: Array) -> Array:
+    """Return the states (nx,) of generators that the samples `z` (nz,) of the `signals` give, by `State.gain`."""
+    value = dict(zip(signals, z, strict=True))
+    states = [state for generator in generators for state in generator.states]
+    return np.array([s.offset + sum(gain * value[name] for name, gain in s.gain.items()) for s in states])
 
 
 def _some(names: Sequence[str]) -> str:

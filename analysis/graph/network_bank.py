@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.graph.bank import Bank, Trial, gated
+from faultline.analysis.graph.bank import Bank, Trial, gated, started
 from faultline.analysis.graph.networks import Networks
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
@@ -52,7 +52,8 @@ class NetworkBank(Bank):
 
     def start(self, z: Array) -> Array:
         """The states (nx,) of all networks that the samples `z` (nz,) of a tick give."""
-        return replace(self, generators=tuple(self.trained.description.generators)).started(z)
+        described = self.trained.description
+        return started(described.generators, described.signals, z)
 
     @cached_property
     def _run(self) -> Graph:

@@ -80,7 +80,7 @@ def is_unknown(one: Judged) -> bool:
 
 
 def is_first(one: Judged) -> bool:
-    """Whether an unknown fault is of rank 1."""
+    """Return True if an unknown fault is of rank 1."""
     return "unknown" in one.first()
 
 
