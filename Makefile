@@ -103,6 +103,9 @@ campaign-power: .venv/.test  ## 20 power cuts of a guest while alarms are told, 
 campaign-families: .venv/.test  ## two hours: plants of other structures, in which nothing is missing; writes docs/results
 	@$(BIN)/python tests/campaigns/families.py
 
+campaign-hybrid: .venv/.test  ## four hours: networks as a diagnosis system, beside the equations; writes docs/results
+	@$(BIN)/python tests/campaigns/hybrid.py
+
 campaign-emps: .venv/.test  ## a real linear drive at 200 Hz, EMPS=the folder of its two files; writes docs/results
 	@$(BIN)/python tests/campaigns/emps.py $(EMPS)
 

@@ -1,4 +1,4 @@
-"""From a finished training to a folder's content: variance, novelty, the graph and what a manifest says of it."""
+"""From a finished training to a folder's content: variance, the graph and what a manifest says of it."""
 
 import hashlib
 
@@ -11,7 +11,6 @@ from faultline.service.core.manifest import Generator, State
 from faultline.training.free_run import free_run
 from faultline.training.layout import Layout
 from faultline.training.loop import Training
-from faultline.training.novelty import novelty_of
 from faultline.training.samples import Samples
 from faultline.training.variance import cross_fit, variances
 from faultline.training.weights import cells_of
@@ -25,7 +24,7 @@ def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
     layout, scaling, trained = training.layout, training.scaling, training.finish()
     course = free_run(trained, training.windows)
     spread = variances(layout, training.windows, course, seed)
-    cells = cells_of(layout, scaling, trained, spread, novelty_of(layout, training.windows, course))
+    cells = cells_of(layout, scaling, trained, spread)
     graph = cell_graph(cells)
     left = cross_fit(training.windows, course, layout.model.period_s).left
     error = left.pow(2).mean(dim=1).sqrt().to(torch.float64).numpy() * scaling.z_size[layout.predicts]

@@ -59,5 +59,5 @@ def _sigma(
     x = np.stack([started(networks.description.generators, signals, first) for first in z[0]])
     sigma = np.empty((*z.shape[:2], len(networks.description.generators)))
     for k, sample in enumerate(z):
-        _, _, sigma[k], _, x = graph(z=np.ascontiguousarray(sample), x=x)
+        _, _, sigma[k], x = graph(z=np.ascontiguousarray(sample), x=x)
     return sigma

@@ -54,7 +54,7 @@ class Equations:
         states = np.empty((longest, len(over), len(self._layout.states)))
         predictions = np.empty((longest, len(over), len(self._layout.tests)))
         for k, now in enumerate(padded):
-            _, predictions[k], _, _, x = self._graph(z=now, x=x)
+            _, predictions[k], _, x = self._graph(z=now, x=x)
             states[k] = x
         return [(states[: len(z), b], predictions[: len(z), b]) for b, z in enumerate(over)]
 

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from faultline.analysis.graph.cells import Cells, Functions, Novelty, Variance
+from faultline.analysis.graph.cells import Cells, Functions, Variance
 from faultline.training.layout import Layout
 from faultline.training.network import Networks
 from faultline.training.scaling import Scaling
@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]
 
 
-def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Variances, novelty: Novelty) -> Cells:
+def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Variances) -> Cells:
     """The cells of trained networks."""
     period_s = layout.model.period_s
     relaxes = networks.recipe.cell == "relaxation"
@@ -37,7 +37,6 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
         newest=networks.recipe.newest,
         predicts=layout.predicts,
         variance=_variance(layout, variances),
-        novelty=novelty,
     )
 
 

@@ -12,7 +12,7 @@ import sympy as sp
 from faultline.analysis.graph.formula import Formulas
 from faultline.analysis.graph.linear import last
 from faultline.analysis.graph.network import Evaluator, Network, flow_network
-from faultline.analysis.graph.step import OF_FORMULAS, STACKED, Region, Stacked, stack, step_graph
+from faultline.analysis.graph.step import OF_FORMULAS, STACKED, Stacked, stack, step_graph
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
 from faultline.service.core.errors import InputError
@@ -111,12 +111,9 @@ class Bank:
 
     def _graph(self, trials: Sequence[Trial], parametric: bool) -> bytes:
         names = [channel.signal for channel in self.inputs]
-        uses = np.array([[float(name in g.inputs) for g in self.generators] for name in names])
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
-        lower = np.array([channel.lower for channel in self.inputs])
-        region = Region(lower, np.array([channel.upper for channel in self.inputs]), uses)
         stacked, formulas = self.stacked(trials), self.formulas(trials)
-        return step_graph(stacked, measured, self.sigma, region, formulas, parametric=parametric)
+        return step_graph(stacked, measured, self.sigma, formulas, parametric=parametric)
 
     @cached_property
     def _parametric(self) -> Graph:
@@ -139,7 +136,7 @@ class Bank:
         samples = np.broadcast_to(z.reshape(len(z), -1, nz), (len(z), B, nz))
         r = np.empty((len(z), B, len(self.tests)))
         for k, sample in enumerate(samples):
-            r[k], _, _, _, x = self._parametric(z=np.ascontiguousarray(sample), x=x, **matrices)
+            r[k], _, _, x = self._parametric(z=np.ascontiguousarray(sample), x=x, **matrices)
         return r
 
     @property

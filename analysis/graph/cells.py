@@ -6,9 +6,8 @@ small network (thesis 3.3, 5.10):
     x+ = x + s (f(x, z) - x)   or   x + Ts f(x, z);        y = h(x+, z)   or, with the old input (thesis 3.6), h(x, z)
 
 of M members; z are the signals now and, where a test holds them as further states, those a tick before. What leaves the
-graph is the mean prediction of the members, sigma from a variance network and from the members' spread, and the novelty
-of the operating point: the distance from the nearest of some centres of what was trained, in parts of that centre's
-reach. Scaling is done in float64 at the edge, all else in float32.
+graph is the mean prediction of the members, and sigma from a variance network and from the members' spread. Scaling is
+done in float64 at the edge, all else in float32.
 """
 
 from dataclasses import dataclass
@@ -48,21 +47,12 @@ class Variance:
 
 
 @dataclass(frozen=True)
-class Novelty:
-    """`centres` (T, N, D) in `columns` (T, D) of [new states; signals; 0], each with its `reach` (T, N)."""
-
-    columns: Columns
-    centres: Array
-    reach: Array
-
-
-@dataclass(frozen=True)
 class Cells:
     """Trained networks of T tests with F states, M members; a value is offset + size * scaled.
 
     `owner` (F,) is the test of a state, `held` are test and signal of H values a tick before, `predicts` (T,) the
     signal of each test. `speed` (M, F) is s, or Ts throughout where `relaxes` is false; `newest` whether h sees the new
-    states. Columns of functions count [states (F); signals (nz); held (H); 0]; variance and novelty look at the
+    states. Columns of functions count [states (F); signals (nz); held (H); 0]; variance looks at the
     ensemble's mean states. Weights of the column that is 0 are zero.
     """
 
@@ -80,11 +70,10 @@ class Cells:
     newest: bool
     predicts: Columns
     variance: Variance
-    novelty: Novelty
 
 
 def cell_graph(c: Cells) -> bytes:
-    """The fused graph as ONNX bytes: z (B, nz), x (B, M F + H) -> r, y_hat, sigma, novelty (B, T), x_next as x.
+    """The fused graph as ONNX bytes: z (B, nz), x (B, M F + H) -> r, y_hat, sigma (B, T), x_next as x.
 
     States are those of the first test, member by member, and what it holds; then those of the second, and so on.
     """
@@ -111,7 +100,6 @@ def cell_graph(c: Cells) -> bytes:
     w.output("r", w("Sub", w.gather(z, c.predicts, 1), y_hat), ["B", T])
     w.output("y_hat", y_hat, ["B", T])
     w.output("sigma", w("Mul", sigma, w.constant(size * c.variance.factor)), ["B", T])
-    w.output("novelty", w.cast(_novelty(w, c.novelty, own, F, nz, H), np.float64), ["B", T])
     after = w("Mul", w.cast(new, np.float64), w.constant(np.tile(c.x_size, M)))
     after = w.concat([w("Add", after, w.constant(np.tile(c.x_offset, M))), z], axis=1)
     held_next = np.concatenate([np.arange(M * F), M * F + signal])
@@ -187,14 +175,6 @@ def _spread(w: Writer, values: str, members: int, count: int) -> str:
     away = w("MatMul", values, _float(w, np.eye(members * count) - mean))
     total = np.tile(np.eye(count), (members, 1)) / max(members - 1, 1)
     return w("MatMul", w("Mul", away, away), _float(w, total))
-
-
-def _novelty(w: Writer, n: Novelty, values: str, states: int, signals: int, held: int) -> str:
-    """The least distance (B, T) from a centre, in parts of its reach; values are [new; old; signals; held; 0]."""
-    places = n.columns + np.where(n.columns < states, 0, states) + np.where(n.columns < states + signals, 0, held)
-    away = w("Sub", w.gather(values, places[:, None], 1), _float(w, n.centres))
-    square = w.total(w("Mul", away, away), 3)
-    return w("Sqrt", w.least(w("Div", square, _float(w, n.reach**2)), 2))
 
 
 def _float(w: Writer, value: Array) -> str:

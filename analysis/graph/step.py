@@ -113,13 +113,12 @@ def step_graph(
     stacked: Stacked,
     measured: Array,
     sigma: Array,
-    region: "Region",
     formulas: Formulas,
     *,
     sweeps: int = SWEEPS,
     parametric: bool = False,
 ) -> bytes:
-    """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx).
+    """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma (B, T), x_next (B, nx).
 
     `measured` (nz, T) picks the signal that each test predicts. With `parametric` the matrices are inputs named as in
     `STACKED`, one set per row of the batch, and the formulas' parameters `theta`; without it they are built in: one set
@@ -167,18 +166,8 @@ def step_graph(
     w.output("r", w("Sub", w("MatMul", z, w.constant(measured)), y_hat), ["B", T])
     w.output("y_hat", y_hat, ["B", T])
     w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", y_hat)), ["B", T])
-    w.output("novelty", _novelty(w, z, region), ["B", T])
     w.output("x_next", w.reshape(x_next, [-1, nx]) if nx else x, ["B", nx])
     return w.model("faultline-ode")
-
-
-@dataclass(frozen=True)
-class Region:
-    """The operating region: bounds of every signal (nz,), and which test uses which (nz, T)."""
-
-    lower: Array
-    upper: Array
-    uses: Array
 
 
 def _matrix(w: Writer, name: str, values: Array, parametric: bool) -> str:
@@ -216,10 +205,3 @@ def _inverse(w: Writer, M: str, N: int) -> str:
         kept = w("Mul", work, w.constant(np.outer(others, others).reshape(1, 1, N, N)))
         work = w("Add", kept, w("Mul", left, w("Div", right, pivot)))
     return work
-
-
-def _novelty(w: Writer, z: str, region: Region) -> str:
-    """How far the inputs of each test lie outside the region, in parts of its width, summed: (B, T)."""
-    outside = w("Max", w("Sub", w.constant(region.lower), z), w("Sub", z, w.constant(region.upper)))
-    parts = w("Div", w("Relu", outside), w.constant(region.upper - region.lower))
-    return w("MatMul", parts, w.constant(region.uses))

@@ -79,10 +79,6 @@ class Writer:
         """The sum along axes, which are gone."""
         return self("ReduceSum", value, self.constant(axes, np.int64), keepdims=0)
 
-    def least(self, value: str, axis: int) -> str:
-        """The least along an axis, which is gone."""
-        return self("ReduceMin", value, self.constant([axis], np.int64), keepdims=0)
-
     def model(self, name: str) -> bytes:
         """The finished model's bytes, checked by onnx and opened by onnxruntime; the same graph, the same bytes."""
         graph = helper.make_graph(self._nodes, name, self._inputs, self._outputs, self._initializers)

@@ -89,6 +89,8 @@ def _check_faults(model: Model, where: str) -> None:
                 "give each component a code of its own, one of a manufacturer's (520192 to 524287) where none fits"
             )
     for k, equation in enumerate(model.equations.values()):
+        if equation.variables:
+            continue  # where they enter is not known
         if equation.fault and equation.disturbance and equation.fault.enters == equation.disturbance.enters:
             raise ModelError(
                 f"{where}: equation[{k}].disturbance.enters: {equation.fault.enters} is what its fault replaces; "

@@ -1,5 +1,6 @@
 """Faults in a model file: those that enter an equation, and those that are listed for residuals of another tool."""
 
+import dataclasses
 from collections.abc import Collection, Sequence
 
 import sympy as sp
@@ -59,13 +60,17 @@ def fault_of(table: Table, names: Sequence[str], component: str, *code: int | No
     return fault
 
 
-def structural_fault(table: Table, names: Sequence[str]) -> Fault:
-    """A fault of an equation without formula."""
+def structural_fault(table: Table, names: Sequence[str], *, is_fault: bool) -> Fault:
+    """A fault or disturbance of an equation without formula."""
     name = table.text("name")
     check_name(name, f"{table.at('name')}: {name!r}")
     if name in names:
         raise table.fail("name", f"{name} is declared already; give the fault variable a name of its own")
-    return _without_formula(table, name)
+    if is_fault:
+        return _without_formula(table, name)
+    disturbance = dataclasses.replace(fault_named(name, description=table.text("description", "")), component="")
+    table.done()
+    return disturbance
 
 
 def _consequence(table: Table | None) -> Consequence | None:

@@ -327,11 +327,14 @@ def _equation(table: Table, names: Sequence[str], curves: Curves) -> Equation:
 def _structural(table: Table, names: Sequence[str]) -> Equation:
     """An equation of which only the variables are known."""
     name, text = table.text("name"), table.text("description", "")
-    variables, fault = table.texts("variables"), table.table("fault")
+    variables, fault, disturbance = table.texts("variables"), table.table("fault"), table.table("disturbance")
     if not variables:
         raise table.fail("variables", "is empty; name the variables of the equation")
-    entered = None if fault is None else entering(structural_fault(fault, names), variables)
-    equation = unformulated(name, text, variables, entered)
+    entered = None if fault is None else entering(structural_fault(fault, names, is_fault=True), variables)
+    disturbed = (
+        None if disturbance is None else entering(structural_fault(disturbance, names, is_fault=False), variables)
+    )
+    equation = unformulated(name, text, variables, entered, disturbed)
     table.done()
     for name in variables:
         if name not in names or variables.count(name) > 1:

@@ -8,7 +8,7 @@ from faultline.analysis.model.model import Equation, Fault, Model
 
 
 def without_formulas(model: Model) -> Model:
-    """Return the model with its formulas, parameters and initial values forgotten; a disturbance goes with its formula.
+    """Return the model with its formulas, parameters and initial values forgotten.
 
     Signals keep their units, ranges and noise, and the system its modes.
     """
@@ -30,10 +30,23 @@ def without_formulas(model: Model) -> Model:
 def _names_of(equation: Equation, variables: list[str]) -> Equation:
     used = tuple(name for name in variables if sp.Symbol(name) in equation.expression.free_symbols)
     fault = equation.fault
-    return unformulated(equation.name, equation.description, used, None if fault is None else entering(fault, used))
+    disturbance = equation.disturbance
+    return unformulated(
+        equation.name,
+        equation.description,
+        used,
+        None if fault is None else entering(fault, used),
+        None if disturbance is None else entering(disturbance, used),
+    )
 
 
-def unformulated(name: str, description: str, variables: tuple[str, ...], fault: Fault | None) -> Equation:
+def unformulated(
+    name: str,
+    description: str,
+    variables: tuple[str, ...],
+    fault: Fault | None,
+    disturbance: Fault | None = None,
+) -> Equation:
     """Return an equation of which only the variables are known."""
     return Equation(
         name=name,
@@ -41,6 +54,7 @@ def unformulated(name: str, description: str, variables: tuple[str, ...], fault:
         text="",
         expression=sp.Function(name)(*map(sp.Symbol, variables)),
         fault=fault,
+        disturbance=disturbance,
         variables=variables,
     )
 

@@ -80,7 +80,7 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
 
 def golden(s: Seen) -> list[list[float]]:
     """Samples from where the tests begin to tell: before, the pump stands and a graph has little to compute."""
-    first = int(np.argmax(s.usable.sum(axis=1)))  # as many as ever: networks may find some operation novel
+    first = int(np.argmax(s.usable.sum(axis=1)))  # as many as ever: some may still warm up
     return s.z[first : first + GOLDEN_TICKS].tolist()  # type: ignore[no-any-return]
 
 

@@ -2,11 +2,34 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+import numpy.typing as npt
+
+from faultline.analysis.graph.network_bank import biased_signals
 from faultline.analysis.model import Fault, Known, Model, Parameter, Unknown
 from faultline.analysis.model.display import units_of
 from faultline.analysis.recordings.modes import where_of
 from faultline.service.core.display import Display
 from faultline.service.core.manifest import Consequence, Hypothesis, SizeUnit
+
+Array = npt.NDArray[np.float64]
+
+BIASES = (1 / 16, 1 / 2, 4.0)
+"""Of the range in which a signal lies without a fault: that of a pressure behind a filter is narrow."""
+RANGE = (0.01, 0.99)
+"""Quantiles."""
+
+
+def biases_of(model: Model, samples: Array) -> list[Hypothesis]:
+    """Return the biases of signals that are faults of a model without formulas; `samples` (K, nz) have no fault."""
+    low, high = np.quantile(samples, RANGE, axis=0)
+    signals = [*model.known]
+    return [
+        Hypothesis(fault=fault, size=float(sign * part * (high - low)[signals.index(signal)]))
+        for fault, signal in biased_signals(model).items()
+        for sign in (1.0, -1.0)
+        for part in BIASES
+    ]
 
 
 def hypotheses_of(model: Model) -> list[Hypothesis]:
@@ -38,13 +61,16 @@ def _second_form(fault: Fault) -> Sequence[float]:
 def sizes_of(model: Model) -> list[SizeUnit]:
     """Return how people read the sizes of each form of a fault."""
     units, percent = units_of(model), Display(unit="%", size=0.01, digits=1)
+    if model.without_formula:
+        read = {fault: model.known[signal].unit for fault, signal in biased_signals(model).items()}
+        return [SizeUnit(fault=fault, display=units.of(unit, shifted=False)) for fault, unit in read.items() if unit]
     found = []
     for each in model.assumable.values():
         if each.relative_to is not None:
             found.append(SizeUnit(fault=each.name, display=percent, of=model.parameters[each.relative_to].description))
         else:
-            read = units.of(_unit_of(model, each.enters), max(map(abs, each.sizes)), shifted=False)
-            found.append(SizeUnit(fault=each.name, display=read))
+            shown = units.of(_unit_of(model, each.enters), max(map(abs, each.sizes)), shifted=False)
+            found.append(SizeUnit(fault=each.name, display=shown))
         if each.share_of is not None:
             of = model.parameters[each.share_of].description
             found.append(SizeUnit(fault=each.name, share_of=each.share_of, display=percent, of=of))

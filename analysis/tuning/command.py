@@ -20,7 +20,7 @@ from faultline.analysis.recordings.observe import start_within_s
 from faultline.analysis.structure.lint import sound_model
 from faultline.analysis.tuning.adapt import adapt, check_alike, golden
 from faultline.analysis.tuning.claim import Found, claim, count, folds, thresholds, why_no_folds
-from faultline.analysis.tuning.evidence import gather, with_networks
+from faultline.analysis.tuning.evidence import gather, with_networks, with_sigma
 from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
 from faultline.analysis.tuning.kinds import LEVEL_KINDS, Kind
 from faultline.analysis.tuning.manifest import manifest_of
@@ -209,6 +209,8 @@ def _evidence(given: Given, vehicles: Sequence[Vehicle], to: Array) -> tuple[Evi
     seen, apart = ([s.only(own) for s in each] for each in (everything, others))
     evidence, sizes = gather(bank, to[:own], seen, described, apart)
     evidence = with_networks(evidence, runnable.generators, everything, to, runnable.sigma, described)
+    trained = [each.name for each in runnable.networks.description.generators] if runnable.networks else []
+    evidence = with_sigma(evidence, runnable.generators, trained, everything, described)
     if given.target is not None:
         evidence = msgspec.structs.replace(evidence, run_length_h=1.0 / given.target)
     return evidence, sizes

@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
 from faultline.analysis.graph.runnable import trial_of
-from faultline.analysis.tuning.assumed import consequences_of, hypotheses_of, sizes_of
+from faultline.analysis.tuning.assumed import biases_of, consequences_of, hypotheses_of, sizes_of
 from faultline.analysis.tuning.thresholds import Seen
 from faultline.service.core.decision.blocks import BLOCK
 from faultline.service.core.decision.straying import MINIMUM_TICKS
@@ -36,6 +36,8 @@ ENOUGH = 8
 SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
 PER_DIRECTION = 3  # recordings, at least
 STEPS = 100  # of expectation maximisation
+USUAL = 0.95
+"""The part of fault-free ticks in which a network's sigma is usual."""
 LEAST_OWN = 0.01  # of the spread: what each mean strays by itself, so that there is something to divide by
 
 
@@ -67,12 +69,17 @@ def gather(
         noise[mode] = _noise(recordings, mode, rows, spread[mode])
     for mode, effect in _visit_effects(recordings, set(described), rows, noise).items():
         visit[mode] = effect
-    own = np.abs(_strays(recordings, rows, offset)).max(axis=0)[described]
+    strays = _strays(recordings, order, around)[:, described]
+    own = np.abs(strays[..., :K]).max(axis=0)
     drifts = named_drifts(bank.only(order), recordings, described)
     sizes = np.ones(len(drifts))
+    if not bank.has_equations and len(recordings) < ENOUGH:
+        own = np.abs(strays - strays.mean(axis=1, keepdims=True))[..., :K].max(axis=0)
+        drifts = np.concatenate([drifts, supposed_drifts(strays, everywhere)])
     if len(recordings) >= ENOUGH:
         own, drifts, sizes = as_seen(_strays(apart or recordings, order, around)[:, described], everywhere, drifts, K)
-    hypotheses = with_usual(hypotheses_of(bank.model), bank.only(rows), recordings, described)
+    assumed = hypotheses_of(bank.model) if bank.has_equations else biases_of(bank.model, _samples(recordings))
+    hypotheses = with_usual(assumed, bank.only(rows), recordings, described)
     evidence = Evidence(
         generators=[bank.generators[row].name for row in rows],
         offset=offset.tolist(),
@@ -97,6 +104,24 @@ def gather(
         sizes=sizes_of(bank.model) if hypotheses else [],
     )
     return evidence, sizes.tolist()
+
+
+def _samples(recordings: Sequence[Seen]) -> Array:
+    """The samples (K, nz) of all recordings."""
+    return np.concatenate([s.z for s in recordings])
+
+
+def supposed_drifts(strays: Array, spread: Array) -> Array:
+    """Return how far (T, modes, T) the means of each test stray together, where no model says what makes them stray.
+
+    `strays` (R, modes, T) are those of R drives, `spread` (modes, T) is that of their ticks. Before any drive is seen,
+    a test's means are supposed to stray from drive to drive as far as its residual does within one, as surely as from
+    so many drives as `SUPPOSED` says; a few show a variance badly, so that it is an upper bound.
+    """
+    R, T = len(strays), spread.shape[1]
+    seen = (strays.mean(axis=1) ** 2).sum(axis=0)  # (T,)
+    size = np.sqrt((SUPPOSED * np.median(spread, axis=0) ** 2 + seen) / chdtri(SUPPOSED + R - 1, 1.0 - LARGER))
+    return np.asarray(np.eye(T)[:, None] * np.ones((len(spread), 1)) * size)
 
 
 def with_usual(
@@ -149,6 +174,25 @@ def with_networks(
             )
         )
     return msgspec.structs.replace(evidence, networks=networks)
+
+
+def with_sigma(
+    evidence: Evidence,
+    generators: Sequence[Generator],
+    trained: Sequence[str],
+    recordings: Sequence[Seen],
+    stand_ins: Sequence[int],
+) -> Evidence:
+    """Return the evidence with the largest usual sigma of the generators that were trained."""
+    names = [each.name for each in generators]
+    found = {name: [_usual_sigma(recordings, names.index(name), mode) for mode in stand_ins] for name in trained}
+    return msgspec.structs.replace(evidence, sigma=found)
+
+
+def _usual_sigma(recordings: Sequence[Seen], row: int, mode: int) -> float:
+    """Return the sigma below which nearly all ticks of a mode lie."""
+    inside = [s.sigma[s.inside(row, mode), row] for s in recordings if s.sigma is not None]
+    return float(np.quantile(np.concatenate(inside), USUAL))
 
 
 def _of_equations(evidence: Evidence) -> list[str]:

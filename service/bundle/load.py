@@ -232,7 +232,7 @@ def _check_graph(raw: bytes, manifest: Manifest, graph: str, rows: int | None, w
         raise BundleError(str(error)) from error
     nx, tests = sum(len(generator.states) for generator in own), len(own)
     inputs = {"z": nz, "x": nx}
-    outputs = {"r": tests, "y_hat": tests, "sigma": tests, "novelty": tests, "x_next": nx}
+    outputs = {"r": tests, "y_hat": tests, "sigma": tests, "x_next": nx}
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.log_severity_level = 4  # what is wrong is said once, by the exception

@@ -13,7 +13,7 @@ from msgspec import Meta
 from faultline.service.core.display import Display
 from faultline.service.core.time_scale import TimeScale
 
-SCHEMA: Final = "faultline.bundle/6"
+SCHEMA: Final = "faultline.bundle/7"
 
 EDGE: Final = "edge"
 """The first mode of every per-mode list: just after a step, or unknown. Those of the system follow."""
@@ -299,7 +299,8 @@ class Evidence(_Part, frozen=True):
     `noise` (mode, generator, generator) [Pa^2] the covariance of ticks, `visit` that of visits to the mode besides.
     From one day to the next a mean strays by `allowance` (mode, generator) [Pa], and all together by `drifts` (drift,
     mode, generator) [Pa], a standard deviation each (`core.decision.straying`). These move the `followers` too,
-    and all of that the `networks`.
+    and all of that the `networks`. `sigma` is, of generators that say how large their error is, what that usually is
+    at most (`core.decision.model_error`).
     `operation` (mode, generator) is the usual mean of the signals that are predicted. Faults have `consequences`, at
     most one each; hypotheses with one are behind the others. `sizes` say how people read those of a fault. Without a
     fault a change of the baseline is suspected every `run_length_h` [h] on average (`core.decision.drive_change`).
@@ -320,6 +321,7 @@ class Evidence(_Part, frozen=True):
     sizes: list[SizeUnit] = []
     run_length_h: Positive = 10.0
     networks: list[Twin] = []
+    sigma: dict[Name, PerMode[Positive]] = {}
 
     @property
     def simple(self) -> int:
@@ -373,7 +375,7 @@ class Manifest(_Part, frozen=True, omit_defaults=True):
     that are uncommon.
     """
 
-    schema: Literal["faultline.bundle/6"]
+    schema: Literal["faultline.bundle/7"]
     name: Text
     version: Version
     sensor_set: Literal["production", "instrumented"]

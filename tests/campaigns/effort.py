@@ -49,7 +49,7 @@ PARTS: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "networks": {
-        "training, variance, novelty": ("training",),
+        "training, variance": ("training",),
         "networks as ONNX": ("analysis/graph/cells.py", "analysis/graph/networks.py"),
     },
 }

@@ -1,4 +1,4 @@
-"""What networks are worth beside the calibrated equations: error, coverage, novelty, cost, transfer.
+"""What networks are worth beside the calibrated equations: error, coverage, cost, transfer.
 
     .venv/bin/python tests/campaigns/grey_box.py
 
@@ -31,7 +31,6 @@ from faultline.service.core.signals.dbc import compile_dbc
 from faultline.service.logs import open_log
 from faultline.testbench import ecu
 from faultline.testbench.command import main as rig
-from faultline.testbench.sizes import frozen
 from faultline.training.bank import networks_of
 from faultline.training.layout import layout_of
 from faultline.training.loop import Begin, Training
@@ -60,9 +59,6 @@ ONSET_S = 100.0
 CLOGGED = ("--fault", "fA_p", "--size", "0.85", "--onset", str(ONSET_S))
 CORNER_PA = 9.0e5
 """Below it, and above the operating region's end, no recording of `drive` has a pressure."""
-
-ALARM = 20.0
-"""Of a CUSUM, in parts of sigma."""
 
 WAYS = ("not varied", "with the fault", "default")
 
@@ -144,13 +140,12 @@ def trained(
 
 
 def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[str, float]]:
-    """By test: RMS error [Pa] of equations and networks, coverage of the band, share of novel ticks."""
+    """By test: RMS error [Pa] of equations and networks, coverage of the band."""
     return {
         test: {
             "equations": _rms(of.equations[of.usable]),
-            "networks": _rms(of.r[of.tells]),
-            "covered": float((np.abs(of.r[of.tells]) < BAND * of.sigma[of.tells]).mean()),
-            "novel": 1.0 - float(of.tells.sum() / of.usable.sum()),
+            "networks": _rms(of.r[of.usable]),
+            "covered": float((np.abs(of.r[of.usable]) < BAND * of.sigma[of.usable]).mean()),
         }
         for test, of in watched(model, networks, recording).items()
     }
@@ -160,7 +155,7 @@ def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[
 class Watched:
     """A test over K ticks at `t_s`, samples `z` (K, nz), and the residuals [Pa] of its `equations` and networks (`r`).
 
-    `usable` is where the test can be run, `tells` where the operation is not new to its networks besides.
+    `usable` is where both can tell.
     """
 
     t_s: Array
@@ -169,7 +164,6 @@ class Watched:
     r: Array
     sigma: Array
     usable: npt.NDArray[np.bool_]
-    tells: npt.NDArray[np.bool_]
 
 
 def watched(model: Model, networks: Networks, recording: Path) -> dict[str, Watched]:
@@ -186,7 +180,7 @@ def watched(model: Model, networks: Networks, recording: Path) -> dict[str, Watc
         if generator.name.endswith(".rnn"):
             t = names.index(f"{generator.test}.ode")
             both = usable[:, t] & usable[:, n]
-            found[generator.test] = Watched(t_s, z, r[:, t], r[:, n], sigma[:, n], usable[:, t], both)
+            found[generator.test] = Watched(t_s, z, r[:, t], r[:, n], sigma[:, n], both)
     return found
 
 
@@ -232,55 +226,14 @@ def cornered(way: str) -> Record:
     column = [*model.known].index("y_p_ap")
     there = found.usable & (found.t_s > ONSET_S) & (found.z[:, column] < CORNER_PA)
     beyond = np.abs(found.r) > BAND * found.sigma
-    told = there & found.tells
     return {
         "kind": "corner",
         "case": f"corner-{way.replace(' ', '-')}",
         "way": way,
         "ticks": int(there.sum()),
         "beyond": float(beyond[there].mean()),
-        "novel": 1.0 - float(told.sum() / there.sum()),
-        "told_beyond": float(beyond[told].mean()) if told.any() else None,
         "error": _rms(found.r[there]),
     }
-
-
-def muted(case: Case) -> Record:
-    """What novelty silences: by fault and test the share of *cannot tell*, and what is detected with it and without."""
-    model = load_model(MODEL)
-    faults: Record = {}
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        networks, _, _ = trained(model, made(case, "training", folder, 1, 600.0), DEFAULT, case.seed)
-        usual = _silenced(model, networks, made(case, "validation", folder, 33, 300.0))
-        for fault, (_, size) in frozen().items():
-            words = ("--fault", fault, "--size", str(size), "--onset", str(ONSET_S))
-            faults[fault] = _silenced(model, networks, made(case, "validation", folder, 33, 300.0, USUAL, *words))
-    sizes = {fault: size for fault, (_, size) in frozen().items()}
-    return {"kind": "muted", "case": "muted", "sizes": sizes, "faults": faults, "usual": usual}
-
-
-def _silenced(model: Model, networks: Networks, recording: Path) -> Record:
-    """By test: the share of *cannot tell*, and the first alarm with the gate and without."""
-    found = {}
-    for test, of in watched(model, networks, recording).items():
-        after = of.usable & (of.t_s > ONSET_S)
-        found[test] = {
-            "novel": 1.0 - float((after & of.tells).sum() / max(after.sum(), 1)),
-            "gated": _first_alarm(of, after & of.tells),
-            "ungated": _first_alarm(of, after),
-        }
-    return found
-
-
-def _first_alarm(of: Watched, tells: npt.NDArray[np.bool_]) -> float | None:
-    """Seconds after the onset at which a CUSUM of what lies beyond the band alarms; None: never."""
-    total = 0.0
-    for k in np.flatnonzero(tells):
-        total = max(0.0, total + abs(of.r[k]) / of.sigma[k] - BAND)
-        if total > ALARM:
-            return float(of.t_s[k] - ONSET_S)
-    return None
 
 
 def transferred(seconds: float) -> Record:
@@ -352,7 +305,6 @@ def work() -> list[tuple[str, Any, Any]]:
     found: list[tuple[str, Any, Any]] = [(case.name, compared, case) for case in cases()]
     found += [(f"transfer-{seconds:.0f}", transferred, seconds) for seconds in SHORT_S]
     found += [(f"corner-{way.replace(' ', '-')}", cornered, way) for way in WAYS]
-    found.append(("muted", muted, Case("bench", None, 0)))
     found += [(f"thesis-{test}", thesis_cost, test) for test in tests]
     return found + [(f"whole-{test}", thesis_whole, test) for test in WHOLE]
 

@@ -30,7 +30,7 @@ def page(records: Sequence[Record]) -> str:
     parts = [HEAD]
     plain = [r for r in compared if r["effect"] is None]
     if plain:
-        parts += ["## No effect hidden", _errors(plain), "## Band and novelty, fault-free", _coverage(plain)]
+        parts += ["## No effect hidden", _errors(plain), "## The band, fault-free", _coverage(plain)]
     for effect in sorted({r["effect"] for r in compared} - {None}):
         parts += [f"## Hidden in the vehicle: {effect}", _errors([r for r in compared if r["effect"] == effect])]
     transfer = sorted((r for r in records if r["kind"] == "transfer"), key=lambda r: float(r["seconds"]))
@@ -40,9 +40,6 @@ def page(records: Sequence[Record]) -> str:
     corners = {r["way"]: r for r in records if r["kind"] == "corner"}
     if corners:
         parts += ["## Operation that was never trained (thesis Fig. 6.15, 6.16)", _corner(corners)]
-    for r in records:
-        if r["kind"] == "muted":
-            parts += ["## What novelty silences under a fault", _muted(r)]
     if thesis and plain:
         parts += ["## What it costs", _cost(plain, thesis)]
     whole = [r for r in records if r["kind"] == "whole"]
@@ -88,12 +85,10 @@ def _errors(records: Sequence[Record]) -> str:
 
 
 def _coverage(records: Sequence[Record]) -> str:
-    lines = ["| test | within the 99 % band, median (range) | novel, median (worst) |", "|---|---|---|"]
+    lines = ["| test | within the 99 % band, median (range) |", "|---|---|"]
     for test in sorted(records[0]["judged"]["validation"]):
-        found = [of[test] for r in records for of in r["judged"].values()]
-        covered, novel = ([100 * f[kind] for f in found] for kind in ("covered", "novel"))
-        within = f"{statistics.median(covered):.2f} % ({min(covered):.2f} to {max(covered):.2f} %)"
-        lines.append(f"| {test} | {within} | {statistics.median(novel):.2f} % ({max(novel):.2f} %) |")
+        covered = [100 * of[test]["covered"] for r in records for of in r["judged"].values()]
+        lines.append(f"| {test} | {statistics.median(covered):.2f} % ({min(covered):.2f} to {max(covered):.2f} %) |")
     return "\n".join(lines)
 
 
@@ -120,7 +115,7 @@ def _cost(compared: Sequence[Record], thesis: Sequence[Record]) -> str:
     ours = statistics.median(times) / MEMBERS
     head = (
         f"The default recipe takes {statistics.median(times):.0f} CPU-s ({min(times):.0f} to {max(times):.0f}) for ten "
-        f"tests of 5 members on one core, {ours:.2f} CPU-s a member's test; variance, novelty and graph included. The "
+        f"tests of 5 members on one core, {ours:.2f} CPU-s a member's test; variance and graph included. The "
         f"graph has {compared[0]['bytes'] / 1024:.0f} KiB. The thesis' recipe, one member of one test at a time on one "
         f"core, extrapolated from a few epochs to its {EPOCHS}:"
     )
@@ -137,40 +132,14 @@ def _corner(corners: Record) -> str:
         "t02 is trained on a drive alone, where no dose is given below 9 bar. Then the pump filter clogs (0.85 of its "
         "area), the pressure falls, and doses go on: t02 decouples that fault, and what it shows there is false. *Not "
         "varied*: without recordings varied by the equations; *with the fault*: so, and on a recording of that fault "
-        "besides. Beyond the band counts all ticks there, with the gate those at which the test can tell."
+        "besides. Beyond the band are so many ticks there."
     )
     lines = [
-        "| trained | ticks | beyond the band | novel | beyond it with the gate | RMS error [bar] |",
-        "|" + "---|" * 6,
+        "| trained | ticks | beyond the band | RMS error [bar] |",
+        "|" + "---|" * 4,
     ]
     for way, r in sorted(corners.items(), reverse=True):
-        told = "-" if r["told_beyond"] is None else f"{100 * r['told_beyond']:.1f} %"
-        shares = f"{100 * r['beyond']:.1f} % | {100 * r['novel']:.1f} % | {told}"
-        lines.append(f"| {way} | {r['ticks']} | {shares} | {r['error'] / 1e5:.3f} |")
-    return "\n\n".join([head, "\n".join(lines)])
-
-
-def _muted(r: Record) -> str:
-    head = (
-        "Large faults of the frozen list on the bench's networks, validation cycle. Share of ticks after the onset at "
-        "which a test's networks cannot tell, the worst three; and the seconds after which a first test alarms (CUSUM "
-        "of what lies beyond the band), with the gate and without."
-    )
-    lines = [
-        "| fault | size | cannot tell | first alarm | without the gate | tests that only alarm without |",
-        "|---|---|---|---|---|---|",
-    ]
-    for fault, tests in {"none": r["usual"], **r["faults"]}.items():
-        worst = sorted(tests, key=lambda test: -float(tests[test]["novel"]))[:3]
-        muted = ", ".join(f"{test} {100 * tests[test]['novel']:.0f} %" for test in worst if tests[test]["novel"] > 0)
-        firsts = []
-        for kind in ("gated", "ungated"):
-            at = {test: of[kind] for test, of in tests.items() if of[kind] is not None}
-            first = min(at, key=lambda test: float(at[test]), default=None)
-            firsts.append(f"{first} {at[first]:.0f} s" if first else "-")
-        lost = [test for test, of in tests.items() if of["gated"] is None and of["ungated"] is not None]
-        size = f"{r['sizes'][fault]:g}" if fault in r["sizes"] else ""
-        lines.append(f"| {fault} | {size} | {muted or '-'} | {' | '.join(firsts)} | {', '.join(lost) or '-'} |")
+        lines.append(f"| {way} | {r['ticks']} | {100 * r['beyond']:.1f} % | {r['error'] / 1e5:.3f} |")
     return "\n\n".join([head, "\n".join(lines)])
 
 

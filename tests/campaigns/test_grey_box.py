@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Path) -> None:
-    """As the campaign has it: also where another controller drives; within the band, hardly novel.
+    """As the campaign has it: also where another controller drives; within the band.
 
     Limits leave room for what another processor's rounding makes of a training: the campaign's seeds differ by as much.
     """
@@ -42,11 +42,10 @@ def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Pa
             limit = hard if test in HARD else BESIDE
             assert told["networks"] < limit * told["equations"], test
             assert told["covered"] > 0.96, test
-            assert told["novel"] < 0.03, test
 
 
 def test_the_page_has_all_its_parts() -> None:
-    tests = {test: {"equations": 2e3, "networks": 1e3, "covered": 0.99, "novel": 0.0} for test in ("t02", *HARD)}
+    tests = {test: {"equations": 2e3, "networks": 1e3, "covered": 0.99} for test in ("t02", *HARD)}
     stamp = {"commit": "abc", "code": "def"}
     common = {"kind": "compared", "vehicle": "bench", "seed": 0, "cpu_s": 50.0, "bytes": 500_000, "calibrated": True}
     of = dict.fromkeys(("validation", "drive", "slow"), tests)
@@ -56,19 +55,15 @@ def test_the_page_has_all_its_parts() -> None:
         "case": "corner",
         "ticks": 467,
         "beyond": 0.1,
-        "novel": 0.98,
         "error": 2.6e3,
     }
-    silent = {"t02": {"novel": 0.0, "gated": None, "ungated": None}}
-    loud = {"t02": {"novel": 0.2, "gated": None, "ungated": 81.0}, "t08": {"novel": 0.0, "gated": 1.0, "ungated": 1.0}}
     records = [
         {**common, "case": "bench-none-0", "effect": None, "judged": of},
         {**common, "case": "bench-full_lift-0", "effect": "full_lift", "judged": of, "calibrated": False},
         {"kind": "transfer", "case": "t", "seconds": 120.0, "cpu_s": {"adapted": 9.0, "anew": 50.0}, "errors": errors},
         {"kind": "thesis", "case": "thesis-t02", "test": "t02", "epoch_s": 1.3},
         {"kind": "whole", "case": "whole-t02", "test": "t02", "cpu_s": 2e3, "errors": {"drive": 9e3}},
-        {**corner, "way": "default", "told_beyond": None},
-        {"kind": "muted", "case": "muted", "sizes": {"fA_t": 0.3}, "usual": silent, "faults": {"fA_t": loud}},
+        {**corner, "way": "default"},
     ]
     told = page([{**record, **stamp} for record in records])
     assert "Of t12, t13, t19, t21, 12 of 12 ratios are at most 0.75; the worst is 0.50." in told
@@ -76,6 +71,5 @@ def test_the_page_has_all_its_parts() -> None:
     assert "## Hidden in the vehicle: full_lift" in told
     assert told.count("`calibrate` refuses") == 1
     assert "| t02 | 2000 | drive | 0.0900 | 0.0100 | 0.0200 |" in told
-    assert "| default | 467 | 10.0 % | 98.0 % | - | 0.026 |" in told
-    assert "| fA_t | 0.3 | t02 20 % | t08 1 s | t08 1 s | t02 |" in told
+    assert "| default | 467 | 10.0 % | 0.026 |" in told
     assert "adapting 9 CPU-s, anew 50 CPU-s" in told

@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
 from faultline.analysis.export import main as export
+from faultline.analysis.graph.network_bank import NetworkBank, biased_signals, network_bank
+from faultline.analysis.graph.networks import load_networks
 from faultline.analysis.model import ModelError, dump_model, load_model, parse_model
 from faultline.analysis.model.names import without_formulas
 from faultline.analysis.structure import Test, find_tests, structure_of
@@ -16,6 +19,7 @@ from faultline.analysis.structure.command import main as structure
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
+from faultline.service.core.residuals.generators import Graph
 from faultline.service.diagnose.command import main as diagnose
 from faultline.testbench import tanks
 from faultline.testbench.bus import load_dbc
@@ -109,8 +113,10 @@ def test_a_bundle_has_networks_alone_and_knows_no_size(made: Made) -> None:
     verify_golden(bundle)
     manifest = bundle.manifest
     assert [graph.file for graph in manifest.graphs] == ["rnn.onnx"]
+    assert {*manifest.evidence.sigma} == {each.name for each in manifest.generators}
     assert {*manifest.evidence.generators} <= {each.name for each in manifest.generators}
-    assert (manifest.evidence.hypotheses, manifest.evidence.networks) == ([], [])
+    assert {each.fault for each in manifest.evidence.hypotheses} == {"f_y1", "f_y2", "f_y3"}
+    assert manifest.evidence.networks == []
     assert {fault.name for fault in manifest.faults} == {*load_model("three-tank").faults}
 
 
@@ -125,6 +131,39 @@ def test_it_is_quiet_without_a_fault_and_names_the_one_there_is(
     told = [event for event in map(json.loads, capsys.readouterr().out.splitlines()) if event["diagnoses"]]
     assert 270.0 < told[0]["t_s"] < 300.0
     assert ["f_leak1"] in [d["faults"] for d in told[-1]["diagnoses"] if d["rank"] == 1]
+
+
+def test_a_bias_is_what_the_networks_show_of_corrected_samples(made: Made) -> None:
+    model = load_model(made.model)
+    bank = network_bank(model, load_networks(made.networks, model))
+    z = np.random.default_rng(0).uniform(0.2, 0.4, (5, len(model.known)))
+    [fault, signal], *_ = biased_signals(model).items()
+    bias = np.zeros(len(model.known))
+    bias[[*model.known].index(signal)] = 0.05
+    for rows in ([*range(len(bank.tests))], [len(bank.tests) - 1, 0]):
+        some = bank.only(rows)
+        own = np.concatenate([np.arange(*_columns(bank, row)) for row in rows])
+        graph = Graph(some.graph_of([{}, {fault: 0.05}]))
+        x = np.tile(bank.start(z[0])[own], (2, 1))
+        expected = bank.simulate([{}, {}], np.stack([z, z - bias], axis=1), bank.start(z[0]))[..., rows]
+        for sample, r in zip(z, expected, strict=True):
+            found, _, _, x = graph(z=np.tile(sample, (2, 1)), x=x)
+            np.testing.assert_allclose(found, r, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(bank.simulate([{}, {fault: 0.05}], z, bank.start(z[0]))[..., rows], expected)
+
+
+def _columns(bank: NetworkBank, row: int) -> tuple[int, int]:
+    counts = np.cumsum([0, *(len(each.states) for each in bank.generators)])
+    return int(counts[row]), int(counts[row + 1])
+
+
+def test_what_is_no_component_s_fault_stays_near_its_equation() -> None:
+    """A disturbance without a formula may move whatever has its equation."""
+    text = NAMES.replace('["dh", "u", "q"]', '["dh", "u", "q"]\ndisturbance = {name = "leak", description = "a leak"}')
+    model = parse_model(text, "tank.toml")
+    assert parse_model(dump_model(model), "again") == model
+    assert (model.disturbances["leak"].component, [*model.faults]) == ("", ["f_clogged", "fy"])
+    assert [*without_formulas(load_model("uds")).disturbances] == ["fq_leak"]
 
 
 def test_what_computes_says_that_a_formula_is_missing(made: Made, tmp_path: Path) -> None:

@@ -13,10 +13,9 @@ from faultline.analysis.graph.networks import GRAPH
 from faultline.analysis.model import load_model
 from faultline.service.core.residuals.generators import Graph
 from faultline.training.bank import generator_of
-from faultline.training.free_run import Course, free_run
+from faultline.training.free_run import free_run
 from faultline.training.layout import Layout, layout_of
 from faultline.training.network import Networks, Run
-from faultline.training.novelty import novelty, novelty_of, operating_points
 from faultline.training.recipe import DEFAULT, THESIS, Recipe
 from faultline.training.reckoned import Equations, reckoned
 from faultline.training.samples import Samples
@@ -48,8 +47,8 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
             parameter.add_(0.05 * torch.randn_like(parameter))
     windows = Windows(layout, examples, [], scaling, recipe.folds, 0)
     course = free_run(networks, windows)
-    spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
-    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
+    spread = variances(layout, windows, course, 0)
+    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread)))
     z = samples.stretches[0].z
     generators = [generator_of(layout, t, recipe.members) for t in range(len(layout.tests))]
     start = [
@@ -58,17 +57,15 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
         for s in o.states
     ]
     x = np.array(start)[None]
-    r, sigma, novel = (np.empty((len(z), len(layout.tests))) for _ in range(3))
+    r, sigma = (np.empty((len(z), len(layout.tests))) for _ in range(2))
     for k, sample in enumerate(z):
-        r[k : k + 1], _, sigma[k : k + 1], novel[k : k + 1], x = graph(z=sample[None], x=x)
+        r[k : k + 1], _, sigma[k : k + 1], x = graph(z=sample[None], x=x)
     x0 = windows.starts[0][None, :, None].expand(recipe.members, -1, -1)
     with torch.no_grad():
         run = networks.run(x0, windows.u[:, None, :, None].expand(-1, recipe.members, -1, -1))
     size, offset = scaling.z_size[layout.predicts], scaling.z_offset[layout.predicts]
     y = run.y[:, :, :, 0].mean(dim=1).numpy() * size + offset
     assert np.abs(z[:, layout.predicts] - r - y).max() < PARITY * np.abs(y).max()
-    whole = Course(torch.arange(len(z)), run.y[..., 0].permute(1, 2, 0), run.x[..., 0].permute(1, 2, 0), run.x[..., 0])
-    assert novel == pytest.approx(novelty(measure, operating_points(windows, whole)), rel=1e-3, abs=1e-3)
     assert sigma == pytest.approx(sigma_of(spread, windows, run, recipe.newest) * size, rel=1e-3)
     assert all(generator.graph == GRAPH for generator in generators)
 
@@ -93,8 +90,8 @@ def test_recordings_side_by_side_are_each_by_itself() -> None:
     networks = Networks(layout, dataclasses.replace(DEFAULT, folds=2), 2)
     windows = Windows(layout, examples, [], scaling, 2, 0)
     course = free_run(networks, windows)
-    spread, measure = variances(layout, windows, course, 0), novelty_of(layout, windows, course)
-    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread, measure)))
+    spread = variances(layout, windows, course, 0)
+    graph = Graph(cell_graph(cells_of(layout, scaling, networks, spread)))
     z = samples.stretches[0].z[[0, 30, 77]]
     x = np.random.default_rng(0).uniform(5e5, 1e6, (3, 2 * len(layout.states) + len(layout.held)))
     together = graph(z=z, x=x)

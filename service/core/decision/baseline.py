@@ -6,8 +6,8 @@ The mean of a block of n ticks in mode m, of the K generators of the evidence, i
 
 with the vehicle's offset, the drive's baseline along the model's own drifts a (viscosity, zeros of the sensors, level
 in the tank; standard normal) and of each mean by itself b ~ N(0, allowance^2), and the visit's effect v ~ N(0, U_m),
-drawn anew at every visit. a, b and l move as Ornstein-Uhlenbeck processes with the correlation time `DRIVE`, v with
-`VISIT`:
+drawn anew at every visit; a network's error adds to V / n (`core.decision.model_error`). a, b and l move as
+Ornstein-Uhlenbeck processes with the correlation time `DRIVE`, v with `VISIT`:
 
     x_k = F x_{k-1} + w,   F = exp(-dt / tau),   w ~ N(0, P_m - F P_m F),   P_m = diag(1, allowance^2, 1, U_m)
 
@@ -150,6 +150,7 @@ class BaselineFilter:
         H = model.observed(block) * seen[..., None]
         parts = 1.0 / np.sqrt(np.maximum(block.ticks, 1.0))
         noise = model.noise[mode] * (parts[:, :, None] * parts[:, None, :])
+        noise += block.excess[:, :, None] * np.eye(seen.shape[1])
         R = np.where(seen[:, :, None] & seen[:, None, :], noise, np.eye(seen.shape[1]))
         PH = P @ H.swapaxes(1, 2)
         S = H @ PH + R

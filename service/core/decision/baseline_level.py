@@ -57,13 +57,16 @@ class BaselineLevel:
             part=model.apparent_part,
         )
 
-    def taken_off(self, mode: int, residuals: FloatArray) -> FloatArray:
+    def taken_off(self, mode: int, residuals: FloatArray, excess: FloatArray | None = None) -> FloatArray:
         """Return the residuals (T,) of a tick without the baseline; those of networks without a twin as they are.
 
-        The less is known of the baseline, the nearer they are to the offset: a detector's threshold then is the spread
-        of drives, and not that within one. At an edge the baseline is the mean of those of all modes.
+        The less is known of the baseline, and the larger the `excess` (T,) of a network's variance, the nearer they are
+        to the offset: a detector's threshold then is the spread of drives, and not that within one. At an edge the
+        baseline is the mean of those of all modes.
         """
         level = residuals.copy()
-        offset, moved = self._offset[mode], self._moved
-        level[moved] = offset + (residuals[moved] - offset - self._mean[mode]) / self._wider[mode]
+        offset, moved, wider = self._offset[mode], self._moved, self._wider[mode]
+        if excess is not None and excess.ndim:
+            wider = np.sqrt(wider**2 + excess[moved] / self._spread[mode] ** 2)
+        level[moved] = offset + (residuals[moved] - offset - self._mean[mode]) / wider
         return level

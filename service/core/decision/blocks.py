@@ -26,7 +26,8 @@ class Block(NamedTuple):
     """A block of B logs: when it ended (B,) [s], its mode (B,), and whether it begins a visit (B,).
 
     `ticks` (B, K) is the number of ticks of each generator in its `mean` (B, K), 0 where too few could tell; `shift`
-    (B, H, K) is the mean shift of the residuals by each hypothesis.
+    (B, H, K) is the mean shift of the residuals by each hypothesis, `excess` (B, K) the mean of the variance of a
+    network's error (`core.decision.model_error`).
     """
 
     end_s: FloatArray
@@ -35,6 +36,7 @@ class Block(NamedTuple):
     ticks: FloatArray
     mean: FloatArray
     shift: FloatArray
+    excess: FloatArray
 
 
 class BlockMeans:
@@ -60,6 +62,8 @@ class BlockMeans:
         self._count += 1
         self._ticks += usable
         self._total += np.where(usable, residuals.r[self._columns], 0.0)
+        if residuals.excess.ndim:
+            self._excess += np.where(usable, residuals.excess[self._columns], 0.0)
         if self._hypotheses:
             self._shift += np.where(usable, residuals.shift[: self._hypotheses], 0.0)
         if self._count == self._length:
@@ -80,6 +84,7 @@ class BlockMeans:
                 ticks=ticks[None],
                 mean=(self._total / most)[None],
                 shift=(self._shift / most)[None],
+                excess=(self._excess / most)[None],
             )
             self._begins = False
         self._clear()
@@ -87,7 +92,7 @@ class BlockMeans:
 
     def _clear(self) -> None:
         K = len(self._columns)
-        self._count, self._ticks, self._total = 0, np.zeros(K), np.zeros(K)
+        self._count, self._ticks, self._total, self._excess = 0, np.zeros(K), np.zeros(K), np.zeros(K)
         self._shift = np.zeros((self._hypotheses, K))
 
 

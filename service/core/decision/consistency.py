@@ -134,6 +134,7 @@ def _decision(manifest: Manifest) -> Iterator[str]:
     followers = [follower.generator for follower in evidence.followers]
     yield from _unknown(followers, names, "evidence.followers", "generator")
     yield from _unknown([each.generator for each in evidence.networks], names, "evidence.networks", "generator")
+    yield from _unknown(evidence.sigma, names, "evidence.sigma", "generator")
     for index, hypothesis in enumerate(evidence.hypotheses):
         yield from _unknown([hypothesis.fault], assumable, f"evidence.hypotheses[{index}].fault", "fault")
     assumed = {hypothesis.fault for hypothesis in evidence.hypotheses}
@@ -240,13 +241,17 @@ def _levels(evidence: Evidence) -> Iterator[str]:
 
 
 def _beside(evidence: Evidence) -> dict[str, PerMode[float]]:
-    """Return what followers and networks have by mode."""
+    """Return what followers, networks and generators that say how large their error is have by mode."""
     lists = {f"followers[{k}].{name}": getattr(f, name) for k, f in enumerate(evidence.followers) for name in MODES_OF}
-    return lists | {
-        f"networks[{k}].{name}": getattr(twin, name)
-        for k, twin in enumerate(evidence.networks)
-        for name in (*MODES_OF, "allowance")
-    }
+    return (
+        lists
+        | {
+            f"networks[{k}].{name}": getattr(twin, name)
+            for k, twin in enumerate(evidence.networks)
+            for name in (*MODES_OF, "allowance")
+        }
+        | {f"sigma.{name}": usual for name, usual in evidence.sigma.items()}
+    )
 
 
 def _usual(evidence: Evidence) -> dict[str, PerMode[list[float]]]:

@@ -24,6 +24,7 @@ from faultline.service.core.decision.drive_change import DriveChange
 from faultline.service.core.decision.explaining import Explainer
 from faultline.service.core.decision.hypotheses import Fitted, Hypotheses, Look, without_sizes
 from faultline.service.core.decision.intermittence import BLOCK, CLEAR, Intermittence
+from faultline.service.core.decision.model_error import ModelError
 from faultline.service.core.decision.window import Blocks, Window
 from faultline.service.core.detectors.bank import DetectorBank
 from faultline.service.core.manifest import Manifest
@@ -96,6 +97,7 @@ class Decision:
         self._explainer = Explainer(manifest)
         covered = [*manifest.evidence.generators, *(each.generator for each in manifest.evidence.followers)]
         self._covered = frozenset(map(names.index, covered))
+        self._model_error = ModelError(manifest.evidence, names)
         self._change = DriveChange(manifest.evidence, names, self._hypotheses, time)
         self._window, self._quiet = Blocks(manifest.evidence, names, time), Window(manifest.evidence, names, time)
         self._intermittence = Intermittence(self._hypotheses)
@@ -120,6 +122,7 @@ class Decision:
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
+        residuals = self._model_error.beside(mode, residuals)
         self._usable = residuals.usable
         self.level = self._change.without_baseline(mode, residuals)
         self._detectors.update(tick, mode, residuals._replace(level=self.level))

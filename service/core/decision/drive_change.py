@@ -61,7 +61,7 @@ class DriveChange:
 
     def without_baseline(self, mode: int, residuals: Residuals) -> FloatArray:
         """Return the residuals (T,) of a tick as detectors of the level see them."""
-        return self._baseline.taken_off(mode, residuals.r)
+        return self._baseline.taken_off(mode, residuals.r, residuals.excess)
 
     def add(self, tick: int, mode: int, residuals: Residuals, *, suspected: bool) -> None:
         """Take a tick, at which something is suspected already or not."""

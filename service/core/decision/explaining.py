@@ -102,7 +102,8 @@ def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, 
     single = confined(conflicts, {(fault,): q for fault, q in look.growing_or_not.items()})
     best = min(single.values(), default=np.inf)
     if any(look.fits(faults, q) for faults, q in single.items()):
-        return {faults: q for faults, q in single.items() if look.fits(faults, q) or q <= best + TIE}
+        near = -np.inf if look.has_free_shifts else best + TIE  # a free shift fits nearly anything
+        return {faults: q for faults, q in single.items() if look.fits(faults, q) or q <= near}
     pairs = confined(conflicts, look.pairs)
     least = min(pairs.values(), default=np.inf)
     if least > best - OF_TWO or not any(look.fits(faults, q) for faults, q in pairs.items()):

@@ -16,10 +16,13 @@ A severe fault may have a consequence, another one's effect: a filter that is al
 it comes differs from mode to mode, so it has a size of its own in each mode in which it shows; the fault has one size
 in all of them. Its misfit is the better of those with and without a consequence.
 
-A fault without assumed sizes, of residuals that another tool computes, may shift the m means of the generators that are
+A fault without assumed sizes, where no formula says what it does, may shift the means of the generators that are
 sensitive to it by anything. Its misfit is -2 log of the marginal likelihood under Zellner's g-prior, with the g that is
 likeliest (Liang et al. 2008): q_rest + m (1 + ln(Q/m)), where q_rest is the misfit of no fault in the other means, and
-Q = q_0 - q_rest. The second term is the price of a free shift; it is no part of what has to fit.
+Q = q_0 - q_rest. The second term is the price of a free shift; it is no part of what has to fit. m counts shifts that
+are free of each other: generators that predict the same signal are shifted alike, so that they count once in a mode.
+Nor has a fault to shift the predictions of all signals: those are moved that give the least misfit. Beside free shifts
+a fault with assumed sizes has a price too: its size, m = 1.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -55,6 +58,9 @@ NEAREST = 8
 SHOWING = 0.1
 """A consequence shows in a mode if it does in more than this part of the ticks: some of each is between the two."""
 
+MOST_CHOSEN = 4
+"""Signals of which any choice may be moved by a free shift."""
+
 TIE = 9.0
 """Hypotheses whose misfits differ by less than three standard deviations are not told apart."""
 
@@ -62,7 +68,7 @@ UNLIKELY = 3.72
 """Standard deviations of a normal variable that one in ten thousand exceeds: a larger misfit is no fit."""
 
 
-NO_SIGNATURES: Mapping[str, Collection[str]] = {}
+NO_SIGNATURES: Mapping[str, Mapping[str, str]] = {}
 
 
 class Segments(NamedTuple):
@@ -80,8 +86,9 @@ class Segments(NamedTuple):
     end: Indices
 
 
-Signatures = Mapping[str, Mask]
-"""The generators of the evidence (K,) that are sensitive to a fault without assumed sizes, by its name."""
+Signatures = Mapping[str, Indices]
+"""By the name of a fault without assumed sizes: the number of the signal that each generator of the evidence (K,)
+predicts, -1 where it is not sensitive to the fault."""
 
 
 class Consequences(NamedTuple):
@@ -132,6 +139,7 @@ class Look:
         self._d, self._S, self._seen, self.segments, self._signatures = d, S, seen, segments, signatures
         self._shifts, self.brought, self._history = shifts, brought, history
         self.prices: dict[tuple[str, ...], float] = {}
+        self._nothing_in: dict[bytes, float] = {}
         self._white = np.linalg.cholesky(S)
         self._target = np.linalg.solve(self._white, d)
         white = np.linalg.solve(self._white, shifts.T).T
@@ -154,24 +162,42 @@ class Look:
     def nothing_in(self, means: Mask) -> float:
         """The misfit of no fault in those of the means (C, K) that were seen."""
         rows = means[self._seen]
-        d, S = self._d[rows], self._S[np.ix_(rows, rows)]
-        return float(d @ np.linalg.solve(S, d))
+        if (key := rows.tobytes()) not in self._nothing_in:
+            d, S = self._d[rows], self._S[np.ix_(rows, rows)]
+            self._nothing_in[key] = float(d @ np.linalg.solve(S, d))
+        return self._nothing_in[key]
 
     @cached_property
     def faults(self) -> dict[str, float]:
         """The misfit of every fault at its best size."""
         sized = {fault: fitted.misfit for fault, fitted in self.fitted.items()}
+        if not self.has_free_shifts:
+            return sized
+        self.prices |= {(fault,): self._price(1, self.nothing - misfit) for fault, misfit in sized.items()}
+        sized = {fault: misfit + self.prices[fault,] for fault, misfit in sized.items()}
         return sized | {fault: self._of_free_shift((fault,), rows) for fault, rows in self._signatures.items()}
 
-    def _of_free_shift(self, faults: tuple[str, ...], rows: Mask) -> float:
-        """Return the misfit of faults that shift the means of some generators (K,) by any amount."""
-        inside = np.broadcast_to(rows, self._seen.shape)
-        count = int(inside[self._seen].sum())
-        rest = self.nothing_in(~inside)
-        if self.nothing - rest <= count:
-            return self.nothing
-        self.prices[faults] = count * (1.0 + float(np.log((self.nothing - rest) / count)))
-        return rest + self.prices[faults]
+    @property
+    def has_free_shifts(self) -> bool:
+        """Return True if some fault has no assumed sizes."""
+        return bool(self._signatures)
+
+    def _of_free_shift(self, faults: tuple[str, ...], signature: Indices) -> float:
+        """Return the misfit of faults that shift some means of the generators of a signature (K,) by any amount."""
+        best = self.nothing
+        for signals in _some_of(np.unique(signature[signature >= 0]).tolist()):
+            moved = self._seen & np.isin(signature, signals)
+            count = sum(len(np.unique(signature[row])) for row in moved)
+            rest = self.nothing_in(self._seen & ~moved)
+            price = self._price(count, self.nothing - rest)
+            if rest + price < best:
+                best, self.prices[faults] = rest + price, price
+        return best
+
+    @staticmethod
+    def _price(count: int, gain: float) -> float:
+        """Return what `count` free numbers cost the misfit by which they lower it."""
+        return count * (1.0 + float(np.log(max(gain / count, 1.0)))) if count else 0.0
 
     def fits(self, faults: tuple[str, ...], misfit: float) -> bool:
         """Return True if an explanation of this misfit fits the means, apart from the price of a free shift."""
@@ -204,7 +230,7 @@ class Look:
     def growing_or_not(self) -> dict[str, float]:
         """The misfit of every fault, of one size or one that has grown, which costs `GROWN`."""
         grown = {fault: misfit for fault, (misfit, _) in self._grown.items()}
-        self.prices |= {(fault,): GROWN for fault in grown}
+        self.prices |= {(fault,): GROWN + self.prices.get((fault,), 0.0) for fault in grown}
         return self.faults | grown
 
     @cached_property
@@ -218,6 +244,8 @@ class Look:
             variance = self._S.diagonal() + (GAMMA * tried) ** 2
             near = ((tried - self._d) ** 2 / variance).sum(axis=1).argsort()[:NEAREST]
             misfit = float(self._misfits(self._whitened(tried[near])[:, None]).min()) + GROWN
+            if self.has_free_shifts:
+                misfit += self._price(1, self.nothing - misfit)
             fault = self.segments.faults[int(np.flatnonzero(self.segments.chain == number)[0])]
             if misfit < found.get(fault, (self.faults[fault], 0))[0]:
                 found[fault] = misfit, number
@@ -310,8 +338,8 @@ class Look:
     @property
     def _free_pairs(self) -> dict[tuple[str, ...], float]:
         """The misfit of every two faults at once that may shift anything."""
-        pairs = combinations(sorted(self._signatures), 2)
-        either = {pair: self._signatures[pair[0]] | self._signatures[pair[1]] for pair in pairs}
+        pairs = combinations(sorted(self._signatures.keys() - self.segments.alone), 2)
+        either = {pair: np.maximum(self._signatures[pair[0]], self._signatures[pair[1]]) for pair in pairs}
         return {pair: self._of_free_shift(pair, rows) for pair, rows in either.items()}
 
     @property
@@ -372,6 +400,12 @@ class Look:
         return np.moveaxis(np.take_along_axis(parts, best[:, None], 0)[0], 0, 2), np.take_along_axis(far, best, 0)[0]
 
 
+def _some_of(signals: list[int]) -> list[tuple[int, ...]]:
+    """Return the choices of signals that a fault may move: any, or of many each one and all of them."""
+    sizes = range(1, len(signals) + 1) if len(signals) <= MOST_CHOSEN else (1, len(signals))
+    return [chosen for size in sizes for chosen in combinations(signals, size)]
+
+
 def _nearest(polygons: FloatArray, d: FloatArray, weight: FloatArray) -> FloatArray:
     """The point (M, D) of each polygon (M, J, D) that is nearest to `d` (D,), by weighted squares."""
     begin, way = polygons[:, :-1], np.diff(polygons, axis=1)
@@ -386,15 +420,19 @@ class Hypotheses:
     """All faults of a bundle, as polygons of shifts that begin at none."""
 
     def __init__(
-        self, evidence: Evidence, alone: Collection[str] = (), sensitive: Mapping[str, Collection[str]] = NO_SIGNATURES
+        self,
+        evidence: Evidence,
+        alone: Collection[str] = (),
+        sensitive: Mapping[str, Mapping[str, str]] = NO_SIGNATURES,
     ) -> None:
-        """`sensitive` are the names of the generators that are sensitive to each fault without assumed sizes."""
+        """`sensitive` has what `without_sizes` returns."""
         self._straying = Straying(evidence)
         self.segments = _segments(evidence, alone)
         self._brought = {each.fault: _rows_of_consequence(evidence, each.fault) for each in evidence.consequences}
+        signals = sorted({signal for predicted in sensitive.values() for signal in predicted.values()})
         self._signatures = {
-            fault: np.array([name in generators for name in evidence.generators])
-            for fault, generators in sensitive.items()
+            fault: np.array([signals.index(of[name]) if name in of else -1 for name in evidence.generators])
+            for fault, of in sensitive.items()
         }
 
     def look(self, means: Means, level: Level | None = None, history: History | None = None) -> Look | None:
@@ -420,11 +458,19 @@ class Hypotheses:
         return found
 
 
-def without_sizes(manifest: Manifest) -> dict[str, list[str]]:
-    """The names of the generators that are sensitive to each fault of which no size is assumed."""
+def without_sizes(manifest: Manifest) -> dict[str, dict[str, str]]:
+    """Return the generators that are sensitive to each fault of which no size is assumed, with what they predict.
+
+    And those that a disturbance moves, of which none is assumed.
+    """
     sized = {hypothesis.fault for hypothesis in manifest.evidence.hypotheses}
     free = [fault.name for fault in manifest.faults if fault.name not in sized]
-    return {fault: [each.name for each in manifest.generators if fault in each.faults] for fault in free}
+    found = {fault: {g.name: g.predicts for g in manifest.generators if fault in g.faults} for fault in free}
+    return found | {
+        each.name: {g.name: g.predicts for g in manifest.generators if each.equation in g.equations}
+        for each in manifest.disturbances
+        if each.name not in sized
+    }
 
 
 def _rows_of_consequence(evidence: Evidence, fault: str) -> Indices:

@@ -36,7 +36,7 @@ class Means(NamedTuple):
 
     A visit is a stay in a mode; the squares say how evenly the ticks lie in visits. `predicted` (C, K) are sums of the
     signals that were predicted, `shift` (H, C, K) of what each hypothesis would have done to the residuals, `brought`
-    (n, C, K) of the ticks in which a consequence showed.
+    (n, C, K) of the ticks in which a consequence showed, `excess` (C, K) of the variance of a network's error.
     """
 
     ticks: FloatArray
@@ -45,6 +45,7 @@ class Means(NamedTuple):
     predicted: FloatArray
     shift: FloatArray
     brought: FloatArray
+    excess: FloatArray
 
     @property
     def seen(self) -> Mask:
@@ -147,7 +148,7 @@ class Straying:
             S[mode, :, mode] = self._noise[mode] * np.outer(tick[mode], tick[mode])
             S[mode, :, mode] += self._visit[mode] * np.outer(visit[mode], visit[mode])
         away = np.where(means.ticks > 0, means.predicted / ticks - self._operation, 0.0)
-        return S.reshape(C * K, C * K) + np.diag((MOVED * away.ravel()) ** 2)
+        return S.reshape(C * K, C * K) + np.diag((MOVED * away.ravel()) ** 2 + (means.excess / ticks).ravel())
 
     def deviation(self, means: Means) -> FloatArray:
         """How far the means (C, K) lie from the vehicle's offsets; zero where nothing was seen."""

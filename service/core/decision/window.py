@@ -18,7 +18,7 @@ from faultline.service.core.signals.modes import EDGE
 from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import Span, TimeScale
 
-FIRST = 5
+FIRST = 6
 """The row of the sums at which those of the hypotheses begin."""
 
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
@@ -61,6 +61,8 @@ class Window:
         part[2] += np.where(told, residuals.r[self._columns], 0.0)
         part[3] += np.where(told, residuals.y_hat[self._columns], 0.0)
         part[4] += told * self._tick
+        if residuals.excess.ndim:
+            part[5] += np.where(told, residuals.excess[self._columns], 0.0)
         if self._hypotheses:
             part[FIRST : FIRST + self._hypotheses] += np.where(told, residuals.shift, 0.0)
         if self._consequences:
@@ -77,11 +79,11 @@ class Window:
         return self._means(self._sums.sum(axis=0))
 
     def _means(self, sums: FloatArray) -> Means:
-        ticks, squares, total, predicted, _, *rest = sums
+        ticks, squares, total, predicted, _, excess, *rest = sums
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
         behind = np.array(rest).reshape(-1, self._modes, len(self._columns))
         shift, brought = behind[: self._hypotheses], behind[self._hypotheses :]
-        return Means(ticks, squares, total, predicted, shift, brought)
+        return Means(ticks, squares, total, predicted, shift, brought, excess)
 
 
 class Blocks(Window):

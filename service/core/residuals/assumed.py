@@ -19,7 +19,7 @@ class Stepped(Protocol):
     """A fused graph (`core.residuals.generators.Graph`)."""
 
     def __call__(self, **arrays: FloatArray) -> list[FloatArray]:
-        """r, y_hat, sigma, novelty, x_next."""
+        """r, y_hat, sigma, x_next."""
 
 
 class Assumed:
@@ -39,7 +39,7 @@ class Assumed:
 
     def step(self, z: FloatArray, fresh: FloatArray, r: FloatArray, advanced: Mask) -> FloatArray:
         """Shifts (H, K) of the residuals `r` (K,) at the samples `z` (nz,); only `advanced` (K,) states move on."""
-        assumed, _, _, _, x = self._graph(z=np.tile(z, (len(self.x), 1)), x=self.x)
+        assumed, _, _, x = self._graph(z=np.tile(z, (len(self.x), 1)), x=self.x)
         good = np.asarray(np.isfinite(assumed).all(axis=1) & np.isfinite(x).all(axis=1))
         self.x = np.where(advanced[self._owner], np.where(good[:, None], x, fresh), self.x)
         with np.errstate(invalid="ignore"):

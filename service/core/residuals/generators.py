@@ -1,12 +1,12 @@
 """Runs the residual generators of a bundle, in a few fused graphs, one tick at a time.
 
-    x_k, r_k, y_hat_k, sigma_k, novelty_k = graph(z_k, x_{k-1})      z: (1, nz)  x: (1, nx)  r ...: (1, T)
+    x_k, r_k, y_hat_k, sigma_k = graph(z_k, x_{k-1})      z: (1, nz)  x: (1, nx)  r ...: (1, T)
 
 A generator whose input may not be used, or lies outside the operating region, keeps its state for `HELD_TICKS` ticks;
 after that the state is taken from the sensors again and the warm-up starts anew: a state carried through where the
 model does not hold would tell of that for as long as the slowest pressure remembers. Where samples that were held back
-turn out to be a step, the ticks since are computed again with them. A generator that was trained knows besides what it
-was trained on: where the operation is novel it goes on, and cannot tell.
+turn out to be a step, the ticks since are computed again with them. A generator that was trained says besides how large
+its error may be (`core.decision.model_error`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,9 +32,6 @@ STALE = 0.3
 MOST_DOUBTFUL = 2 * SAMPLES
 """Ticks that are computed again at most: a step is known after half of `SAMPLES`, and others may overlap with it."""
 
-NOVEL = 1.0
-"""Novelty from which a generator has not learnt the operation that it sees; a graph is scaled so."""
-
 
 NOTHING, NOWHERE = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
 NOT_HELD = np.zeros((), dtype=np.bool_)
@@ -47,7 +44,8 @@ class Residuals(NamedTuple):
     `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
     `brought` (n,) are the consequences of the evidence that show or did lately. `level` are the residuals without the
     drive's baseline (`core.decision.baseline_level`), once that is taken off. Those are `held` (T,) that rest on
-    a sample which the gate has replaced, or on one from before a lost frame.
+    a sample which the gate has replaced, or on one from before a lost frame. `excess` (T,) is the variance of their
+    error beyond that of usual operation (`core.decision.model_error`), once that is known.
     """
 
     r: FloatArray
@@ -58,6 +56,7 @@ class Residuals(NamedTuple):
     brought: Mask = NOWHERE
     level: FloatArray | None = None
     held: Mask = NOT_HELD
+    excess: FloatArray = FRESH
 
     @property
     def counted(self) -> Mask:
@@ -66,9 +65,9 @@ class Residuals(NamedTuple):
 
 
 class Graph:
-    """A fused graph as a function: z (B, nz), x (B, nx) -> r, y_hat, sigma, novelty (B, T), x_next (B, nx), float64."""
+    """A fused graph as a function: z (B, nz), x (B, nx) -> r, y_hat, sigma (B, T), x_next (B, nx), float64."""
 
-    OUTPUTS = ("r", "y_hat", "sigma", "novelty", "x_next")
+    OUTPUTS = ("r", "y_hat", "sigma", "x_next")
 
     def __init__(self, model: bytes) -> None:
         options = ort.SessionOptions()
@@ -177,7 +176,7 @@ class GeneratorBank:
         fed = (usable | ~self._needs).all(axis=1)  # (T,)
         fresh = self._offset + self._gain @ self._z
         self._restart(fed & (self._missed > HELD_TICKS), fresh)
-        r, y_hat, sigma, novelty, x_next = self._run()
+        r, y_hat, sigma, x_next = self._run()
         finite = np.isfinite(r) & np.isfinite(sigma)
         finite[self._owner[~np.isfinite(x_next)]] = False
         advanced = fed & finite & (self._outside() <= OUTSIDE)
@@ -188,7 +187,7 @@ class GeneratorBank:
         shift = NOTHING
         if self._assumed is not None:
             shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
-        told = advanced & (self._ticks > self._warm_up) & (novelty <= NOVEL)
+        told = advanced & (self._ticks > self._warm_up)
         return Residuals(r, y_hat, sigma, told, shift, self._brought())
 
     def _state(self) -> tuple[FloatArray, FloatArray, Indices, Indices, Indices, FloatArray]:

@@ -110,7 +110,7 @@ def free_run(model: Model, z: Array) -> Array:
 def predictions(bank: Bank, z: Array) -> Array:
     graph, x, out = Graph(bank.graph()), bank.start(z[0])[None], []
     for sample in z:
-        _, y_hat, _, _, x = graph(z=sample[None], x=x)
+        _, y_hat, _, x = graph(z=sample[None], x=x)
         out.append(y_hat[0])
     return np.array(out)
 

@@ -93,7 +93,7 @@ def stepped(bank: Bank, u: Array, p0: float) -> Array:
     """Predictions (K,) of the only generator from the state p0."""
     graph, x, out = Graph(bank.graph()), np.array([[p0]]), []
     for level in u:
-        _, y_hat, _, _, x = graph(z=np.array([[0.0, level]]), x=x)
+        _, y_hat, _, x = graph(z=np.array([[0.0, level]]), x=x)
         out.append(y_hat[0, 0])
     return np.array(out)
 

@@ -57,7 +57,7 @@ def simulated(bank: Bank, z: Array) -> Array:
     """Predictions (K, T) of the fused graph from atmospheric rest or wherever `z` begins."""
     graph, x, out = Graph(bank.graph()), bank.start(z[0])[None], []
     for sample in z:
-        _, y_hat, _, _, x = graph(z=sample[None], x=x)
+        _, y_hat, _, x = graph(z=sample[None], x=x)
         out.append(y_hat[0])
     return np.array(out)
 
@@ -162,18 +162,6 @@ def test_the_parametric_graph_equals_the_constant_one(bank: Bank) -> None:
     moved = np.abs(r[-20:, 1] - r[-20:, 0]).mean(axis=0)
     assert (moved[np.logical_not(sensitive)] < 1e-6).all()
     assert moved[0] > 1e4  # a filter of half its area: four times the pressure drop
-
-
-def test_novelty_is_zero_inside_the_operating_region_and_tells_how_far_outside(bank: Bank) -> None:
-    graph = Graph(bank.graph())
-    inside = np.array([[ATMOSPHERE, SYSTEM, SYSTEM, 20.0, 0.5]])
-    outside = inside.copy()
-    outside[0, 3] = bank.inputs[3].upper + 0.5 * (bank.inputs[3].upper - bank.inputs[3].lower)
-    x = bank.start(inside[0])[None]
-    assert (graph(z=inside, x=x)[3] == 0).all()
-    novelty = graph(z=outside, x=x)[3][0]
-    uses = np.array(["n_p" in generator.inputs for generator in bank.generators])
-    np.testing.assert_allclose(novelty, 0.5 * uses)
 
 
 def test_the_graph_is_reproducible_to_the_byte(bank: Bank) -> None:

@@ -53,6 +53,7 @@ def block(k: int, mean: FloatArray, logs: int = 1) -> Block:
         ticks=np.full((logs, 2), float(TICKS)),
         mean=mean,
         shift=np.repeat(SHIFT[None], logs, axis=0),
+        excess=np.zeros((logs, 2)),
     )
 
 

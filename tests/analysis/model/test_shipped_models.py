@@ -59,7 +59,7 @@ def test_the_rc_circuit_charges_with_its_time_constant() -> None:
     t = RC.period_s * np.arange(1, 51)
     currents = []
     for _ in t:
-        _, y_hat, _, _, x = graph(z=np.array([[10.0, 0.0]]), x=x)
+        _, y_hat, _, x = graph(z=np.array([[10.0, 0.0]]), x=x)
         currents.append(y_hat[0, 0])
     exact = 10.0 / R * np.exp(-t / (R * C))
     np.testing.assert_allclose(currents, exact, atol=0.05 * 10.0 / R)  # implicit Euler, a tenth of RC a step

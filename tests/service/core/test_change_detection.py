@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 STRAY, OWN, NOISE, VISIT = 100.0, 5.0, 10.0, 3.0
 NAMES = ["ta", "tb"]
+NOTHING = np.zeros((1, 2))
 FAULT = np.array([60.0, -60.0])  # no drift moves one up and the other down
 TICKS = 15
 SUSPECTED = nats(10.0, 1, TIME)
@@ -64,7 +65,7 @@ def drawn(rng: np.random.Generator, blocks: int, onset: int = 10**9, size: float
         y = y + (size * FAULT if k >= onset else 0.0)
         ticks = np.full((1, 2), float(TICKS))
         made.append(
-            Block(np.array([end_s]), np.array([mode]), np.array([begins]), ticks, y[None], FAULT[None, None].copy())
+            Block(np.array([end_s]), np.array([mode]), np.array([begins]), ticks, y[None], FAULT[None, None], NOTHING)
         )
     return made
 
@@ -189,7 +190,7 @@ def test_a_window_has_the_level_of_its_own_operation() -> None:
     ticks[2] = 0.0  # a mode that was not visited is as usual
     shift = np.array([2.0, 0.5, 7.0])[:, None] * FAULT
     nothing = np.zeros((3, 2))
-    means = Means(ticks, nothing, nothing, nothing, ticks * shift[None], np.zeros((0, 3, 2)))
+    means = Means(ticks, nothing, nothing, nothing, ticks * shift[None], np.zeros((0, 3, 2)), nothing)
     found = baseline.level.in_operation(means)
     H = model.usual.copy()
     H[:4, model.apparent] = model.apparent_part * shift[:2].reshape(4, 1)
@@ -247,7 +248,7 @@ def test_detectors_see_what_is_unknown_of_the_baseline_as_their_own_spread_and_f
     for k in range(40):
         y = np.array([[1080.0, 2080.0]])
         begins, ticks = np.array([k == 0]), np.full((1, 2), 15.0)
-        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None]))
+        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None], NOTHING))
     baseline.follow(known.state)
     for mode in (EDGE, IDLE, PARTIAL):
         assert np.abs(baseline.taken_off(mode, away) - [1000.0, 2000.0, 500.0]).max() < 0.6 * NOISE
@@ -263,7 +264,7 @@ def test_a_network_goes_with_its_twin_but_for_how_far_the_two_stray_apart() -> N
     for k in range(40):
         y = np.array([[1080.0, 2080.0]])
         begins, ticks = np.array([k == 0]), np.full((1, 2), 15.0)
-        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None]))
+        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None], NOTHING))
     baseline.follow(known.state)
     level = baseline.taken_off(IDLE, np.array([1080.0, 2080.0, 130.0]))
     assert level[2] - 50.0 == pytest.approx(level[0] - 1000.0, abs=1e-6)

@@ -295,7 +295,7 @@ def test_a_fault_that_was_another_is_seen_as_it_is_now() -> None:
     _add(window, 0, (1.0, 1.0), ticks=3 * PART_TICKS)
     _add(window, 2, (2.0, 2.0), ticks=PART_TICKS)
     _add(window, 0, (0.0, 0.0), ticks=2 * PART_TICKS)
-    ticks, _, total, _, shift, _ = window.means
+    ticks, _, total, _, shift, *_ = window.means
     assert total[0].tolist() == [0.0, 0.0]
     assert PART_TICKS <= ticks[0, 0] <= 2 * PART_TICKS
     assert (total[2] / ticks[2]).tolist() == [2.0, 2.0]
@@ -337,3 +337,37 @@ def test_a_size_fits_best_by_what_its_prediction_is_worth() -> None:
     shifts = sizes[:, None] * GROWING[:3].ravel()
     by_hand = [(d - mu) @ np.linalg.solve(S + np.diag((0.1 * mu) ** 2), d - mu) for mu in shifts]
     assert look.faults["fB"] == pytest.approx(min(by_hand), rel=0.02)
+
+
+def _with_free_shifts(residuals: dict[int, tuple[float, float]], sensitive: dict[str, dict[str, str]]) -> Look:
+    evidence = _evidence()
+    found = Hypotheses(evidence, (), sensitive).look(_means(residuals, evidence))
+    assert found is not None
+    return found
+
+
+def test_a_free_shift_that_nothing_seen_is_sensitive_to_explains_nothing() -> None:
+    """Its generators may all be blind."""
+    look = _with_free_shifts({0: (1.0, 1.0)}, {"fC": {"t2": "y"}})
+    assert look.faults["fC"] == look.nothing
+
+
+def test_a_free_shift_costs_less_where_generators_predict_one_signal() -> None:
+    deviating = {0: (3.0, 3.0), 1: (3.0, 3.0)}
+    one, two = (_with_free_shifts(deviating, {"fC": {"t1": "y", "t3": other}}).faults["fC"] for other in ("y", "z"))
+    assert 4.0 < one < two
+
+
+def test_a_fault_need_not_shift_all_that_is_sensitive_to_it() -> None:
+    """As much for whom the other signal means nothing."""
+    deviating = {0: (3.0, 0.0), 1: (3.0, 0.0)}
+    either, one = (_with_free_shifts(deviating, {"fC": of}) for of in ({"t1": "y", "t3": "z"}, {"t1": "y"}))
+    assert either.faults["fC"] == one.faults["fC"]
+
+
+def test_beside_free_shifts_a_size_has_its_price() -> None:
+    """Else a sensor's bias would be preferred to any fault that it looks like."""
+    deviating = {0: (1.0, 1.0)}
+    alone, beside = _look(deviating).faults, _with_free_shifts(deviating, {"fC": {"t1": "y", "t3": "y"}}).faults
+    assert beside["fA"] - alone["fA"] == pytest.approx(1.0 + np.log(_look(deviating).nothing), rel=0.05)
+    assert beside["fC"] == pytest.approx(beside["fA"], abs=0.5)

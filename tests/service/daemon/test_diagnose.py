@@ -198,7 +198,7 @@ def test_a_bundle_with_a_changed_byte_is_refused(tmp_path: Path, capsys: pytest.
 def test_an_unknown_bundle_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = Path(shutil.copytree(BUNDLE, tmp_path / "bundle"))
     manifest = folder / "manifest.json"
-    raw = manifest.read_bytes().replace(b"faultline.bundle/6", b"faultline.bundle/9")
+    raw = manifest.read_bytes().replace(b"faultline.bundle/7", b"faultline.bundle/9")
     manifest.write_bytes(raw)
     (folder / SEAL).write_bytes(seal(raw))
     assert "schema: this is 'faultline.bundle/9'" in refused([str(LOG), "--bundle", str(folder)], capsys)
