@@ -52,6 +52,8 @@ SINGLE_VALUES: list[tuple[Change, str]] = [
     (lambda m: m["detectors"][3].update(kind="glr"), r"detectors\[3\]\.kind: Invalid value 'glr'"),
     (lambda m: m["detectors"][3].update(J=0), r"detectors\[3\]\.J: Expected `float` > 0"),
     (lambda m: m["evidence"].update(generators=[]), r"evidence\.generators: Expected `array` of length >= 1"),
+    (lambda m: m["evidence"].update(sigma={"t99.rnn": [1.0] * 4}), r"evidence\.sigma: unknown generator 't99\.rnn'"),
+    (lambda m: m["evidence"].update(sigma={"t02.ode": [1.0] * 3}), r"evidence\.sigma\.t02\.ode: has length 3"),
     (lambda m: m["evidence"]["offset"].pop(), r"evidence\.offset: has length 3, but there are 4 modes"),
     (lambda m: m["evidence"]["noise"].pop(), r"evidence\.noise: has length 3, but there are 4 modes"),
     (lambda m: m["evidence"]["spread"][1].__setitem__(2, 0), r"evidence\.spread\[1\]\[2\]: Expected `float` > 0"),
