@@ -22,7 +22,7 @@ likeliest (Liang et al. 2008): q_rest + m (1 + ln(Q/m)), where q_rest is the mis
 Q = q_0 - q_rest. The second term is the price of a free shift; it is no part of what has to fit. m counts shifts that
 are free of each other: generators that predict the same signal are shifted alike, so that they count once in a mode.
 Nor has a fault to shift the predictions of all signals: each that is left as it is costs -2 ln `UNMOVED`, and that
-choice counts which has the least misfit. Beside free shifts a fault with assumed sizes has a price too: its size, m = 1.
+choice counts which has the least misfit. Beside free shifts a fault with assumed sizes has a price too: of its size.
 """
 
 from collections.abc import Collection, Mapping, Sequence
