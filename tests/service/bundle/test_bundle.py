@@ -141,7 +141,7 @@ def test_a_file_that_cannot_be_read_is_refused(bundle: Path, monkeypatch: pytest
     refused(bundle, r"manifest\.json: cannot be read: Input/output error; check the folder's permissions")
 
 
-@pytest.mark.parametrize("schema", ["faultline.bundle/5", "faultline.bundle/7", "other/1"])
+@pytest.mark.parametrize("schema", ["faultline.bundle/6", "faultline.bundle/8", "other/1"])
 def test_an_unknown_version_is_refused_before_anything_else(bundle: Path, schema: str) -> None:
     edit(bundle, lambda manifest: manifest.update(schema=schema, something_new=1))
     refused(bundle, f"schema: this is '{schema}', this faultline runs 'faultline.bundle/7'")

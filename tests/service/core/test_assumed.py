@@ -23,7 +23,7 @@ class Made:
         following = x + 1.0
         if self.broken is not None:
             following[self.broken] = np.nan
-        return [r, r, r, r, following]
+        return [r, r, r, following]
 
 
 def test_the_shift_is_the_residual_less_what_it_would_be_under_the_fault() -> None:
