@@ -20,6 +20,9 @@ from faultline.analysis.graph.writer import Writer
 WIDE = 32
 """Inputs of a product of several functions at most: with more, its zeros cost more than the product spares."""
 
+LARGEST_LOG_V = 20.0
+"""A sigma of some 20,000 spreads of the signal: where a network that runs away would say more, float32 ends."""
+
 Array = npt.NDArray[np.float64]
 Columns = npt.NDArray[np.intp]
 
@@ -37,7 +40,7 @@ class Functions:
 
 @dataclass(frozen=True)
 class Variance:
-    """log v of each test; sigma is `factor` (T,) times sqrt(v + spread^2), all scaled.
+    """log v of each test, `LARGEST_LOG_V` at most; sigma is `factor` (T,) times sqrt(v + spread^2), all scaled.
 
     The columns of `functions` are of [new states; old states; signals; held; 0].
     """
@@ -94,6 +97,8 @@ def cell_graph(c: Cells) -> bytes:
     known = w.slice(every, 1, M * F, M * F + nz + H + 1)
     own = w.concat([centre, _mean(w, old, M, F), known], axis=1)
     log_v = _functions(w, own, c.variance.functions.columns, c.variance.functions.layers)
+    largest = _float(w, np.array(LARGEST_LOG_V))
+    log_v = w("Sub", largest, w("Relu", w("Sub", largest, log_v)))
     sigma = w.cast(w("Sqrt", w("Add", w("Exp", log_v), among)), np.float64)
     size, offset = c.z_size[c.predicts], c.z_offset[c.predicts]
     y_hat = w("Add", w("Mul", w.cast(mean, np.float64), w.constant(size)), w.constant(offset))

@@ -98,3 +98,17 @@ def test_recordings_side_by_side_are_each_by_itself() -> None:
     for row in range(3):
         for found, alone in zip(together, graph(z=z[row : row + 1], x=x[row : row + 1]), strict=True):
             assert found[row] == pytest.approx(alone[0], rel=1e-6)
+
+
+def test_a_network_that_runs_away_has_a_sigma_that_is_a_number() -> None:
+    """Else float32 ends, and a bundle with it is refused."""
+    layout, samples = layout_of(load_model("uds"), ["t06"]), dosing(3)
+    examples = reckoned(layout, samples, Equations(layout))
+    networks = Networks(layout, dataclasses.replace(DEFAULT, folds=2), 2)
+    windows = Windows(layout, examples, [], scaling_of(examples, "spread"), 2, 0)
+    spread = variances(layout, windows, free_run(networks, windows), 0)
+    graph = Graph(cell_graph(cells_of(layout, scaling_of(examples, "spread"), networks, spread)))
+    far = np.full((1, 2 * len(layout.states) + len(layout.held)), 1e12)
+    _, _, sigma, _ = graph(z=samples.stretches[0].z[:1], x=far)
+    assert np.isfinite(sigma).all()
+    assert (sigma > 1e6).all()
