@@ -15,9 +15,9 @@ from faultline.service.core.manifest import Consequence, Hypothesis, SizeUnit
 Array = npt.NDArray[np.float64]
 
 BIASES = (1 / 16, 1 / 2, 4.0)
-"""Of the range in which a signal lies without a fault: that of a pressure behind a filter is narrow."""
+"""Sizes are parts of the range in which a signal lies without a fault; that of a pressure behind a filter is narrow."""
 RANGE = (0.01, 0.99)
-"""Quantiles."""
+"""The range lies between these quantiles."""
 
 
 def biases_of(model: Model, samples: Array) -> list[Hypothesis]:

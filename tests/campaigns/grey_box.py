@@ -140,7 +140,7 @@ def trained(
 
 
 def judged(model: Model, networks: Networks, recording: Path) -> dict[str, dict[str, float]]:
-    """By test: RMS error [Pa] of equations and networks, coverage of the band."""
+    """Return by test the RMS error [Pa] of equations and networks, and the coverage of the band."""
     return {
         test: {
             "equations": _rms(of.equations[of.usable]),

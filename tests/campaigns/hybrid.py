@@ -1,6 +1,6 @@
 """The thesis' question: do networks make a diagnosis system, and from the structure alone? `make campaign-hybrid`.
 
-    .venv/bin/python tests/campaigns/hybrid.py --vehicles 711 712
+    .venv/bin/python tests/campaigns/hybrid.py --vehicles 901 902
 
 Trucks of the rig's fleet (profile `everyday`, hidden effects), with the same training recording, tuning drives, faults
 and drives for four bundles: calibrated equations, networks alone (trained with what the equations know), networks from
@@ -51,7 +51,15 @@ SEVERE: Mapping[str, float] = {
 LARGE = {name: large for name, (_, large) in frozen().items()}
 RESULTS = Path("docs/results/hybrid.jsonl")
 WORK = Path("out/campaign-hybrid")
-FROZEN = ("analysis", "service", "testbench", "training", "dbc", "tests/campaigns/hybrid.py")
+FROZEN = (
+    "analysis",
+    "service",
+    "testbench",
+    "training",
+    "dbc",
+    "tests/campaigns/hybrid.py",
+    "tests/campaigns/diagnosis_shop.py",
+)
 
 
 def cases(number: int, effects_set: Set) -> Iterator[Case]:

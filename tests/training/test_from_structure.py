@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import patch
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,7 +19,9 @@ from faultline.analysis.structure import Test, find_tests, structure_of
 from faultline.analysis.structure.command import main as structure
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.load import load_bundle, verify_golden
+from faultline.service.core.decision.hypotheses import without_sizes
 from faultline.service.core.errors import InputError
+from faultline.service.core.manifest import Disturbance
 from faultline.service.core.residuals.generators import Graph
 from faultline.service.diagnose.command import main as diagnose
 from faultline.testbench import tanks
@@ -164,6 +167,16 @@ def test_what_is_no_component_s_fault_stays_near_its_equation() -> None:
     assert parse_model(dump_model(model), "again") == model
     assert (model.disturbances["leak"].component, [*model.faults]) == ("", ["f_clogged", "fy"])
     assert [*without_formulas(load_model("uds")).disturbances] == ["fq_leak"]
+
+
+def test_a_disturbance_without_sizes_may_shift_what_has_its_equation(made: Made) -> None:
+    manifest = load_bundle(made.bundle).manifest
+    first = manifest.generators[0]
+    equation = first.equations[0]
+    leak = Disturbance(name="leak", equation=equation, description="")
+    found = without_sizes(msgspec.structs.replace(manifest, disturbances=[leak]))["leak"]
+    assert found == {g.name: g.predicts for g in manifest.generators if equation in g.equations}
+    assert first.name in found
 
 
 def test_what_computes_says_that_a_formula_is_missing(made: Made, tmp_path: Path) -> None:

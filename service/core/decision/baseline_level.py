@@ -11,6 +11,7 @@ import numpy as np
 from faultline.service.core.decision.baseline import BaselineModel, GaussianState
 from faultline.service.core.decision.straying import Apparent, Level, Straying
 from faultline.service.core.manifest import Evidence, Follower, Twin
+from faultline.service.core.residuals.generators import NO_EXCESS
 from faultline.service.core.signals.values import FloatArray
 
 WIDENED = 3.0
@@ -57,7 +58,7 @@ class BaselineLevel:
             part=model.apparent_part,
         )
 
-    def taken_off(self, mode: int, residuals: FloatArray, excess: FloatArray | None = None) -> FloatArray:
+    def taken_off(self, mode: int, residuals: FloatArray, excess: FloatArray = NO_EXCESS) -> FloatArray:
         """Return the residuals (T,) of a tick without the baseline; those of networks without a twin as they are.
 
         The less is known of the baseline, and the larger the `excess` (T,) of a network's variance, the nearer they are
@@ -66,7 +67,7 @@ class BaselineLevel:
         """
         level = residuals.copy()
         offset, moved, wider = self._offset[mode], self._moved, self._wider[mode]
-        if excess is not None and excess.ndim:
+        if excess.ndim:
             wider = np.sqrt(wider**2 + excess[moved] / self._spread[mode] ** 2)
         level[moved] = offset + (residuals[moved] - offset - self._mean[mode]) / wider
         return level

@@ -3,9 +3,9 @@
 The change detection suspects (`core.decision.drive_change`); and detectors do whose residuals are no evidence, or while
 some of the evidence cannot tell. That opens a window. A sure change confirms a fault, or what is seen in the window
 once some hypothesis fits it better than no fault does by more than chance makes; until then nothing is named. Names are
-hitting sets of the conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks raise
-suspicion and are no conflicts: they may alarm where a fault that their test decouples brings operation that was rare in
-training.
+hitting sets of the conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks beside
+equations raise suspicion and are no conflicts: they may alarm where a fault that their test decouples brings operation
+that was rare in training. In a bundle of networks alone they are the evidence.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
 once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as

@@ -91,7 +91,7 @@ class Segments(NamedTuple):
 
 
 Signatures = Mapping[str, Indices]
-"""By the name of a fault without assumed sizes: the number of the signal that each generator of the evidence (K,)
+"""Each fault without assumed sizes has, of every generator of the evidence (K,), the number of the signal that this
 predicts, -1 where it is not sensitive to the fault."""
 
 

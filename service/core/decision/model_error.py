@@ -1,4 +1,4 @@
-"""Where a network predicts what it has not learnt: the variance of its error beyond that of usual operation.
+"""The model error adds to the variance of a network's residual where the operation is not as in training.
 
 A network says how large its own error is, by what it has learnt of it and by how far its members are apart. In usual
 operation that is in the spread and the noise of the evidence. Beyond it the variance of the error is
@@ -17,7 +17,7 @@ from faultline.service.core.manifest import Evidence
 from faultline.service.core.residuals.generators import Residuals
 
 ALIKE = 3.0
-"""How many times larger the members' common error is than what they are apart. Chosen on a bench (0 to 4 tried) and on
+"""The members' common error is so many times what they are apart. Chosen on a bench (0 to 4 tried) and on
 two trucks of development (1 and 3)."""
 
 MOST = 10.0

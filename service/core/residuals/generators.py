@@ -36,6 +36,7 @@ MOST_DOUBTFUL = 2 * SAMPLES
 NOTHING, NOWHERE = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
 NOT_HELD = np.zeros((), dtype=np.bool_)
 FRESH = np.zeros(())
+NO_EXCESS = np.zeros(())
 
 
 class Residuals(NamedTuple):
@@ -56,7 +57,7 @@ class Residuals(NamedTuple):
     brought: Mask = NOWHERE
     level: FloatArray | None = None
     held: Mask = NOT_HELD
-    excess: FloatArray = FRESH
+    excess: FloatArray = NO_EXCESS
 
     @property
     def counted(self) -> Mask:
