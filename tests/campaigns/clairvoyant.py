@@ -1,6 +1,6 @@
 """Is the limit one, on recordings? `make campaign-clairvoyant`.
 
-    .venv/bin/python tests/campaigns/clairvoyant.py --vehicles 911 912
+    .venv/bin/python tests/campaigns/clairvoyant.py --vehicles 931 932
 
 Trucks of the rig's fleet (profile `everyday`, hidden effects of set A or B), calibrated and tuned as their workshop
 would (`diagnosis_shop`), and drives with each small and large fault of the frozen list. A clairvoyant that knows fault,
@@ -33,7 +33,7 @@ from faultline.service.core.errors import InputError
 
 Record = dict[str, Any]
 
-VEHICLES = (911, 912, 913, 914)
+VEHICLES = (931, 932, 933, 934)
 EARLY = 1.645
 """Standard deviations that one in twenty is beyond."""
 HEAD = """# The limit beside a clairvoyant

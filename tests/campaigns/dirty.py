@@ -1,6 +1,6 @@
 """Samples that are off, in drives with and without a fault: `make campaign-dirty`.
 
-    .venv/bin/python tests/campaigns/dirty.py --vehicles 901 902
+    .venv/bin/python tests/campaigns/dirty.py --vehicles 921 922
 
 Trucks of the rig's fleet (profile `everyday`, hidden effects of set A or B), calibrated and tuned as their workshop
 would (`diagnosis_shop`). One fault-free drive and one with each of some faults; then the same frames again, with part
@@ -29,7 +29,7 @@ from faultline.testbench.traffic import Frame, frames
 
 Record = dict[str, Any]
 
-VEHICLES = tuple(range(901, 905))
+VEHICLES = tuple(range(921, 925))
 SECONDS = 420.0
 PART = 0.05
 """This part of the samples of one signal is off."""

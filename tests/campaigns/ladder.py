@@ -1,6 +1,6 @@
 """Faults from small to total failure on vehicles that nothing was chosen on: `make campaign-ladder`.
 
-    .venv/bin/python tests/campaigns/ladder.py --vehicles 501 502
+    .venv/bin/python tests/campaigns/ladder.py --vehicles 521 522
 
 Eight trucks of the rig's fleet (profile `everyday`, hidden effects of set A or B), calibrated and tuned as their
 workshop would (`diagnosis_shop`). Of each component five sizes, abrupt, within a drive; one from the start of a drive,
@@ -31,8 +31,8 @@ from faultline.testbench.traffic import frames
 
 Record = dict[str, Any]
 
-VEHICLES = tuple(range(501, 509))
-"""Numbers are new. Sets A and B in turn: hidden effects that the decision's development had, on other vehicles."""
+VEHICLES = tuple(range(521, 529))
+"""Sets A and B in turn: hidden effects that the decision's development had, on vehicles that nothing was chosen on."""
 SECONDS = 480.0
 FROM_START_S = 2.0
 SIZES: dict[str, tuple[float, ...]] = {
@@ -58,6 +58,9 @@ All data are **simulated** by the rig. Made by `make campaign-ladder`; vehicles,
 component is among no explanation, whatever its rank, neither alone nor as one of two. *Rank 1*: alone, or one of
 several. A leak, which is no component's, is right where the fault is unknown near its equation. Cases in which a
 clogged pump filter changes nothing that is measured are left out. Intervals of 95 % are exact (Clopper and Pearson).
+
+The decision was developed after a first look, at vehicles 501 to 508 (commit ba26e09c, code that changed in between):
+3.9 % of 558 excluded, 94.6 % of rank 1, 9 diagnoses in 21.1 fault-free hours.
 """
 RESULTS = Path("docs/results/ladder.jsonl")
 WORK = Path("out/campaign-ladder")

@@ -1,6 +1,6 @@
 """Faults that no model declares, on vehicles that nothing was chosen on: `make campaign-undeclared`.
 
-    .venv/bin/python tests/campaigns/undeclared.py --vehicles 601 602
+    .venv/bin/python tests/campaigns/undeclared.py --vehicles 621 622
 
 Trucks of the rig's fleet (profile `everyday`, hidden effects of set A or B), calibrated and tuned as their workshop
 would (`diagnosis_shop`). Of each fault of `testbench.undeclared`, and of a leak, one size that shows and a severe one,
@@ -23,7 +23,7 @@ from faultline.testbench.undeclared import UNDECLARED
 
 Record = dict[str, Any]
 
-VEHICLES = tuple(range(601, 607))
+VEHICLES = tuple(range(621, 627))
 SECONDS = 480.0
 SIZES = {name: (each.shows, each.severe) for name, each in UNDECLARED.items()} | {"leak_ap": (0.1, 1.8)}
 EQUIVALENT = {"air_tp": ("fq_pump", "fA_p"), "return_kinked": ("fA_ori",), "inlet_sticks": ("fy_p_ap",)}
@@ -40,6 +40,9 @@ probability, so that *of rank 1* is what the evidence says. *One wrong component
 is no unknown one. Three faults do to all that is measured what a declared one does: air in the suction pipe
 (a worn pump), a kinked return (its clogged orifice), and a sticking inlet valve (the sensor before it). They are
 counted, and left out in rows of their own. Intervals of 95 % are exact (Clopper and Pearson).
+
+The decision was developed after a first look, at vehicles 601 to 604 (commit ba26e09c): unknown among the explanations
+in 54 % of 87, one wrong component in 22 %.
 """
 RESULTS = Path("docs/results/undeclared.jsonl")
 WORK = Path("out/campaign-undeclared")
