@@ -9,13 +9,13 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.analysis.evaluation.given import Given, check_reportable, given
+from faultline.analysis.evaluation.given import Given, check_reportable, given, learnt_from
 from faultline.analysis.evaluation.judge import Verdict, apart, judge
 from faultline.analysis.evaluation.live import live_events
 from faultline.analysis.evaluation.measure.facts import Facts, facts, labelled
 from faultline.analysis.evaluation.report.document import isolating
 from faultline.analysis.evaluation.sentence import sentence, summary
-from faultline.analysis.evaluation.story import Story, tell
+from faultline.analysis.evaluation.story import Array, Story, tell
 from faultline.analysis.model.display import units_of_inputs
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
@@ -33,8 +33,8 @@ EXAMPLE = """example:
 Times are log time after the first frame, as in the truth; an event's own count from the first tick, some seconds later.
 It exits with 1 where a true fault is not in the isolated set, something alarmed before, a test could never tell, or no
 generator does what --require asks for.
---json prints a verdict a line. --report writes DIR/report.html and DIR/report.json; docs/evaluation.md says how to
-read them.
+--json prints a verdict a line. --report writes DIR/report.html, DIR/figures.html (every test in pictures) and
+DIR/report.json; docs/evaluation.md says how to read them.
 """
 
 DETAILED = 12
@@ -53,21 +53,30 @@ def main(argv: list[str]) -> int:
         _check_required(options.require, bundle, chosen)
         check_folder(options.report)
         check_reportable(chosen, bundle)
+    others = {str(path): load_bundle(path) for path in options.beside}
+    for other in others.values():
+        given(other, options.recording, options.truth)  # made from none of them either
+    made_from = learnt_from(bundle, options.made_from)
     judged: list[Facts] = []
     stories: list[Story] = []
+    beside: dict[str, list[Story]] = {name: [] for name in others}
     with Progress("evaluating") as progress:
         for one, story, events, verdict in _judged(options, bundle, chosen, progress):
             print(msgspec.json.encode(verdict).decode() if options.json else sentence(verdict), flush=True)
             judged.append(facts(one, verdict, events, story))
             if options.report and one.recording.id in shown:
                 stories.append(replace(story, events=events))  # of a bus, where those are judged
+                for name, other in others.items():
+                    progress.say(f"{one.recording.id} by {name}")
+                    beside[name].append(tell(other, one.open(other, lambda _: None)))
         judged = labelled(judged, units_of_inputs(bundle.manifest.inputs))
         if len(chosen) > 1:
             print(summary(judged), file=sys.stderr if options.json else sys.stdout)
         unmet: list[str] = []
         if options.report:
             progress.say("drawing the report")
-            unmet = _report(options.report, bundle, judged, stories, [*map(_pair, options.require)])
+            required = [*map(_pair, options.require)]
+            unmet = _report(options.report, bundle, judged, stories, required, made_from, beside)
             for what in unmet:
                 progress.note(f"--require: {what}: by no generator in these recordings; the report chooses without it")
     return 0 if all(one.verdict.good for one in judged) and not unmet else 1
@@ -91,15 +100,31 @@ def _options(argv: list[str]) -> argparse.Namespace:
         metavar="FAULT[:OTHER]",
         help="generators to keep must detect this fault, or isolate it from the other (default: all that they can)",
     )
+    add(
+        "--made-from",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RECORDING",
+        help="recordings that the bundle was made from: their operating points are drawn",
+    )
+    add(
+        "--beside",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="BUNDLE",
+        help="other bundles, whose predictions of the recordings shown over time are drawn beside",
+    )
     add("--events", type=Path, help="judge these events (JSON lines of a live run) instead of its own; one recording")
     add("--picture", type=Path, help="draw signals, residuals, CUSUM and alarms into this PNG; one recording")
     add("--json", action="store_true", help="print verdicts as JSON, one a line")
     options = parser.parse_args(argv)
     if options.picture and options.picture.suffix != ".png":
         raise InputError(f"{options.picture}: no name of a picture; give one that ends in .png")
-    for name in ("require", "detail"):
+    for name in ("require", "detail", "made_from", "beside"):
         if getattr(options, name) and not options.report:
-            raise InputError(f"--{name}: is about the report; give --report DIR too")
+            raise InputError(f"--{name.replace('_', '-')}: is about the report; give --report DIR too")
     for name in ("picture", "events"):
         if getattr(options, name) and len(options.recording) > 1:
             raise InputError(f"--{name}: of one recording, here are {len(options.recording)}; give one, or --report")
@@ -187,10 +212,16 @@ def _draw(story: Story, live: list[Event] | None, verdict: Verdict, path: Path) 
 
 
 def _report(
-    folder: Path, bundle: Bundle, judged: list[Facts], stories: list[Story], required: list[tuple[str, str | None]]
+    folder: Path,
+    bundle: Bundle,
+    judged: list[Facts],
+    stories: list[Story],
+    required: list[tuple[str, str | None]],
+    made_from: list[tuple[str, Array]],
+    beside: dict[str, list[Story]],
 ) -> list[str]:
     """Writes the report; returns what is required and no generator does."""
     from faultline.analysis.evaluation.report.write import write  # matplotlib takes a second to import
 
-    chosen = write(folder, bundle, judged, stories, required).selection
+    chosen = write(folder, bundle, judged, stories, required, made_from, beside).selection
     return chosen.unmet if chosen else []

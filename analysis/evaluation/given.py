@@ -6,7 +6,10 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from faultline.analysis.evaluation.blocks import BLOCK
+from faultline.analysis.evaluation.story import Array
 from faultline.analysis.evaluation.truth import Truth, find_truth
 from faultline.analysis.recordings.observe import open_known, samples_of
 from faultline.service.bundle.load import Bundle
@@ -50,8 +53,7 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
     for path in paths:
         recording = _described(path)
         recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {bundle.where}")
-        log = hashlib.sha256((path / recording.file).read_bytes()).hexdigest()
-        own = (recording.can and recording.can.bench_sha256) or log
+        log, own = _hashes(path, recording)
         if own in drives:
             raise InputError(f"{path}: the same recording as {drives[own]}; give each once")
         if any(other.recording.id == recording.id for other in found):
@@ -60,6 +62,23 @@ def given(bundle: Bundle, paths: Sequence[Path], truths: Sequence[Path], faults:
         drives[own] = path
         found.append(Given(path, recording, find_truth(truths, recording.id)))
     return _chosen(found, bundle, faults)
+
+
+def learnt_from(bundle: Bundle, paths: Sequence[Path]) -> list[tuple[str, Array]]:
+    """Ids and samples (K, signals) of recordings that the bundle was calibrated, trained or tuned with.
+
+    Raises:
+        InputError: one of them is not such a recording.
+    """
+    origin, found = bundle.manifest.origin, []
+    for path in paths:
+        recording = _described(path)
+        if {*_hashes(path, recording)}.isdisjoint({*origin.calibrate, *origin.train, *origin.tune}):
+            raise InputError(f"{path}: the bundle {bundle.where} was not made from this recording; leave it out")
+        log = Given(path, recording, Truth(schema=1, recording=recording.id)).open(bundle, lambda _: None)
+        ticks = samples_of(bundle.manifest, log.signals(bundle.table))
+        found.append((recording.id, np.array([tick.z for tick in ticks]).reshape(-1, len(bundle.manifest.inputs))))
+    return found
 
 
 def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
@@ -86,6 +105,12 @@ def check_reportable(chosen: Sequence[Given], bundle: Bundle) -> None:
         f"{like}never in mode {', '.join(manifest.modes.names[mode] for mode in sorted(modes))}; a report needs every "
         "mode, add a recording that has it"
     )
+
+
+def _hashes(path: Path, recording: Recording) -> tuple[str, str]:
+    """Return the hash of the recording's log, and of the drive: that of the log which it was ingested from."""
+    log = hashlib.sha256((path / recording.file).read_bytes()).hexdigest()
+    return log, (recording.can and recording.can.bench_sha256) or log
 
 
 def _described(path: Path) -> Recording:

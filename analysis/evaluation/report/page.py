@@ -20,7 +20,7 @@ def page(e: Evaluation, drawn: Mapping[str, Sequence[Picture]]) -> str:
         title=f"Evaluation of bundle {e.bundle}",
         e=e,
         verdict=_verdict(e),
-        origin=_origin(e),
+        origin=origin(e),
         drawn=drawn,
         tables=tables,
         terms=[*TERMS, ("Operating modes", modes_of(e.modes))],
@@ -46,7 +46,8 @@ def _verdict(e: Evaluation) -> str:
     )
 
 
-def _origin(e: Evaluation) -> str:
+def origin(e: Evaluation) -> str:
+    """What was judged, and on which recordings."""
     sources = ", ".join(dict.fromkeys(one.source for one in e.recordings))
     vehicles = ", ".join(dict.fromkeys(one.vehicle for one in e.recordings))
     hours = sum(one.fault_free_hours + one.faulty_hours for one in e.recordings)

@@ -29,14 +29,15 @@ def pictures(e: Evaluation, of: Sequence[Facts], stories: Sequence[Story]) -> di
     facts = {one.verdict.recording: one for one in of}
     drawn = [(story, facts[story.recording]) for story in stories]
     return {
-        "histograms": [_picture(*made) for made in histograms.draw(e, of)],
-        "roc": [_picture(*made) for made in curves.draw(e, of)],
-        "methods": [_picture(*made) for made in compared.draw(e, drawn)],
-        "traces": [_picture(*traces.draw(e, story, one)) for story, one in drawn],
+        "histograms": [picture(*made) for made in histograms.draw(e, of)],
+        "roc": [picture(*made) for made in curves.draw(e, of)],
+        "methods": [picture(*made) for made in compared.draw(e, drawn)],
+        "traces": [picture(*traces.draw(e, story, one)) for story, one in drawn],
     }
 
 
-def _picture(figure: Figure, alt: str, caption: str) -> Picture:
+def picture(figure: Figure, alt: str, caption: str) -> Picture:
+    """A figure as a picture."""
     out = io.BytesIO()
     figure.savefig(out, dpi=DPI, metadata={"Software": None})  # the same data give the same bytes
     return Picture(out.getvalue(), alt, caption)

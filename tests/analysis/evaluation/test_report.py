@@ -59,7 +59,7 @@ def test_the_page_is_one_file_that_needs_nothing_else(tree: ElementTree.Element,
     assert not [*tree.iter("script"), *tree.iter("link"), *tree.iter("iframe")]
     assert all(image.get("src", "").startswith("data:image/png;base64,") for image in tree.iter("img"))
     assert "http" not in "".join(tree.itertext())
-    assert sorted(path.name for path in report.iterdir()) == ["report.html", "report.json"]
+    assert sorted(path.name for path in report.iterdir()) == ["figures.html", "report.html", "report.json"]
 
 
 def test_every_picture_has_words_and_every_table_heads(tree: ElementTree.Element) -> None:
@@ -136,7 +136,7 @@ def test_the_data_say_what_was_told(data: Evaluation) -> None:
 
 def test_the_same_recordings_give_the_same_bytes(made: Made, report: Path, tmp_path: Path) -> None:
     again = written(made, tmp_path / "again")
-    for name in ("report.html", "report.json"):
+    for name in ("report.html", "report.json", "figures.html"):
         assert (again / name).read_bytes() == (report / name).read_bytes()
 
 
