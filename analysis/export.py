@@ -69,6 +69,8 @@ def main(argv: list[str]) -> int:
             f"{options.tuning}: was made for another model than {options.model}; run `faultline tune` again"
         )
     _check_networks(tuning, runnable, options.tuning)
+    runnable = runnable.without(tuning.left_out)
+    bank = runnable.bank
     path, senders, buses, signals = _of_bus(options.dbc, options.recording)
     chosen = {**senders, **senders_of(options.sender)}, {**buses, **buses_of(options.bus)}, signals
     dbc = None if path is None else (path.name, _dbc(path, bank, *chosen))

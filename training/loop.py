@@ -28,6 +28,9 @@ Array = npt.NDArray[np.float64]
 EVERY = 50
 """Iterations between two looks at the free run."""
 
+ROOM = 2.0
+"""Ranges of a state in training by which it may leave that range: a fault does, and a network that runs away."""
+
 EPSILON = 1e-8
 """Adam's, against division by zero."""
 
@@ -98,6 +101,7 @@ class Training:
             self.networks.load_state_dict(begin.weights)
         else:
             self._linear([*examples, *others])
+            self.networks.bound(*_bounds([*examples, *others], scaling))
         self.networks.to(device)
         self._near, self._owner = self.windows.to(device), torch.as_tensor(layout.owner, device=device)
         fixed = () if self.networks.outputs.hidden else (self.networks.outputs.first,)  # h is a state: no gain to learn
@@ -269,6 +273,14 @@ class Training:
                 f"training diverges after {self.done} iterations ({why}), before every test had run freely once; train "
                 "on more data, or with another --seed or --recipe"
             )
+
+
+def _bounds(examples: Sequence[Example], scaling: Scaling) -> tuple[Array, Array]:
+    """The lowest and highest scaled values (F,) of the states: those of the examples, and `ROOM` times their range."""
+    x = scaling.x(np.concatenate([example.x for example in examples]))
+    lowest, highest = x.min(axis=0), x.max(axis=0)
+    room = ROOM * (highest - lowest)
+    return lowest - room, highest + room
 
 
 def _rms(square: Tensor, weight: Tensor) -> Tensor:

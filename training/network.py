@@ -2,12 +2,16 @@
 
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from faultline.training.layout import Layout
 from faultline.training.recipe import Recipe
 from faultline.training.stack import Stack
+
+Array = npt.NDArray[np.float64]
 
 SPEED = 2.0
 """Where the relaxation of a state begins, as a logit: 0.88 of the way in a tick."""
@@ -39,13 +43,24 @@ class Networks(nn.Module):
         hidden = () if simple and not recipe.learns_h else recipe.hidden
         self.outputs = Stack(layout.outputs.tolist(), members, hidden, SMALL, layout.padding)
         self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
+        self.lowest: Tensor
+        self.highest: Tensor
+        for name, value in (("lowest", -torch.inf), ("highest", torch.inf)):
+            self.register_buffer(name, torch.full((members, len(layout.states), 1), value))
+
+    def bound(self, lowest: Array, highest: Array) -> None:
+        """Keep the states (F,) within these values: what runs away in one test would end the graph of all."""
+        for buffer, value in ((self.lowest, lowest), (self.highest, highest)):
+            buffer[:] = torch.as_tensor(value, dtype=buffer.dtype)[:, None]
 
     def advanced(self, x: Tensor, u: Tensor) -> Tensor:
         """The states after a tick with inputs u."""
         f: Tensor = self.rates(torch.cat([x, u], dim=1))
         if self.recipe.cell == "increment":
-            return x + self._period_s * f
-        return torch.lerp(x, f, torch.sigmoid(self.logit))
+            after = x + self._period_s * f
+        else:
+            after = torch.lerp(x, f, torch.sigmoid(self.logit))
+        return torch.clamp(after, self.lowest, self.highest)
 
     def predicted(self, x: Tensor, u: Tensor) -> Tensor:
         """What the tests predict (M, T, B)."""

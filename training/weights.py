@@ -33,6 +33,8 @@ def cells_of(layout: Layout, scaling: Scaling, networks: Networks, variances: Va
         rates=Functions(_columns(layout, networks.columns, layout.owner, states), _layers(networks.rates)),
         outputs=Functions(_columns(layout, layout.outputs, np.arange(tests), states), _layers(networks.outputs)),
         speed=_array(speed),
+        lowest=_array(networks.lowest[:, :, 0]),
+        highest=_array(networks.highest[:, :, 0]),
         relaxes=relaxes,
         newest=networks.recipe.newest,
         predicts=layout.predicts,

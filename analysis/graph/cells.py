@@ -5,9 +5,9 @@ small network (thesis 3.3, 5.10):
 
     x+ = x + s (f(x, z) - x)   or   x + Ts f(x, z);        y = h(x+, z)   or, with the old input (thesis 3.6), h(x, z)
 
-of M members; z are the signals now and, where a test holds them as further states, those a tick before. What leaves the
-graph is the mean prediction of the members, and sigma from a variance network and from the members' spread. Scaling is
-done in float64 at the edge, all else in float32.
+of M members, x+ kept within bounds; z are the signals now and, where a test holds them as further states, those a tick
+before. What leaves the graph is the mean prediction of the members, and sigma from a variance network and from the
+members' spread. Scaling is done in float64 at the edge, all else in float32.
 """
 
 from dataclasses import dataclass
@@ -54,9 +54,10 @@ class Cells:
     """Trained networks of T tests with F states, M members; a value is offset + size * scaled.
 
     `owner` (F,) is the test of a state, `held` are test and signal of H values a tick before, `predicts` (T,) the
-    signal of each test. `speed` (M, F) is s, or Ts throughout where `relaxes` is false; `newest` whether h sees the new
-    states. Columns of functions count [states (F); signals (nz); held (H); 0]; variance looks at the
-    ensemble's mean states. Weights of the column that is 0 are zero.
+    signal of each test. `speed` (M, F) is s, or Ts throughout where `relaxes` is false; states are kept within
+    `lowest` and `highest` (M, F), scaled; `newest` whether h sees the new states.
+    Columns of functions count [states (F); signals (nz); held (H); 0]; variance looks at the ensemble's mean states.
+    Weights of the column that is 0 are zero.
     """
 
     members: int
@@ -69,6 +70,8 @@ class Cells:
     rates: Functions
     outputs: Functions
     speed: Array
+    lowest: Array
+    highest: Array
     relaxes: bool
     newest: bool
     predicts: Columns
@@ -90,6 +93,7 @@ def cell_graph(c: Cells) -> bytes:
     old = w.slice(every, 1, 0, M * F)
     way = _functions(w, every, _columns(c.rates, M, F, M * F), _slowed(c.rates.layers, c.speed))
     new = w("Add", w("Mul", old, _float(w, 1.0 - c.speed.reshape(1, -1))) if c.relaxes else old, way)
+    new = _bounded(w, new, c.lowest.reshape(1, -1), c.highest.reshape(1, -1))
     seen, first = (w.concat([new, every], axis=1), 2 * M * F) if c.newest else (every, M * F)
     y = _functions(w, seen, _columns(c.outputs, M, F, first), c.outputs.layers)
     mean, among = _mean(w, y, M, T), _spread(w, y, M, T)
@@ -97,8 +101,7 @@ def cell_graph(c: Cells) -> bytes:
     known = w.slice(every, 1, M * F, M * F + nz + H + 1)
     own = w.concat([centre, _mean(w, old, M, F), known], axis=1)
     log_v = _functions(w, own, c.variance.functions.columns, c.variance.functions.layers)
-    largest = _float(w, np.array(LARGEST_LOG_V))
-    log_v = w("Sub", largest, w("Relu", w("Sub", largest, log_v)))
+    log_v = _below(w, log_v, np.array(LARGEST_LOG_V))
     sigma = w.cast(w("Sqrt", w("Add", w("Exp", log_v), among)), np.float64)
     size, offset = c.z_size[c.predicts], c.z_offset[c.predicts]
     y_hat = w("Add", w("Mul", w.cast(mean, np.float64), w.constant(size)), w.constant(offset))
@@ -110,6 +113,20 @@ def cell_graph(c: Cells) -> bytes:
     held_next = np.concatenate([np.arange(M * F), M * F + signal])
     w.output("x_next", w.gather(after, held_next[outside], 1), ["B", M * F + H])
     return w.model("faultline-rnn")
+
+
+def _bounded(w: Writer, values: str, lowest: Array, highest: Array) -> str:
+    """The values within bounds; infinite ones, of networks that have not been trained, are none."""
+    if not np.isfinite([lowest, highest]).all():
+        return values
+    bound = _float(w, lowest)
+    return _below(w, w("Add", bound, w("Relu", w("Sub", values, bound))), highest)
+
+
+def _below(w: Writer, values: str, highest: Array) -> str:
+    """The values, or the highest where they are above."""
+    bound = _float(w, highest)
+    return w("Sub", bound, w("Relu", w("Sub", bound, values)))
 
 
 def _scaled(w: Writer, given: str, c: Cells, inside: Columns, signal: Columns) -> str:

@@ -20,23 +20,28 @@ def corrected(raw: bytes, biases: Array, rows: Sequence[int], columns: npt.NDArr
     """
     model = onnx.load_model_from_string(raw)
     graph = model.graph
+    of = f"of_{len(graph.node)}"  # a graph that was cut once may be cut again
     for node in graph.node:
-        renamed = {"z": "z_corrected", "x": "x_every"}
+        renamed = {"z": f"z_{of}", "x": f"x_{of}"}
         node.input[:] = [renamed.get(name, name) for name in node.input]
-        node.output[:] = [f"{name}_every" if name in Graph.OUTPUTS else name for name in node.output]
+        node.output[:] = [f"{name}_{of}" if name in Graph.OUTPUTS else name for name in node.output]
     place = np.zeros(states, dtype=np.int64)
     place[columns] = np.arange(len(columns))
     constants = {"biases": biases, "place": place, "rows": np.array(rows), "columns": columns}
     before = [
-        helper.make_node("Sub", ["z", "biases"], ["z_corrected"]),
-        helper.make_node("Gather", ["x", "place"], ["x_every"], axis=1),
+        helper.make_node("Sub", ["z", f"biases_{of}"], [f"z_{of}"]),
+        helper.make_node("Gather", ["x", f"place_{of}"], [f"x_{of}"], axis=1),
     ]
-    of = {name: "columns" if name == "x_next" else "rows" for name in Graph.OUTPUTS}
-    after = [helper.make_node("Gather", [f"{name}_every", of[name]], [name], axis=1) for name in Graph.OUTPUTS]
+    after = [
+        helper.make_node(
+            "Gather", [f"{name}_{of}", f"columns_{of}" if name == "x_next" else f"rows_{of}"], [name], axis=1
+        )
+        for name in Graph.OUTPUTS
+    ]
     nodes = [*before, *graph.node, *after]
     del graph.node[:]
     graph.node.extend(nodes)
-    graph.initializer.extend(numpy_helper.from_array(value, name) for name, value in constants.items())
+    graph.initializer.extend(numpy_helper.from_array(value, f"{name}_{of}") for name, value in constants.items())
     widths = {"z": biases.shape[1], "x": len(columns), "x_next": len(columns)}
     for value in (*graph.input, *graph.output):
         value.type.tensor_type.shape.dim[1].dim_value = widths.get(value.name, len(rows))

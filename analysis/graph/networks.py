@@ -5,12 +5,14 @@ the networks know its structure and the recordings, not its parameters.
 """
 
 import hashlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
 import numpy as np
 
+from faultline.analysis.graph.corrected import corrected
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
 from faultline.service.bundle.load import GRAPH_ERRORS
@@ -50,6 +52,18 @@ class Networks(msgspec.Struct, frozen=True):
 
     description: Description
     graph: bytes
+
+    def without(self, names: Collection[str]) -> "Networks":
+        """Return those of the other generators alone; the hash stays that of the whole graph, which is the folder's."""
+        d = self.description
+        rows = [row for row, generator in enumerate(d.generators) if generator.name not in names]
+        if len(rows) == len(d.generators):
+            return self
+        first = np.cumsum([0, *(len(generator.states) for generator in d.generators)])
+        columns = np.concatenate([np.arange(first[row], first[row + 1]) for row in rows])
+        graph = corrected(self.graph, np.zeros((1, len(d.signals))), rows, columns, int(first[-1]))
+        kept = {"generators": [d.generators[row] for row in rows], "error": [d.error[row] for row in rows]}
+        return Networks(msgspec.structs.replace(d, **kept), graph)
 
 
 def files_of(networks: Networks) -> dict[str, bytes]:

@@ -1,5 +1,6 @@
 """The generators of a bundle to be: those of the model's equations, and trained networks besides."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from faultline.analysis.graph.bank import GRAPH, Bank, Trial, build_bank
 from faultline.analysis.graph.network_bank import network_bank
 from faultline.analysis.graph.networks import Networks, load_networks
 from faultline.analysis.model import Model
+from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Evidence, Generator, GraphFile, Hypothesis
 from faultline.service.core.residuals.generators import GeneratorBank
 
@@ -62,6 +64,23 @@ class Runnable:
     def units(self) -> tuple[str, ...]:
         """The unit of every residual: that of the signal it predicts."""
         return tuple(self.bank.model.known[generator.predicts].unit for generator in self.generators)
+
+    def without(self, names: Collection[str]) -> "Runnable":
+        """Return the same without some of the networks.
+
+        Raises:
+            InputError: nothing is left.
+        """
+        if not names or self.networks is None:
+            return self
+        left = self.networks.without(names) if len(names) < len(self.networks.description.generators) else None
+        if self.bank.has_equations:
+            return Runnable(self.bank, left)
+        if left is None:
+            raise InputError(
+                f"{self.bank.model.name}: no network errs little enough; train on recordings that excite more"
+            )
+        return Runnable(network_bank(self.bank.model, left), left)
 
     def fresh(self, evidence: Evidence | None = None) -> GeneratorBank:
         """The generators as the vehicle starts them, with the hypotheses of the `evidence` beside them if it is given.

@@ -27,6 +27,7 @@ from faultline.analysis.tuning.manifest import manifest_of
 from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import doubts
 from faultline.analysis.tuning.target import Rule
+from faultline.analysis.tuning.unfit import unfit
 from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
 from faultline.options import Parser
 from faultline.service.core.detectors.kinds import brief
@@ -145,13 +146,21 @@ class Given:
 def tune(runnable: Runnable, recordings: Sequence[Path], progress: Progress, given: Given = Given()) -> Tuning:
     """The tuning of generators from fault-free recordings.
 
-    Ranking looks at the residuals of the model's equations only: what a fault does to them can be predicted.
+    Ranking looks at the residuals of the model's equations only: what a fault does to them can be predicted. Networks
+    that err too much on these drives are left out (`analysis.tuning.unfit`).
 
     Raises:
         InputError: a recording was used for calibration or training, is named twice or is of another vehicle, its
             tests could hardly ever tell, an operating mode is missing, or another vehicle's model has other tests.
     """
-    return tune_on(_vehicles(runnable, recordings, given.also, progress), given, progress)
+    vehicles = _vehicles(runnable, recordings, given.also, progress)
+    if not (left_out := unfit(vehicles[0])):
+        return tune_on(vehicles, given, progress)
+    for name, why in left_out.items():
+        progress.note(f"{name} is left out: {why}")
+    vehicles = _vehicles(runnable.without(left_out), recordings, given.also, progress)
+    whole = runnable.networks.description.graph_sha256 if runnable.networks else None
+    return msgspec.structs.replace(tune_on(vehicles, given, progress), left_out=left_out, networks_sha256=whole)
 
 
 def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tuning:

@@ -19,7 +19,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     the beginning of the first of the logs, `period_s` [s] apart. `inputs` have the limits of what is believed of a
     sensor (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie,
     root mean square; `base` the SHA-256 of the tuning that this one was adapted from. `drift_sizes` are those of
-    the first drifts of the evidence, which the model names, in parts of what it says.
+    the first drifts of the evidence, which the model names, in parts of what it says. `left_out` are networks that
+    have no part in it, with the reason (`analysis.tuning.unfit`).
     """
 
     schema: str
@@ -38,6 +39,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     claim: Claim | None = None
     base: str | None = None
     drift_sizes: list[float] | None = None
+    left_out: dict[str, str] = {}
 
 
 def model_digest(text: str) -> str:

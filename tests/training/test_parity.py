@@ -15,8 +15,9 @@ from faultline.service.core.residuals.generators import Graph
 from faultline.training.bank import generator_of
 from faultline.training.free_run import free_run
 from faultline.training.layout import Layout, layout_of
+from faultline.training.loop import Training
 from faultline.training.network import Networks, Run
-from faultline.training.recipe import DEFAULT, THESIS, Recipe
+from faultline.training.recipe import DEFAULT, THESIS, Phase, Recipe
 from faultline.training.reckoned import Equations, reckoned
 from faultline.training.samples import Samples
 from faultline.training.scaling import scaling_of
@@ -28,6 +29,7 @@ PARITY = 1e-5
 """Of the largest |y|: what the project promises."""
 
 
+@pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize(
     ("layout", "samples", "recipe"),
     [
@@ -37,7 +39,7 @@ PARITY = 1e-5
     ],
     ids=["default", "thesis", "rc"],
 )
-def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Recipe) -> None:
+def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Recipe, bounded: bool) -> None:
     torch.manual_seed(7)
     examples = reckoned(layout, samples, Equations(layout))
     scaling = scaling_of(examples, recipe.scale)
@@ -45,6 +47,9 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
     with torch.no_grad():
         for parameter in networks.parameters():  # nothing may be zero by chance of how it begins
             parameter.add_(0.05 * torch.randn_like(parameter))
+    if bounded:
+        narrow = np.full(len(layout.states), 0.1)
+        networks.bound(-narrow, narrow)
     windows = Windows(layout, examples, [], scaling, recipe.folds, 0)
     course = free_run(networks, windows)
     spread = variances(layout, windows, course, 0)
@@ -63,6 +68,7 @@ def test_the_graph_is_the_networks(layout: Layout, samples: Samples, recipe: Rec
     x0 = windows.starts[0][None, :, None].expand(recipe.members, -1, -1)
     with torch.no_grad():
         run = networks.run(x0, windows.u[:, None, :, None].expand(-1, recipe.members, -1, -1))
+    assert (float(run.x[1:].abs().max()) <= 0.1 + 1e-6) == bounded
     size, offset = scaling.z_size[layout.predicts], scaling.z_offset[layout.predicts]
     y = run.y[:, :, :, 0].mean(dim=1).numpy() * size + offset
     assert np.abs(z[:, layout.predicts] - r - y).max() < PARITY * np.abs(y).max()
@@ -112,3 +118,18 @@ def test_a_network_that_runs_away_has_a_sigma_that_is_a_number() -> None:
     _, _, sigma, _ = graph(z=samples.stretches[0].z[:1], x=far)
     assert np.isfinite(sigma).all()
     assert (sigma > 1e6).all()
+
+
+def test_training_bounds_the_states_by_what_it_has_seen() -> None:
+    """A state that runs away would end the graph of all tests: infinity times zero is no number."""
+    layout, samples = layout_of(load_model("uds"), ["t06"]), dosing(3)
+    recipe = dataclasses.replace(DEFAULT, members=2, folds=2, phases=(Phase(4, 0, 8, 1),))
+    training = Training(layout, samples, recipe, 0)
+    networks, x = training.networks, training.windows.starts.T
+    assert bool((networks.lowest[0, :, 0] < x.min(dim=1).values).all())
+    assert bool((networks.highest[0, :, 0] > x.max(dim=1).values).all())
+    with torch.no_grad():
+        networks.rates.bias[:] = 1e9
+    run = networks.run(x[None, :, :1].expand(2, -1, -1), training.windows.u[:9, None, :, None].expand(-1, 2, -1, -1))
+    assert bool(torch.isfinite(run.y).all())
+    torch.testing.assert_close(run.x[-1], networks.highest)

@@ -14,8 +14,10 @@ from faultline.analysis.export import main as export
 from faultline.analysis.graph.networks import load_networks
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
+from faultline.analysis.tuning.file import load_tuning
 from faultline.service.bundle.load import load_bundle, verify_golden
 from faultline.service.core.errors import InputError
+from faultline.service.core.residuals.generators import Graph
 from faultline.service.diagnose.command import main as diagnose
 from faultline.service.logs import open_log
 from faultline.testbench import tanks
@@ -60,7 +62,10 @@ def test_the_bundle_runs_both_and_says_what_was_trained_on_what(made: Made) -> N
     manifest = bundle.manifest
     assert [graph.file for graph in manifest.graphs] == ["ode.onnx", "rnn.onnx"]
     names = [generator.name for generator in manifest.generators]
-    assert names[len(names) // 2 :] == [generator.name for generator in networks.generators]
+    left_out = load_tuning(made.tuning).left_out  # the training is a quick one
+    kept = [generator.name for generator in networks.generators if generator.name not in left_out]
+    assert [name for name in names if name.endswith(".rnn")] == kept
+    assert 0 < len(left_out) < len(networks.generators)
     twins = {each.generator: each.twin for each in manifest.evidence.networks}
     assert twins == {name: name.replace(".rnn", ".ode") for name in names if name.endswith(".rnn")}, (
         "one level for both"
@@ -151,3 +156,23 @@ def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_pa
     with pytest.raises(InputError, match=r"stuck: y2 hardly moves .*: a sensor that is stuck, or an input"):
         train(["three-tank", str(stuck), *out])
     assert not (tmp_path / "never").exists()
+
+
+def test_networks_that_are_left_out_leave_the_others_as_they_were(made: Made) -> None:
+    """Cut once or twice, with a batch of any size."""
+    whole = load_networks(made.networks, load_model("three-tank"))
+    names = [generator.name for generator in whole.description.generators]
+    once = whole.without(names[:1])
+    twice = whole.without(names[:1]).without(names[3:4])
+    rows = [k for k in range(len(names)) if k not in (0, 3)]
+    counts = np.cumsum([0, *(len(generator.states) for generator in whole.description.generators)])
+    columns = np.concatenate([np.arange(counts[k], counts[k + 1]) for k in rows])
+    rng = np.random.default_rng(1)
+    z, x = rng.uniform(0.1, 0.4, (3, len(whole.description.signals))), rng.uniform(0.1, 0.4, (3, counts[-1]))
+    every, some = Graph(whole.graph)(z=z, x=x), Graph(twice.graph)(z=z, x=x[:, columns])
+    for all_of_it, cut in zip(every[:3], some[:3], strict=True):
+        np.testing.assert_allclose(cut, all_of_it[:, rows], rtol=1e-6)
+    np.testing.assert_allclose(some[3], every[3][:, columns], rtol=1e-6)
+    assert [generator.name for generator in twice.description.generators] == [names[k] for k in rows]
+    assert once.description.error == whole.description.error[1:]
+    assert whole.without([]) is whole
