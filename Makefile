@@ -7,7 +7,7 @@ VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
 	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants ladder \
-	undeclared dirty clairvoyant)
+	undeclared dirty clairvoyant transfer)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -76,6 +76,9 @@ campaign-undeclared: .venv/.test  ## faults that no model declares on six vehicl
 
 campaign-clairvoyant: .venv/.test  ## is the limit one, beside who knows fault, onset and size? half an hour; writes docs/results
 	@$(BIN)/python tests/campaigns/clairvoyant.py
+
+campaign-transfer: .venv/.test  ## networks of the bench on ten trucks, adapted to 2, 5 and 10 minutes; an hour; writes docs/results
+	@$(BIN)/python tests/campaigns/transfer.py
 
 campaign-dirty: .venv/.test  ## samples that are off, in drives with and without a fault; half an hour; writes docs/results
 	@$(BIN)/python tests/campaigns/dirty.py

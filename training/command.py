@@ -14,6 +14,7 @@ from faultline.analysis.structure.lint import sound_model
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Generator
+from faultline.training.adaptation import trained_anew
 from faultline.training.bank import HELD, networks_of
 from faultline.training.checkpoint import drop_checkpoint, key_of, load_checkpoint, save_checkpoint
 from faultline.training.device import device_of
@@ -91,6 +92,9 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
         elif options.resume:
             progress.note(f"{options.out}: no checkpoint there; begins anew")
         training.run(progress.tell, lambda: save_checkpoint(options.out, key, training))
+        if begin:
+            anew = trained_anew(training, layout, samples, begin, options.seed, progress.tell, device)
+            progress.note("adapted, but for what errs less when trained anew: " + (", ".join(anew) or "none"))
         if training.stopped:
             progress.note(
                 f"stopped after {training.done} of {training.iterations} iterations: {training.stopped}; "

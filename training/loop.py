@@ -1,7 +1,7 @@
 """The training: phases of ever longer windows, the best weights of every member's test kept."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -84,6 +84,7 @@ class Training:
         seed: int,
         begin: "Begin | None" = None,
         device: torch.device = CPU,
+        scaling: Scaling | None = None,
     ) -> None:
         torch.manual_seed(seed)
         if not recipe.moved:
@@ -91,7 +92,8 @@ class Training:
         equations = None if layout.model.without_formula else Equations(layout)
         examples = reckoned(layout, samples, equations)
         others = varied(layout, examples, equations, recipe.varied, recipe.copies, seed)
-        self.scaling = scaling = begin.scaling if begin else scaling_of(examples, recipe.scale)
+        scaling = scaling or (begin.scaling if begin else scaling_of(examples, recipe.scale))
+        self.scaling = scaling
         self.layout, self.recipe = layout, recipe
         self.recordings = [stretch.recording for stretch in samples.stretches]
         self.stopped: str | None = None  # why, if it was before the end
@@ -118,6 +120,8 @@ class Training:
         self.done = 0
         self.best = {name: value.clone() for name, value in self.networks.state_dict().items()}
         self.best_error = torch.full((recipe.members, len(layout.tests)), math.inf, device=device)
+        if begin:  # as they are they may be best
+            self._judge()
 
     @property
     def iterations(self) -> int:
@@ -240,8 +244,28 @@ class Training:
         outputs = {id(p) for p in self.networks.outputs.parameters()}
         return [(p, tests if id(p) in outputs else self._owner) for p in self._parameters]
 
+    def take(self, other: "Training") -> list[str]:
+        """Takes from a training of the same tests what errs less where it was held out; returns the names of these.
+
+        By all members together: what one held out is a fifth of the recording, all together are the whole of it.
+        """
+        own, others = (each.best_error.pow(2).mean(dim=0) for each in (self, other))
+        better = (others < own).expand(self.recipe.members, -1)
+        self._keep(better, other.best)
+        self.best_error = torch.where(better, other.best_error, self.best_error)
+        return [test.name for test, taken in zip(self.layout.tests, better[0].tolist(), strict=True) if taken]
+
     def _look(self, loss: float) -> float:
         """Free run; keeps what is better than ever. The median error over members and tests where it was not seen."""
+        seen, held, judged = self._judge()
+        self.history.iteration.append(self.done)
+        self.history.loss.append(loss)
+        for kept, errors in ((self.history.seen, seen), (self.history.held, held)):
+            kept.append(errors.cpu().median(dim=0).values.tolist())  # CUDA has no deterministic median
+        return float(judged.cpu().median())
+
+    def _judge(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Free-run errors (M, T) where a member was trained, where it was held out, and where it is judged."""
         near = self._near
         course = free_run(self.networks, near)
         y = near.y[course.at].T  # (T, K)
@@ -250,17 +274,13 @@ class Training:
         seen, held = (_rms(square, part[:, None]) for part in (1.0 - hidden, hidden))
         judged = torch.where(torch.isinf(held), seen, held)  # a fold may have no tick with a run-up
         better = judged < self.best_error if self.recipe.folds else torch.isfinite(judged)  # else the last ones stay
-        self._keep(better)
+        self._keep(better, self.networks.state_dict())
         self.best_error = torch.where(better, judged, self.best_error)
-        self.history.iteration.append(self.done)
-        self.history.loss.append(loss)
-        for kept, errors in ((self.history.seen, seen), (self.history.held, held)):
-            kept.append(errors.cpu().median(dim=0).values.tolist())  # CUDA has no deterministic median
-        return float(judged.cpu().median())
+        return seen, held, judged
 
-    def _keep(self, better: Tensor) -> None:
-        """Takes the weights of the members' tests (M, T) that are `better` than ever."""
-        for name, now in self.networks.state_dict().items():
+    def _keep(self, better: Tensor, weights: Mapping[str, Tensor]) -> None:
+        """Takes the `weights` of the members' tests (M, T) that are `better` than ever."""
+        for name, now in weights.items():
             # of the functions that are a test's
             mask = better if name.startswith("outputs") else better[:, self._owner]
             new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))

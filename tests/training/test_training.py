@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from made_samples import SHORT, circuit, rc
+from made_samples import SHORT, circuit, dosing, rc
 
+from faultline.analysis.model import load_model
 from faultline.service.core.errors import InputError
 from faultline.training.bank import networks_of
 from faultline.training.checkpoint import key_of, load_checkpoint, save_checkpoint
 from faultline.training.free_run import free_run
+from faultline.training.layout import layout_of
 from faultline.training.loop import Training
-from faultline.training.recipe import THESIS, Phase, Recipe
+from faultline.training.recipe import DEFAULT, THESIS, Phase, Recipe
 from faultline.training.reckoned import Equations, reckoned
 from faultline.training.samples import Samples, Stretch
+from faultline.training.saved import Saved
 from faultline.training.windows import Windows
 
 NOISE = 1e-4
@@ -171,3 +174,27 @@ def test_a_member_never_learns_from_its_own_fold() -> None:
     assert not torch.equal(batch.counts[:, 0], batch.counts[:, 1])
     share = [float((windows.fold == fold).to(torch.float32).mean()) for fold in (0, 1)]
     assert share == pytest.approx([0.5, 0.5], abs=0.05)
+
+
+def test_what_errs_less_by_all_members_together_is_taken_from_another_training() -> None:
+    """Weights, errors and names; the other tests stay."""
+    layout, samples = layout_of(load_model("uds"), ["t02", "t06"]), dosing(3)
+    recipe = dataclasses.replace(DEFAULT, members=2, folds=2, phases=(Phase(4, 0, 8, 1),))
+    one, other = (Training(layout, samples, recipe, seed) for seed in (0, 1))
+    one.best_error[:] = torch.tensor([[1.0, 1.0], [1.0, 1.0]])
+    other.best_error[:] = torch.tensor([[0.1, 0.1], [1.2, 2.0]])
+    logit = one.best["logit"].clone()
+    other.best["logit"] += 1.0
+    assert one.take(other) == ["t02"]
+    own = torch.as_tensor(layout.owner)
+    torch.testing.assert_close(one.best["logit"], logit + (own == 0).to(logit)[None, :, None])
+    torch.testing.assert_close(one.best_error, torch.tensor([[0.1, 1.0], [1.2, 1.0]]))
+
+
+def test_an_adaptation_begins_with_what_it_was_given_as_the_best_so_far() -> None:
+    layout, samples = layout_of(load_model("uds"), ["t02"]), dosing(3)
+    recipe = dataclasses.replace(DEFAULT, members=2, folds=2, phases=(Phase(4, 0, 8, 1),))
+    base = Training(layout, samples, recipe, 0)
+    begin = Saved(base.best, base.scaling, recipe, ())
+    assert bool(torch.isinf(base.best_error).all())
+    assert bool(torch.isfinite(Training(layout, samples, recipe, 1, begin).best_error).all())
