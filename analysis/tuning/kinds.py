@@ -12,6 +12,7 @@ import numpy.typing as npt
 from msgspec.structs import replace
 
 from faultline.service.core.detectors.bank import detector
+from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.manifest import (
     AdaptiveDetector,
     CusumDetector,
@@ -31,11 +32,11 @@ LEVEL_KINDS: Final[tuple[Kind, ...]] = ("cusum", "one-sided", "threshold", "low-
 LASTING = Span(settlings=0.75, periods=75)
 ALLOWANCE = 0.5  # of the mode's spread, on top of what lasted in the tuning recordings
 HOLD = Span(settlings=0.5)  # as long as residuals take to calm down after a step
-TIME, MEMORY = Span(settlings=0.25), Span(settlings=1.5)
-OPEN, OPEN_SPREAD = 1e9, 100.0
+TIME, MEMORY = Span(settlings=0.25), Span(settlings=30)
+OPEN = 1e9
 MINIMUM_J = 15.0
-LEAST = {"cusum": MINIMUM_J, "threshold": 4.0, "low-pass": 1.0, "adaptive": 4.0, "spread": float(np.log(1.5))}
-"""No threshold is lower: a few minutes do not show less than this."""
+LEAST = {"cusum": MINIMUM_J, "threshold": 4.0, "low-pass": 1.0, "adaptive": 4.0, "spread": 5.0}
+"""No threshold is lower: a few minutes do not show less than this; of a variance ratio once in some thousand hours."""
 
 
 class Described(NamedTuple):
@@ -94,7 +95,7 @@ def opened(kind: Kind, d: Described, runs: Sequence[Run], time: TimeScale) -> li
                     generator=name,
                     offset=offset,
                     scale=scale,
-                    J=OPEN_SPREAD,
+                    J=OPEN,
                     hold_s=hold_s,
                     memory_s=memory_s,
                 )
@@ -111,9 +112,27 @@ def reached(settings: Detector, run: Run, period_s: float) -> Array:
     return values * settings.J
 
 
+def unrest(kind: Kind, runs: Sequence[Run]) -> float:
+    """How many times as far as white noise the variance of fault-free runs goes up and down, 1 at least.
+
+    Tuning drives are shorter than the windows of the test: the quarters of each, against its rest, say it instead.
+    """
+    if kind != "spread":
+        return 1.0
+    z = []
+    for run in runs:
+        steps = np.minimum(np.diff(run.s)[np.diff(run.tick) == 1] ** 2 / 2.0, LARGEST)
+        for quarter in np.array_split(np.arange(len(steps)), 4):
+            rest = np.delete(steps, quarter)
+            if len(quarter) and steps[quarter].any() and rest.any():
+                away = np.log(steps[quarter].mean() / rest.mean())
+                z.append(away / np.sqrt(3.0 / len(quarter) + 3.0 / len(rest)))
+    return max(1.0, float(np.sqrt(np.mean(np.square(z))))) if z else 1.0
+
+
 def closed(settings: Detector, J: float) -> Detector:
     """The same with its threshold."""
-    return replace(settings, J=min(J, OPEN_SPREAD) if isinstance(settings, SpreadDetector) else J)
+    return replace(settings, J=J)
 
 
 def lasting(runs: Sequence[Run], ticks: int, side: Side = "both") -> float:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.baselines import without_baseline
-from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached
+from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached, unrest
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
 from faultline.service.core.detectors.kinds import kind_of
@@ -84,7 +84,9 @@ def levels(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidenc
             runs = [standard(s, row, described, kind) for s in left_out]
             for detector in opened(kind, described, runs, time):
                 typical = float(np.mean([reached(detector, run, time.period_s).max() for run in runs]))
-                found[row].append(closed(detector, max(LEAST[kind_of(detector)] / MARGIN, typical)))
+                found[row].append(
+                    closed(detector, max(LEAST[kind_of(detector)] * unrest(kind, runs) / MARGIN, typical))
+                )
     return in_order(found)
 
 

@@ -13,7 +13,7 @@ from itertools import zip_longest
 import numpy as np
 import numpy.typing as npt
 
-from faultline.analysis.tuning.kinds import LEAST, Described, Kind, Run, closed, opened, reached
+from faultline.analysis.tuning.kinds import LEAST, Described, Kind, Run, closed, opened, reached, unrest
 from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.detectors.spread import LARGEST
 from faultline.service.core.errors import InputError
@@ -157,7 +157,9 @@ def tune_detectors(
             runs = [standard(s, row, described, kind) for s in recordings]
             for detector in opened(kind, described, runs, time):
                 largest = max(float(reached(detector, run, time.period_s).max()) for run in runs)
-                found[row].append(closed(detector, max(LEAST[kind_of(detector)], MARGIN * largest)))
+                found[row].append(
+                    closed(detector, max(LEAST[kind_of(detector)] * unrest(kind, runs), MARGIN * largest))
+                )
     return in_order(found)
 
 

@@ -196,9 +196,9 @@ class AdaptiveDetector(_Detector, frozen=True, tag="adaptive"):
 
 
 class SpreadDetector(_Detector, frozen=True, tag="spread"):
-    """Threshold `J` on |ln variance|, forgotten over `memory_s` (`service.core.detectors.spread`)."""
+    """Threshold `J` on a variance ratio's |z|, of windows up to `memory_s` (`service.core.detectors.spread`)."""
 
-    J: Annotated[float, Meta(gt=0, le=100)]  # it bounds the variance by exp(2 J), which must be a number
+    J: Positive
     hold_s: Seconds
     memory_s: Seconds
 

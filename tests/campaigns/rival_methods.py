@@ -185,9 +185,10 @@ class Components:
 
 
 class Variance:
-    """faultline's own test of the variance (`service.core.detectors.spread`), which `tune --spread` adds; detects only.
+    """An exponentially forgotten variance of differences, against that of other drives; detects only.
 
-    For the pump filter: the p_tp residuals get quieter under its clog (thesis ch. 7.4).
+    For the pump filter: the p_tp residuals get quieter under its clog (thesis ch. 7.4). faultline's own test compares
+    a drive with itself (`service.core.detectors.spread`).
     """
 
     def fit(self, made_from: Sequence[Series]) -> None:

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnosis_judged import Judged
-from rival_methods import MEMORY, SMOOTH, Components, Forest, ThesisCusum, Variance
+from rival_methods import SMOOTH, Components, Forest, ThesisCusum, Variance
 from rival_series import Series, episodes, false_alarms, first_alarm, limit_for
 from rivals import Outcome, Way, allowed, better, faultline, folds, main, page, tried
-
-from faultline.service.core.detectors.spread import Spread
 
 MATRIX = [frozenset({"fA_t", "fq_pump"}), frozenset({"fA_du", "fq_pump"})]
 ONSET_S = 100.0
@@ -107,7 +105,7 @@ def test_components_detect_and_name_nothing(fleet: list[Series]) -> None:
     assert method.names(s, 200.0, 1.0) is None
 
 
-def test_the_variance_is_that_of_the_vehicles_test_and_sees_what_gets_quieter() -> None:
+def test_the_variance_sees_what_gets_quieter() -> None:
     free, other, s = (series(1, None, k) for k in range(3))
     s.usable[200:230] = False
     quiet = s.t >= ONSET_S
@@ -116,13 +114,6 @@ def test_the_variance_is_that_of_the_vehicles_test_and_sees_what_gets_quieter() 
     method.fit([free, other])
     score = method.score(s)
     assert score[quiet & (s.t > ONSET_S + 30.0)].min() > 1.3 > score[~quiet].max()
-    detector = Spread(100.0, 1, MEMORY)
-    logs = np.zeros(len(s.t))
-    for tick, (r, mode, usable) in enumerate(zip(s.r[:, 0].astype(float), s.mode, s.usable[:, 0], strict=True)):
-        if usable:
-            detector.update(tick, (r - method._level[0, mode]) / method._sd[0, mode])
-        logs[tick] = abs(math.log(detector._v))
-    assert method._logs(s)[:, 0] == pytest.approx(logs)
 
 
 def test_the_page_says_where_faultline_is_not_better(fleet: list[Series]) -> None:

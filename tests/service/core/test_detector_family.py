@@ -47,7 +47,7 @@ def kinds(generator: str = "ta.ode") -> dict[str, Settings]:
         "threshold": ThresholdDetector(**level, J=6.0, hold_s=HELD_S),
         "low-pass": LowPassDetector(**level, J=1.5, hold_s=HELD_S, time_s=5.0),
         "adaptive": AdaptiveDetector(**level, J=6.0, hold_s=HELD_S, usual=one),
-        "spread": SpreadDetector(**level, J=1.0, hold_s=HELD_S, memory_s=15.0),
+        "spread": SpreadDetector(**level, J=5.0, hold_s=HELD_S, memory_s=120.0),
     }
 
 
@@ -104,18 +104,19 @@ def test_it_alarms_on_what_it_is_for_with_sign_and_onset(name: str, sign: int) -
 @pytest.mark.parametrize(("name", "sign"), SIDES)
 def test_it_is_bounded_and_ends_in_bounded_time(name: str, sign: int) -> None:
     """However long and large the fault was."""
-    each = detector(KINDS[name], TIME.period_s)
+    before, longest = (QUIET, 650) if name == "spread" else (QUIET[:0], 300)  # a spread forgets what it looks at whole
+    each = fed(detector(KINDS[name], TIME.period_s), before)
     samples = 1e9 * fault(name, sign, 20_000) if (name, sign) != ("spread", -1) else np.zeros(20_000)
-    for tick, s in enumerate(samples):
+    for tick, s in enumerate(samples, len(before)):
         each.update(tick, float(s))
         assert 0.0 <= each.value <= 2.0
     alarmed = [each.alarm]
     assert alarmed[0]
-    for tick, s in enumerate(QUIET[:1000], 20_000):
+    for tick, s in enumerate(QUIET[:1000], len(before) + 20_000):
         each.update(tick, float(s))
         alarmed.append(each.alarm)
     assert not alarmed[-1]
-    assert sum(alarmed) < 300
+    assert sum(alarmed) < longest
     assert fed(detector(KINDS[name], TIME.period_s), QUIET[:1000]).alarm == each.alarm
 
 
@@ -160,23 +161,25 @@ def test_it_is_frozen_while_its_generator_cannot_tell_and_never_sees_a_number_th
     settings = [KINDS[name], kinds("tb.ode")[name]]
     bank, each = DetectorBank(settings, ["ta.ode", "tb.ode"], TIME), detector(KINDS[name], TIME.period_s)
     sign = -1 if name == "below" else 1
-    for tick, s in enumerate(fault(name, sign, 200)):
+    before = QUIET[:1000] if name == "spread" else QUIET[:0]
+    last = len(before) + 200
+    for tick, s in enumerate(np.concatenate([before, fault(name, sign, 200)])):
         each.update(tick, float(s))
         bank.update(tick, 1, residuals(float(s), usable=True))
     alarmed, sums = bank.alarmed, bank.sums
     assert bank.firing
-    for tick in range(200, 200 + FROZEN_TICKS):
+    for tick in range(last, last + FROZEN_TICKS):
         bank.update(tick, 1, residuals(np.nan, usable=False, sigma=np.nan))
         assert (bank.alarmed, bool(bank.firing), bank.since) == (alarmed, True, each.since)
     np.testing.assert_array_equal(bank.sums, sums)
-    bank.update(200 + FROZEN_TICKS, 1, residuals(np.nan, usable=False, sigma=np.nan))
+    bank.update(last + FROZEN_TICKS, 1, residuals(np.nan, usable=False, sigma=np.nan))
     assert (bank.alarmed, bool(bank.firing)) == (frozenset(), False)
 
 
 def test_a_spread_raises_suspicion_and_is_no_conflict() -> None:
     """Its generator's row of the fault signature matrix is that of the level."""
     bank = DetectorBank([KINDS["cusum"], KINDS["spread"]], ["ta.ode"], TIME)
-    for tick, s in enumerate(0.2 * QUIET[:500]):
+    for tick, s in enumerate(np.concatenate([QUIET[:1000], 0.2 * QUIET[1000:1500]])):
         bank.update(tick, 1, Residuals(np.array([s]), np.zeros(1), np.ones(1), np.ones(1, np.bool_)))
     assert bank.firing
     assert bank.alarmed == frozenset()
@@ -230,12 +233,33 @@ def test_one_side_is_deaf_on_the_other() -> None:
     assert not fed(Cusum(0.5, 5.0, "below"), [4.0] * 50).alarm
 
 
-def test_the_spread_does_not_see_a_level_and_measures_a_variance() -> None:
-    level = fed(Spread(1.0, HELD, 75.0), np.concatenate([QUIET[:500], QUIET[500:1000] + 100.0]))
+def test_the_spread_does_not_see_a_level_and_measures_a_variance_ratio() -> None:
+    """Of 600 ticks to the 2000 before, for differences that are correlated; ln F has nearly the same z."""
+    level = fed(Spread(5.0, HELD, 600.0), np.concatenate([QUIET[:2000], QUIET[2000:2600] + 100.0]))
     assert not level.alarm
-    halved = Spread(2.0, HELD, 400.0)
-    fed(halved, 0.5 * QUIET)
-    assert halved.value * halved.sign * 2.0 == pytest.approx(2.0 * math.log(0.5), rel=0.2)
+    halved = Spread(100.0, HELD, 600.0)
+    fed(halved, np.concatenate([QUIET[:2000], 0.5 * QUIET[2000:2600]]))
+    a, b, root = 2.0 / (9.0 * 2000.0 * 2.0 / 3.0), 2.0 / (9.0 * 600.0 * 2.0 / 3.0), 0.25 ** (1.0 / 3.0)
+    expected = ((1.0 - a) * root - (1.0 - b)) / math.sqrt(a * root**2 + b)
+    assert halved.value * halved.sign * 100.0 == pytest.approx(expected, rel=0.2)
+    assert expected == pytest.approx(2.0 * math.log(0.5) / math.sqrt(3.0 / 600.0 + 3.0 / 2000.0), rel=0.35)
+
+
+def test_a_variance_ratio_is_once_in_many_hours_beyond_five_without_a_fault() -> None:
+    """Of white noise, 55 hours at 5 Hz."""
+    each = Spread(5.0, HELD, 600.0)
+    for tick, s in enumerate(np.random.default_rng(7).standard_normal(1_000_000)):
+        each.update(tick, float(s))
+        assert not each.alarm, tick
+
+
+def test_what_is_there_while_it_alarms_does_not_become_usual() -> None:
+    each = fed(Spread(5.0, HELD, 600.0), np.concatenate([QUIET[:2000], 0.5 * np.tile(QUIET, 20)]))
+    assert each.alarm
+
+
+def test_what_was_there_from_the_start_is_usual() -> None:
+    assert not fed(Spread(5.0, HELD, 600.0), 0.5 * QUIET).alarm
 
 
 def test_over_a_gap_the_spread_takes_no_difference() -> None:
@@ -260,17 +284,11 @@ def test_a_large_fault_that_has_ended_is_over_as_soon_as_a_small_one() -> None:
     assert ticks_until(each, [0.0] * 100, 500) == math.ceil(math.log(0.5) / math.log(0.95))
 
 
-@pytest.mark.parametrize("loud", [False, True])
-def test_a_variance_that_is_usual_again_is_over_as_soon(loud: bool) -> None:
-    """ln v is at 2 J at most, either way; v - 1 is 0.95^n of what it was after n differences of the usual size."""
-    J, part = 0.5, 0.95
-    sign = 1.0 if loud else -1.0
-    first = [100.0 * (-1) ** k for k in range(500)] if loud else [0.0] * 500
-    each = fed(Spread(J, 0, 20.0), first)
-    assert (each.value, each.sign) == (2.0, sign)
-    usual = [first[-1] + math.sqrt(2.0) * (k % 2) for k in range(1, 200)]
-    expected = math.log((math.exp(sign * J) - 1.0) / (math.exp(2.0 * sign * J) - 1.0)) / math.log(part)
-    assert ticks_until(each, usual, 499) == math.ceil(expected)
+@pytest.mark.parametrize("factor", [0.0, 1e3])
+def test_a_variance_that_is_usual_again_is_over_when_the_windows_have_passed(factor: float) -> None:
+    each = fed(Spread(5.0, 0, 600.0), np.concatenate([QUIET[:2000], factor * QUIET]))
+    assert each.value == 2.0
+    assert ticks_until(each, QUIET[:700].tolist(), 5999) <= 610
 
 
 def test_levels_are_seen_without_the_day_and_variances_with_it() -> None:
