@@ -12,7 +12,7 @@ from faultline.analysis.evaluation.report.pictures import Picture, picture
 from faultline.analysis.evaluation.story import Array, Story
 from faultline.service.pages import render
 
-TEMPLATE = Path(__file__).with_name("page.html.j2")
+TEMPLATE = Path(__file__).with_name("figures.html.j2")
 
 
 class Part(NamedTuple):
