@@ -42,12 +42,14 @@ class Workshop:
     """A vehicle's recordings and its bundle, in a folder of its own.
 
     `base` is the tuning of other vehicles that this one's is adapted from (`diagnosis_reference`); None tunes it anew.
+    `training_s` [s] is how long the recording is that calibrates, and that networks are trained with.
     """
 
     number: int
     effects_set: Set
     folder: Path
     base: Path | None = None
+    training_s: float = TRAINING_S
 
     def made(self, cycle: str, k: int, seconds: float) -> Path:
         """A fault-free recording of the vehicle, on a day of its own."""
@@ -81,7 +83,7 @@ class Workshop:
 
     def calibrated(self) -> tuple[Path, Path]:
         """The model file, and the recording that it was calibrated on."""
-        training = self.made("training", 1, TRAINING_S)
+        training = self.made("training", 1, self.training_s)
         model = self.folder / "model.toml"
         given = "uds"
         if self.number in PLANTS:

@@ -34,6 +34,11 @@ Cases in which a clogged pump filter changes nothing that is measured are left o
 """
 
 
+WRONG = (
+    "`calibrate` doubted that the equations describe the vehicle (an effect that they lack, or a day), and was forced."
+)
+
+
 class Told(NamedTuple):
     """A judged recording of a method, and the tests that alarmed since the onset."""
 
@@ -61,9 +66,8 @@ def allowed(alarmed: Sequence[str], signature: dict[str, frozenset[str]]) -> int
     return len(frozenset.intersection(*(signature[test] for test in alarmed))) if alarmed else 0
 
 
-def page(records: Sequence[Record]) -> str:
-    """The tables, of all vehicles that are there."""
-    signature = sensitive()
+def read(records: Sequence[Record]) -> dict[str, list[Told]]:
+    """The judged recordings of each method."""
     told: dict[str, list[Told]] = {method: [] for method in METHODS}
     for record in records:
         for row in record["judged"]:
@@ -71,6 +75,21 @@ def page(records: Sequence[Record]) -> str:
                 onset = row["onset_s"] or row["seconds"]
                 suspected = sum(how == "suspected" and t < onset for t, _, how, _ in row["events"])
                 told[row["method"]].append(Told(judged(record["vehicle"], row), row["alarmed"], suspected))
+    return told
+
+
+def shares(told: dict[str, list[Told]]) -> list[tuple[str, list[str]]]:
+    """What matters of all faults together, by method."""
+    faulty = {method: [each for each in of if each.one.faults] for method, of in told.items()}
+    rows = (("detected", _detected), ("in the set", _in_set), ("names of rank 1, mean", _names))
+    found = [(what, [of(faulty[method]) for method in METHODS]) for what, of in rows]
+    return [*found, ("false diagnoses", [_false(told[method]) for method in METHODS])]
+
+
+def page(records: Sequence[Record]) -> str:
+    """The tables, of all vehicles that are there."""
+    signature = sensitive()
+    told = read(records)
     refused = ", ".join(str(r["vehicle"]) for r in records if r["refused"]) or "none"
     commit = ", ".join(sorted({record["commit"] for record in records}))
     lines = [HEAD, provenance(commit, sum(record["wall_s"] for record in records)), ""]
@@ -90,6 +109,20 @@ def page(records: Sequence[Record]) -> str:
             lines.append(f"| {size}: {what} | {' | '.join(of(here[method]) for method in METHODS)} |")
     for what, of in (("false diagnoses", _false), ("false suspicions", _suspected)):
         lines.append(f"| {what} | {' | '.join(of(told[method]) for method in METHODS)} |")
+    lines += ["", "## What it takes", "", "Medians over the vehicles.", ""]
+    lines += [f"| | {' | '.join(METHODS.values())} |", "|---" * (1 + len(METHODS)) + "|"]
+    for column, what in enumerate(("CPU time to the bundle [s]", "lines of the model", "recordings [s]")):
+        of_methods = [[r["costs"][method][column] for r in records if r["costs"]] for method in METHODS]
+        lines.append(f"| {what} | {' | '.join(f'{median(each):.0f}' if each else '-' for each in of_methods)} |")
+    lines += ["", "## Both, beside the better one", "", *_paired(told)]
+    lines += ["", "## Where the equations are wrong", "", WRONG, ""]
+    lines += [f"| | {' | '.join(METHODS.values())} |", "|---" * (1 + len(METHODS)) + "|"]
+    for doubted in (True, False):
+        numbers = {record["vehicle"] for record in records if record["doubted"] == doubted}
+        here = {m: [e for e in told[m] if e.one.vehicle in numbers and e.one.faults] for m in METHODS}
+        name = f"{len(numbers)} vehicles {'in doubt' if doubted else 'without doubt'}"
+        for what, of in (("detected", _detected), ("in the set", _in_set), ("names of rank 1, mean", _names)):
+            lines.append(f"| {name}: {what} | {' | '.join(of(here[method]) for method in METHODS)} |")
     lines += ["", "## Every fault", "", "Detected, in the set, mean names.", ""]
     lines += [f"| | {' | '.join(METHODS.values())} |", "|---" * (1 + len(METHODS)) + "|"]
     for fault in dict.fromkeys(each.one.faults[0] for of in told.values() for each in of if each.one.faults):
@@ -97,6 +130,30 @@ def page(records: Sequence[Record]) -> str:
             chosen = {m: [e for e in told[m] if e.one.faults == (fault,) and e.one.label == size] for m in METHODS}
             lines.append(f"| {fault}, {size} | {' | '.join(_cell(chosen[method]) for method in METHODS)} |")
     return "\n".join(lines) + "\n"
+
+
+def _paired(told: dict[str, list[Told]]) -> list[str]:
+    """Cases of all methods, in pairs: detected with the truth in the set by both bundles together, and by either."""
+    good = {
+        method: {
+            (e.one.vehicle, e.one.faults, e.one.label): bool(_looked([e])) and in_set(e.one)
+            for e in told[method]
+            if e.one.faults
+        }
+        for method in METHODS
+    }
+    cases = sorted(set.intersection(*(set(of) for of in good.values()))) if all(good.values()) else []
+    if not cases:
+        return ["No cases yet."]
+    better = max(("equations", "networks"), key=lambda method: sum(good[method][case] for case in cases))
+    gained = sum(good["both"][case] and not good[better][case] for case in cases)
+    lost = sum(good[better][case] and not good["both"][case] for case in cases)
+    shares = "; ".join(f"{METHODS[m]} {sum(good[m][c] for c in cases)}" for m in ("equations", "networks", "both"))
+    return [
+        f"{len(cases)} cases; detected, and the truth in the set: {shares}. Both have {gained} that {METHODS[better]} "
+        f"{'have' if better == 'equations' else 'has'} not, and lack {lost} that it has: "
+        f"{100.0 * (gained - lost) / len(cases):+.1f} points."
+    ]
 
 
 def _looked(here: Sequence[Told]) -> list[Judged]:

@@ -41,6 +41,8 @@ def test_the_page_counts_what_is_in_the_set_and_what_alarms_wrongly() -> None:
             "refused": None,
             "commit": "abc",
             "wall_s": 60.0,
+            "doubted": True,
+            "costs": {method: [300.0, 90, 1800.0] for method in METHODS},
             "judged": [
                 row(method, label, faults, said, alarmed)
                 for method in METHODS
@@ -54,6 +56,9 @@ def test_the_page_counts_what_is_in_the_set_and_what_alarms_wrongly() -> None:
     ]
     told = page(records)
     assert told.count("| 2 of 2, 100.0 % (15.8 to 100.0 %)") == 16  # detected and in the set, two sizes, four methods
+    assert "| CPU time to the bundle [s] | 300 | 300 | 300 | 300 |" in told
+    assert "4 cases; detected, and the truth in the set: equations 4; networks alone 4; both 4." in told
+    assert "| 1 vehicles in doubt: names of rank 1, mean | 1.50 |" in told
     assert "| large: names of rank 1, mean | 1.50 |" in told
     decoupled = [line for line in told.splitlines() if line.startswith("| severe: tests that decouple")]
     assert decoupled[0].split("|")[2].strip().startswith("1 of ")
@@ -65,6 +70,14 @@ def test_the_page_counts_what_is_in_the_set_and_what_alarms_wrongly() -> None:
 def test_a_wrong_name_is_not_in_the_set(look: str) -> None:
     said = [] if look == "nothing" else [["fA_du", 1, 0.5, [], []]]
     judged = [row(method, "large", {"fA_t": 0.3}, said, []) for method in METHODS]
-    told = page([{"vehicle": 901, "refused": None, "commit": "abc", "wall_s": 1.0, "judged": judged}])
+    record: dict[str, Any] = {
+        "vehicle": 901,
+        "refused": None,
+        "commit": "abc",
+        "wall_s": 1.0,
+        "doubted": False,
+        "costs": {},
+    }
+    told = page([{**record, "judged": judged}])
     [line] = [line for line in told.splitlines() if line.startswith("| fA_t, large")]
     assert line.split("|")[2].strip() == ("0 of 1" if look == "nothing" else "1 of 1, 0; 1.0")
