@@ -19,7 +19,7 @@ import numpy as np
 
 from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, signature
 from faultline.service.core.decision.blocks import Block
-from faultline.service.core.decision.hypotheses import Segments
+from faultline.service.core.decision.look import Segments
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from faultline.analysis.limit.information import against, delays, information, rates, signatures, smallest
 from faultline.service.core.decision.baseline import BaselineModel
 from faultline.service.core.decision.blocks import BLOCK, Block
-from faultline.service.core.decision.hypotheses import Hypotheses, Segments
+from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.look import Segments
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Hypothesis, Manifest
 from faultline.service.core.signals.values import FloatArray

@@ -20,7 +20,7 @@ import numpy as np
 
 from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, GaussianState, signature
 from faultline.service.core.decision.blocks import Block
-from faultline.service.core.decision.hypotheses import Segments
+from faultline.service.core.decision.look import Segments
 from faultline.service.core.decision.odd_visits import OddVisits
 from faultline.service.core.signals.values import FloatArray, Indices
 

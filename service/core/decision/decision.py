@@ -22,8 +22,9 @@ import numpy as np
 from faultline.service.core.decision.blocks import BLOCK as BLOCK_OF_MEANS
 from faultline.service.core.decision.drive_change import DriveChange
 from faultline.service.core.decision.explaining import Explainer
-from faultline.service.core.decision.hypotheses import Fitted, Hypotheses, Look, without_sizes
+from faultline.service.core.decision.hypotheses import Hypotheses, without_sizes
 from faultline.service.core.decision.intermittence import BLOCK, CLEAR, Intermittence
+from faultline.service.core.decision.look import Fitted, Look
 from faultline.service.core.decision.model_error import ModelError
 from faultline.service.core.decision.window import Blocks, Window
 from faultline.service.core.detectors.bank import DetectorBank

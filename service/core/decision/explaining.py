@@ -13,8 +13,9 @@ from math import e, log
 
 import numpy as np
 
-from faultline.service.core.decision.hypotheses import TIE, Look, confined
+from faultline.service.core.decision.hypotheses import confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
+from faultline.service.core.decision.look import TIE, Look
 from faultline.service.core.decision.size_intervals import SizeIntervals
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis

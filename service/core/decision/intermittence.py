@@ -7,7 +7,8 @@ were healthy before, it has come: what is before is left out. Only the same mode
 mode shows and another does not is told apart from others by just that.
 """
 
-from faultline.service.core.decision.hypotheses import Hypotheses, Look
+from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.look import Look
 from faultline.service.core.decision.straying import Level
 from faultline.service.core.decision.window import Blocks
 from faultline.service.core.signals.values import Mask

@@ -10,7 +10,7 @@ the length of its shift says, interpolated between logarithms.
 
 import numpy as np
 
-from faultline.service.core.decision.hypotheses import Look
+from faultline.service.core.decision.look import Look
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.records.event import Size
 from faultline.service.core.signals.values import FloatArray, Mask

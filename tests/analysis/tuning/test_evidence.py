@@ -12,7 +12,8 @@ from faultline.analysis.model import Model, load_model
 from faultline.analysis.tuning.evidence import as_seen, gather
 from faultline.analysis.tuning.thresholds import Seen, tune_detectors
 from faultline.service.core.decision.decision import CONFIRMED
-from faultline.service.core.decision.hypotheses import TIE, Hypotheses, Look
+from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.look import TIE, Look
 from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.residuals.generators import Residuals

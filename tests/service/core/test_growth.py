@@ -8,7 +8,8 @@ from uds_time import PART_TICKS, TIME
 
 from faultline.service.core.decision.explaining import fitting, nearest
 from faultline.service.core.decision.growth import grown
-from faultline.service.core.decision.hypotheses import GROWN, Hypotheses, Look
+from faultline.service.core.decision.hypotheses import Hypotheses
+from faultline.service.core.decision.look import GROWN, Look
 from faultline.service.core.decision.straying import History
 from faultline.service.core.decision.window import CHUNK, CHUNKS, Blocks
 from faultline.service.core.manifest import Evidence, Hypothesis

@@ -11,8 +11,9 @@ from uds_time import PART_TICKS, TIME
 
 from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.explaining import ranked
-from faultline.service.core.decision.hypotheses import UNMOVED, Hypotheses, Look, confined
+from faultline.service.core.decision.hypotheses import Hypotheses, confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
+from faultline.service.core.decision.look import UNMOVED, Look
 from faultline.service.core.decision.straying import MINIMUM_TICKS, Means
 from faultline.service.core.decision.window import Window
 from faultline.service.core.manifest import Bounds, Consequence, Evidence, Hypothesis
