@@ -6,6 +6,8 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
+from faultline.analysis.tuning.unfit import OUTDONE
+
 Record = dict[str, Any]
 
 HEAD = """# Grey-box networks beside the calibrated equations
@@ -33,6 +35,8 @@ def page(records: Sequence[Record]) -> str:
         parts += ["## No effect hidden", _errors(plain), "## The band, fault-free", _coverage(plain)]
     for effect in sorted({r["effect"] for r in compared} - {None}):
         parts += [f"## Hidden in the vehicle: {effect}", _errors([r for r in compared if r["effect"] == effect])]
+    if compared:
+        parts += ["## Off the regime of the training", _off_regime(compared)]
     transfer = sorted((r for r in records if r["kind"] == "transfer"), key=lambda r: float(r["seconds"]))
     if transfer:
         parts += ["## From the bench to a truck (thesis 8.2.5)", _transfer(transfer)]
@@ -82,6 +86,26 @@ def _errors(records: Sequence[Record]) -> str:
             "the parameters of the model file; fitted ones might be nearer."
         )
     return "\n\n".join([count, "\n".join(lines), told])
+
+
+def _off_regime(records: Sequence[Record]) -> str:
+    """How many networks that `tune` would keep, by the drive, are worse elsewhere than it would let them be."""
+    left_out, kept, worse = 0, 0, list[str]()
+    for record in records:
+        for test, of_drive in record["judged"]["drive"].items():
+            if _ratio(of_drive) > OUTDONE:
+                left_out += 1
+                continue
+            for name, found in record["judged"].items():
+                if name != "drive":
+                    kept += 1
+                    worse += [f"{record['case']} {test} {name} {_ratio(found[test]):.2f}"] * (
+                        _ratio(found[test]) > OUTDONE
+                    )
+    return (
+        f"By the drive `tune` would leave out {left_out} networks, as they err by more than {OUTDONE} times as much "
+        f"as the equations. Of the others {len(worse)} of {kept} do so in another recording: {', '.join(worse) or 'none'}."
+    )
 
 
 def _coverage(records: Sequence[Record]) -> str:

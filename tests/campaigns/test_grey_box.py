@@ -67,6 +67,8 @@ def test_the_page_has_all_its_parts() -> None:
     ]
     told = page([{**record, **stamp} for record in records])
     assert "Of t12, t13, t19, t21, 12 of 12 ratios are at most 0.75; the worst is 0.50." in told
+    assert "By the drive `tune` would leave out 0 networks" in told
+    assert "Of the others 0 of 20 do so in another recording: none." in told
     assert "| t02 | 1.30 | 1950 | 1950 |" in told
     assert "## Hidden in the vehicle: full_lift" in told
     assert told.count("`calibrate` refuses") == 1
