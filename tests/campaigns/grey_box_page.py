@@ -104,7 +104,8 @@ def _off_regime(records: Sequence[Record]) -> str:
                     )
     return (
         f"By the drive `tune` would leave out {left_out} networks, as they err by more than {OUTDONE} times as much "
-        f"as the equations. Of the others {len(worse)} of {kept} do so in another recording: {', '.join(worse) or 'none'}."
+        f"as the equations. Of the others {len(worse)} of {kept} do so in another recording: "
+        f"{', '.join(worse) or 'none'}."
     )
 
 
