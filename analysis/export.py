@@ -192,7 +192,7 @@ def _check_networks(tuning: Tuning, runnable: Runnable, where: Path) -> None:
 
 
 def _check_golden(tuning: Tuning, bank: Bank, where: Path) -> None:
-    told: dict[str, object] = {"frozen_s": None, "largest_step": None, "label": "", "display": []}
+    told: dict[str, object] = {"frozen_s": None, "largest_step": None, "jitter_s": None, "label": "", "display": []}
     own = [msgspec.structs.replace(channel, **told) for channel in tuning.inputs]
     if own != list(bank.inputs):
         raise InputError(f"{where}: inputs: not the model's signals; tune again")

@@ -1,6 +1,6 @@
 """A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
 from faultline.service.core.residuals.generators import FRESH, Generators, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
+from faultline.service.core.signals.arrivals import jitter
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Signals
@@ -61,6 +62,30 @@ def open_for(model: Model, path: Path, say: Callable[[str], None]) -> Log:
     if log.recording is not None:
         log.recording.check_sensors(path, model.sensor_set, f"the model {model.name}")
     return log
+
+
+def trusted(log: Log, units: Mapping[str, str], where: str) -> tuple[Signals, dict[str, float]]:
+    """The signals of a recording that is vouched for, and its jitter [s] by signal, which is borne and not doubted.
+
+    Raises:
+        InputError: its DBC does not give them; `where` names it.
+    """
+    table = log.table(units, where)
+    signals = log.signals(table)
+    found = jitters(signals, table)
+    table.bear(found)
+    return signals, found
+
+
+def jitters(signals: Signals, table: DecodeTable) -> dict[str, float]:
+    """By how much the frames of each signal are known to come too soon [s], where it is more than the rule bears."""
+    periods = {name: period for name in table.units if (period := table.period_s(name)) is not None}
+    times: dict[str, list[FloatArray]] = {name: [] for name in periods}
+    for piece in signals.pieces(judged=False) if periods else ():
+        for name in periods.keys() & piece.columns.keys():
+            times[name].append(piece.time[piece.columns[name].row])
+    found = {name: jitter(np.concatenate(of), periods[name]) for name, of in times.items() if of}
+    return {name: each for name, each in found.items() if each > 0.0}
 
 
 def observe(bank: Bank, signals: Signals) -> list[Tick]:

@@ -4,7 +4,8 @@ How long a number ever rested, and how far two in a row ever were apart. A senso
 never rests for long; one that does, or a command, is no witness: it may rest for as long as it likes.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -15,6 +16,8 @@ from faultline.service.core.signals.received import Signals
 from faultline.service.core.signals.values import are_good
 
 Array = npt.NDArray[np.float64]
+
+NO_JITTER: Mapping[str, float] = MappingProxyType({})
 
 RESTLESS = 10.0
 """Of its maximum age: a signal that never rested for so long is one whose rest means something."""
@@ -54,21 +57,28 @@ class _Range:
         )
 
 
-def limited(inputs: Sequence[Input], signals: Signals, residuals: Collection[str] = ()) -> list[Input]:
+def limited(
+    inputs: Sequence[Input],
+    signals: Signals,
+    residuals: Collection[str] = (),
+    jitter_s: Mapping[str, float] = NO_JITTER,
+) -> list[Input]:
     """The inputs, each with the limits that its numbers in a log set.
 
     Of `residuals` that another tool computes any step is believed: a fault makes them jump. So it is of signals with a
-    gate (`core.signals.gate`): a pulse of an actuator is larger where a filter is clogged.
+    gate (`core.signals.gate`): a pulse of an actuator is larger where a filter is clogged. `jitter_s` [s] says by how
+    much their frames have come too soon.
     """
     ranges = {channel.signal: _Range(channel) for channel in inputs}
     for piece in signals.pieces(judged=False):
         for signal, column in piece.columns.items():
             good = are_good(column.quality)
             ranges[signal].take(piece.time[column.row[good]], column.value[good])
-    return [
+    found = [
         ranges[channel.signal].limited(steps=channel.outlier is None and channel.signal not in residuals)
         for channel in inputs
     ]
+    return [msgspec.structs.replace(each, jitter_s=jitter_s.get(each.signal)) for each in found]
 
 
 def widest(limits: Sequence[Sequence[Input]]) -> list[Input]:
@@ -77,11 +87,13 @@ def widest(limits: Sequence[Sequence[Input]]) -> list[Input]:
     for channels in zip(*limits, strict=True):
         rests = [channel.frozen_s for channel in channels]
         steps = [channel.largest_step for channel in channels]
+        jitters = [channel.jitter_s for channel in channels if channel.jitter_s is not None]
         found.append(
             msgspec.structs.replace(
                 channels[0],
                 frozen_s=max((r for r in rests if r is not None), default=None) if None not in rests else None,
                 largest_step=max((s for s in steps if s is not None), default=None) if None not in steps else None,
+                jitter_s=max(jitters, default=None),
             )
         )
     return found

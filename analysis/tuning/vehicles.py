@@ -17,7 +17,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.check import findings
 from faultline.analysis.recordings.modes import modes_of, time_of
-from faultline.analysis.recordings.observe import open_for, ticks_of
+from faultline.analysis.recordings.observe import open_for, ticks_of, trusted
 from faultline.analysis.recordings.track import Track, tracks_of
 from faultline.analysis.tuning.numbers import limited
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, edge_last, more_of, seen
@@ -85,10 +85,10 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
         if runnable.networks:
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
         progress.say(log.id)
-        signals = log.signals(log.table(units, str(path)))
+        signals, jitter_s = trusted(log, units, str(path))
         tracks.append(tracks_of(signals, units))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
-        inputs = limited(runnable.bank.inputs, signals, model.residuals)
+        inputs = limited(runnable.bank.inputs, signals, model.residuals, jitter_s)
         drives.append(
             Drive(log.drive, ticks, seen(log.id, ticks, list(units), modes_of(model).names, time_of(model)), inputs)
         )

@@ -207,9 +207,11 @@ def _table(
     if raw is None:
         return DecodeTable({}, units)
     try:
-        return compile_dbc(dbc_text(raw), units, where, senders, manifest.buses, signals, with_units(manifest.units))
+        table = compile_dbc(dbc_text(raw), units, where, senders, manifest.buses, signals, with_units(manifest.units))
     except InputError as error:
         raise BundleError(str(error)) from error
+    table.bear({channel.signal: channel.jitter_s for channel in manifest.inputs if channel.jitter_s is not None})
+    return table
 
 
 def _columns(manifest: Manifest, graph: str) -> list[Generator]:

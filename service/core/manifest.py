@@ -67,7 +67,8 @@ class Input(_Part, frozen=True, omit_defaults=True):
 
     A value that has not changed for `frozen_s` within the operating region, or that lies by more than `largest_step`
     [unit] from the last one, is not believed; without them any value is. One that lies by more than `outlier` [unit]
-    from the last ones may be held back (`core.signals.gate`). People read `label` and `display`'s units.
+    from the last ones may be held back (`core.signals.gate`). Its message's frames are known to come by up to
+    `jitter_s` too soon (`core.signals.arrivals`). People read `label` and `display`'s units.
     """
 
     signal: Name
@@ -78,6 +79,7 @@ class Input(_Part, frozen=True, omit_defaults=True):
     frozen_s: Positive | None = None
     largest_step: Positive | None = None
     outlier: Positive | None = None
+    jitter_s: Positive | None = None
     label: Text = ""
     display: list[Display] = []
 

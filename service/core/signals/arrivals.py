@@ -4,9 +4,11 @@ A sender that is held up catches up: its next frames may come at once. So a fram
 largest sum of recent delays, a CUSUM of the intervals dt against the period T that forgets:
 
     s <- max(0, s) exp(-dt / tau) + d             d = dt - T, and 0 where that is between 0 and max(LATE T, JITTER_S)
-    early:  s < -max(EARLY T, JITTER_S)
+    early:  s < -max(EARLY T, JITTER_S, jitter)
 
-at the speed of a replay tau and JITTER_S are as many times as long in log time.
+at the speed of a replay tau and JITTER_S are as many times as long in log time. `jitter` is what drives without a
+second sender have shown of the message, where that is more (`jitter`): one that comes up to its period too soon cannot
+be judged by when it comes, and is counted only.
 
 A frame that is early is either a second sender's or follows one that was. Which of the two is forged nobody knows, so
 both are doubted (`core.signals.sampling`). Small delays count for nothing: a sender whose period is up to a quarter
@@ -40,6 +42,9 @@ that is longer, but never half a period."""
 TAU_S = 1.0
 """Time constant after which a delay is forgotten [s, real time]."""
 
+FEWEST, KEPT, MARGIN = 100, 0.98, 1.25
+"""Intervals that show a jitter, the part of the period that they must be on average, and what is granted above it."""
+
 STARTING_S = 10.0
 """Backlog before the first frame [s]: controllers say much when they start, and queues are emptied at once."""
 
@@ -55,7 +60,8 @@ class Arrival(Enum):
 class Arrivals:
     """Judges the frames of one message by period [s]. State: time and bytes of the last one that was due, backlog.
 
-    `speed`: seconds of log time a second, 1 on a vehicle.
+    `speed`: seconds of log time a second, 1 on a vehicle. `jitter_s`: by how much its frames are known to come too
+    soon.
 
     >>> arrivals = Arrivals(0.2)
     >>> came = [arrivals.judge(0.2 * k, bytes(8)) for k in range(100)]
@@ -69,6 +75,17 @@ class Arrivals:
         self._data = b""
         self._backlog = STARTING_S
         self.speed = 1.0
+        self.jitter_s = 0.0
+
+    @property
+    def period_s(self) -> float:
+        """The period that the DBC says [s]."""
+        return self._period
+
+    @property
+    def _early(self) -> float:
+        """How far the backlog may be below zero [s]."""
+        return max(EARLY * self._period, JITTER_S * self.speed, self.jitter_s)
 
     def judge(self, t: float, data: bytes) -> Arrival:
         """Take the frame that came at log time `t` [s]; a time before the last one begins a new log."""
@@ -82,7 +99,7 @@ class Arrivals:
         if 0.0 < late < max(LATE * self._period, jitter):
             late = 0.0
         backlog = max(0.0, self._backlog) * exp(-dt / (TAU_S * self.speed)) + late
-        if backlog < -max(EARLY * self._period, jitter):
+        if backlog < -self._early:
             return Arrival.EARLY
         self._last, self._data, self._backlog = t, data, backlog
         return Arrival.DUE
@@ -96,7 +113,7 @@ class Arrivals:
         late = dt - self._period
         jitter = JITTER_S * self.speed
         is_near = dt < min(max(REPEATED * self._period, jitter), self._period / 2.0)
-        suspects = 1 + np.flatnonzero(same[1:] & is_near | (late < -max(EARLY * self._period, jitter)))
+        suspects = 1 + np.flatnonzero(same[1:] & is_near | (late < -self._early))
         late[(late > 0.0) & (late < max(LATE * self._period, jitter))] = 0.0
         is_due, is_early = np.ones(len(t), np.bool_), np.zeros(len(t), np.bool_)
         k = 0
@@ -113,6 +130,19 @@ class Arrivals:
             is_due[k], is_early[k] = came is Arrival.DUE, came is Arrival.EARLY
             k += 1
         return is_due, is_early
+
+
+def jitter(t: FloatArray, period_s: float) -> float:
+    """Return by how much frames of one sender that came at times `t` (K,) [s] are known to come too soon [s].
+
+    0 where a frame that is early by less than the rule bears was the earliest, or where more frames came than the
+    period allows: then there was a second sender.
+    """
+    dt = np.diff(t)
+    if len(dt) < FEWEST or dt.mean() < KEPT * period_s:
+        return 0.0
+    soonest = period_s - float(dt.min())
+    return MARGIN * soonest if soonest > max(EARLY * period_s, JITTER_S) else 0.0
 
 
 def _after(backlog: float, exponent: FloatArray, delay: FloatArray) -> float:

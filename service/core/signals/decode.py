@@ -99,6 +99,22 @@ class DecodeTable:
         self.rejected = Rejected(other_source=senders.others, claimed=senders.claimed, senders=senders.other)
         self.arrivals = {layout.name: Arrivals(layout.period_s) for layout in layouts.values() if layout.period_s}
 
+    def bear(self, jitter_s: Mapping[str, float]) -> None:
+        """Bear the jitter [s] of the messages that signals come with, by signal (`core.signals.arrivals`)."""
+        for layout in self._layouts:
+            if (arrivals := self.arrivals.get(layout.name)) is not None:
+                arrivals.jitter_s = max((jitter_s.get(name, 0.0) for name in layout.signals), default=0.0)
+        for table in self.buses.values():
+            table.bear(jitter_s)
+
+    def period_s(self, signal: str) -> float | None:
+        """Return the period [s] of the message that a signal comes with; None where the DBC says none, or no such."""
+        for table in (self, *self.buses.values()):
+            for layout in table.layouts:
+                if signal in layout.signals:
+                    return layout.period_s
+        return None
+
     def add_bus(self, name: str, table: Self) -> None:
         """Add the messages of another bus, whose frames `table` decodes; they are counted here from now on."""
         self.buses[name] = table

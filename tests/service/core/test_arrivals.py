@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from faultline.service.core.signals.arrivals import EARLY, JITTER_S, LATE, REPEATED, Arrival, Arrivals, _after
+from faultline.service.core.signals.arrivals import EARLY, JITTER_S, LATE, REPEATED, Arrival, Arrivals, _after, jitter
 
 T = 0.2
 
@@ -177,3 +177,36 @@ def test_frames_at_once_are_judged_as_one_by_one_also_at_the_limits(seed: int, s
         found += list(zip(due.tolist(), early_ones.tolist(), strict=True))
         begin = end
     assert found == [(came is Arrival.DUE, came is Arrival.EARLY) for came in expected], seed
+
+
+def jittery(count: int, seed: int = 1) -> np.ndarray:
+    """Frames every 100 ms, each up to 40 ms before or after its time, as another author's plant sends them."""
+    return 0.1 * np.arange(count) + np.random.default_rng(seed).uniform(-0.04, 0.04, count)
+
+
+def test_a_sender_whose_jitter_is_known_is_not_doubted() -> None:
+    """Of its drives 40 % of the ticks were lost to doubts, as each lasts 10 s."""
+    shown = jitter(jittery(5000), 0.1)
+    assert 0.07 < shown <= 0.1
+    for bears in (False, True):
+        arrivals = Arrivals(0.1)
+        arrivals.jitter_s = shown if bears else 0.0
+        came = {arrivals.judge(t, b"%d" % k) for k, t in enumerate(jittery(5000, 2))}
+        assert (Arrival.EARLY not in came) is bears
+
+
+def test_known_jitter_is_borne_by_frames_at_once_as_by_one() -> None:
+    times = jittery(3000, 3)
+    one, many = Arrivals(0.1), Arrivals(0.1)
+    one.jitter_s = many.jitter_s = 0.055
+    expected = [one.judge(t, bytes(1)) for t in times.tolist()]
+    due, early = many.judge_all(times, np.ones(len(times), np.bool_), lambda _: bytes(1))
+    assert due.tolist() == [each is Arrival.DUE for each in expected]
+    assert early.tolist() == [each is Arrival.EARLY for each in expected]
+
+
+def test_little_jitter_needs_no_word_and_a_second_sender_shows_none() -> None:
+    small = T * np.arange(1000) + np.random.default_rng(1).uniform(-0.02, 0.02, 1000)
+    assert jitter(small, T) == 0.0
+    assert jitter(np.sort(np.concatenate([small, small[::8] + 0.03])), T) == 0.0
+    assert jitter(small[:50], T) == 0.0
